@@ -1,0 +1,48 @@
+"""The one door to PETSc and MPI: finds Debian's petsc4py, starts it without reading sys.argv."""
+
+from __future__ import annotations
+
+import glob
+import os
+import sys
+
+from fracflow.errors import InputError
+
+# Debian's petsc4py.pth adds $PETSC_DIR/lib/python3/dist-packages, but no plain package sets PETSC_DIR.
+_PATTERN = "/usr/lib/petscdir/petsc*/*-real"
+_PACKAGES = "lib/python3/dist-packages"
+
+
+def find_petsc_dir(pattern: str = _PATTERN) -> str | None:
+    """Return the newest directory under ``pattern`` that holds a petsc4py with real numbers, or None."""
+    held = [path for path in glob.glob(pattern) if os.path.isdir(os.path.join(path, _PACKAGES, "petsc4py"))]
+    return max(held, key=_version, default=None)
+
+
+def _version(path: str) -> tuple[int, ...]:
+    digits = os.path.basename(os.path.dirname(path)).removeprefix("petsc")
+    return tuple(int(part) for part in digits.split(".") if part.isdigit())
+
+
+def _use_petsc_dir() -> None:
+    if "PETSC_DIR" not in os.environ and (found := find_petsc_dir()) is not None:
+        os.environ["PETSC_DIR"] = found
+        # The .pth file was read when Python started, before PETSC_DIR was known.
+        sys.path.append(os.path.join(found, _PACKAGES))
+
+
+_use_petsc_dir()
+try:
+    import petsc4py
+    from mpi4py import MPI
+
+    petsc4py.init()
+    from petsc4py import PETSc
+except ImportError as error:
+    _reason = " ".join(str(error).split())
+    raise InputError(
+        f"PETSc cannot be imported ({_reason}); PETSC_DIR={os.environ.get('PETSC_DIR', 'unset')}: "
+        "install python3-petsc4py and python3-mpi4py, or source scripts/setup.sh"
+    ) from error
+
+__all__ = ["MPI", "PETSc", "find_petsc_dir"]

@@ -1,0 +1,1 @@
+"""From element kernels to PETSc operators and residuals."""

@@ -1,0 +1,140 @@
+"""The network: flow through the fractures, what their walls push and are pushed.
+
+Everything is per unit thickness, with the pressure as unknown. Ends: each joint has two, numbered joint * 2 + end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.joints import jump_matrix
+from fracflow.assembly.layout import add_blocks, create_matrix
+from fracflow.elements import flow, joint
+from fracflow.laws.cubic_flow import MEANS, conductance
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats
+from fracflow.scene import Scene
+
+STORAGE = {"lumped": ("lumped", "lumped"), "consistent": ("consistent", "consistent"), "report": ("consistent", "averaging")}
+"""Matrices of the pressure force and of the wall motion: one for both, or the report's (2.37) with (3.16)."""
+
+
+@dataclass(frozen=True)
+class Conduction:
+    """The network at given openings and pressures: conductances (j,), their derivatives (j, 2), end pressures (j, 2)."""
+
+    conductance: Floats
+    slope: Floats
+    pressure: Floats
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Operators of the network.
+
+    opening     displacement unknowns -> normal jump at the joint ends
+    pick        pressures of the flow nodes -> joint ends
+    push        B of (2.38): pressures -> forces on the solid unknowns
+    squeeze     B_F of (3.20): its transpose makes volume rates of velocities; the same as B but for the report's pair
+    aperture    (j, 2) initial aperture d0 at the ends [length]
+    least       (j, 2) minimum hydraulic aperture, for conduction only [length]
+    length      (j,) [length]
+    """
+
+    opening: PETSc.Mat
+    pick: PETSc.Mat
+    push: PETSc.Mat
+    squeeze: PETSc.Mat
+    pattern: PETSc.Mat
+    aperture: Floats
+    least: Floats
+    length: Floats
+    mean: str
+    viscosity: float
+
+    def apertures(self, displacement: PETSc.Vec) -> Floats:
+        """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]. Collective."""
+        return self.aperture + _apply(self.opening, displacement).reshape(-1, 2)
+
+    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> Conduction:
+        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures. Collective."""
+        mechanical = self.apertures(displacement)
+        hydraulic = np.maximum(mechanical, self.least)
+        mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
+        slope = np.stack([slope_1, slope_2], axis=1) * (mechanical >= self.least)
+        return Conduction(
+            conductance(mean, self.length, self.viscosity),
+            conductance(slope, self.length[:, None], self.viscosity),
+            _apply(self.pick, pressure).reshape(-1, 2),
+        )
+
+    def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
+        """(3.20) ``result`` += K_F p, what each flow node sends into its elements. Collective."""
+        through = flow.element_flow(state.conductance, state.pressure)
+        ends = self.pick.createVecLeft()
+        ends.setArray(np.stack([through, -through], axis=1).ravel())
+        self.pick.multTransposeAdd(ends, result, result)
+        ends.destroy()
+
+
+def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
+    result = matrix.createVecLeft()
+    matrix.mult(vector, result)
+    local = result.getArray().copy()
+    result.destroy()
+    return local
+
+
+def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flow:
+    """Operators of the network of a scene that has a fluid. Collective."""
+    assert scene.fluid is not None
+    comm, block, dim = blocks.comm, blocks.joints, blocks.sizes.dim
+    ends = np.arange(2 * len(block.ids)).reshape(-1, 2)
+    end_layout = (ends.size, 2 * blocks.sizes.joints)
+    node_layout = (len(blocks.flow.ids), blocks.sizes.flow_nodes)
+
+    normal = create_matrix((end_layout, (ends.size * dim, 2 * blocks.sizes.joints * dim)), 1, comm)
+    first = normal.getOwnershipRange()[0]
+    rows = (first + ends).reshape(-1, 1)
+    add_blocks(normal, rows, rows * dim + dim - 1, np.ones((rows.size, 1, 1)))
+    normal.assemble()
+    jump = jump_matrix(blocks, np.array([-1.0, 1.0]), expand)
+    opening = normal.matMult(jump)
+    normal.destroy()
+    jump.destroy()
+
+    pick = create_matrix((end_layout, node_layout), 1, comm)
+    add_blocks(pick, rows, block.flow.reshape(-1, 1), np.ones((rows.size, 1, 1)))
+    pick.assemble()
+    _, length = joint.frame(blocks.solid.points[block.bottom])
+
+    def weighted(kind: str) -> PETSc.Mat:
+        matrix = create_matrix((end_layout, node_layout), 2, comm)
+        numbers = first + ends
+        add_blocks(matrix, numbers, block.flow, flow.storage_matrix(kind, length))
+        matrix.assemble()
+        product = opening.transposeMatMult(matrix)
+        matrix.destroy()
+        return product
+
+    kinds = STORAGE[scene.method.storage]
+    push = weighted(kinds[0])
+    squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
+    tables = [scene.fracture_named(name) for name in block.fractures]
+    apertures = np.array([table.aperture for table in tables])[block.fracture]
+    least = np.array([table.minimum_hydraulic_aperture for table in tables])[block.fracture]
+    return Flow(
+        opening,
+        pick,
+        push,
+        squeeze,
+        push if kinds[0] == "consistent" else weighted("consistent"),
+        np.repeat(apertures[:, None], 2, axis=1),
+        np.repeat(least[:, None], 2, axis=1),
+        length,
+        scene.method.conductance,
+        scene.fluid.viscosity,
+    )

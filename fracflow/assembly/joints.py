@@ -1,0 +1,241 @@
+"""The joints: one sparse jump operator G for all sections, and the laws that answer its strains.
+
+residual  G' W f(G u)      tangent  G' W D G
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.layout import add_blocks, create_matrix
+from fracflow.assembly.solid import nodal_layout, node_unknowns, stress_tensor
+from fracflow.elements import joint
+from fracflow.errors import InputError
+from fracflow.laws import JOINT_LAWS
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats, Ints
+from fracflow.scene import Scene
+from fracflow.state import Past, Sections
+
+
+@dataclass(frozen=True)
+class SectionGroup:
+    """Sections with equal numbers of unknowns: numbers (n,), their unknowns (n, k), and their rows of G (n, dim, k)."""
+
+    sections: Ints
+    unknowns: Ints
+    jump: Floats
+
+
+@dataclass(frozen=True)
+class LawGroup:
+    """Sections that follow one law: their numbers (n,), and the law with its parameters (n,)."""
+
+    sections: Ints
+    law: Any
+
+
+@dataclass(frozen=True)
+class Joints:
+    """All joint sections of a rank; section = joint * rule points + point.
+
+    jump      G: displacement unknowns -> strains, rows section * dim + component
+    weights   (s,) length a section stands for [length]
+    initial   (s, dim) initial effective traction, joint frame [stress]
+    groups    sections by unknowns, for the tangent
+    laws      sections by law
+    """
+
+    dim: int
+    jump: PETSc.Mat
+    weights: Floats
+    initial: Floats
+    groups: tuple[SectionGroup, ...]
+    laws: tuple[LawGroup, ...]
+
+    def rest(self) -> Past:
+        """Histories of all laws at the initial state."""
+        return tuple(group.law.rest(len(group.sections), self.dim) for group in self.laws)
+
+    def strain(self, displacement: PETSc.Vec) -> Floats:
+        """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
+        strains = self.jump.createVecLeft()
+        self.jump.mult(displacement, strains)
+        local = strains.getArray().reshape(-1, self.dim).copy()
+        strains.destroy()
+        return local
+
+    def respond(self, strain: Floats, past: Past) -> Sections:
+        """What the laws answer to strains (s, dim), starting from ``past``, which stays as it is."""
+        count = len(strain)
+        whole = {
+            "strain": strain,
+            "traction": np.zeros((count, self.dim)),
+            "tangent": np.zeros((count, self.dim, self.dim)),
+            "stored": np.zeros(count),
+            "inelastic": np.zeros((count, self.dim)),
+            "utilisation": np.zeros(count),
+            "is_sliding": np.zeros(count, dtype=bool),
+            "is_open": np.zeros(count, dtype=bool),
+            "margin": np.full(count, np.inf),
+        }
+        new = []
+        for group, history in zip(self.laws, past, strict=True):
+            answer = group.law.respond(strain[group.sections], history)
+            for name, values in whole.items():
+                if name != "strain":
+                    values[group.sections] = getattr(answer, name)
+            new.append(answer.past)
+        return Sections(past=tuple(new), **whole)
+
+    def follow(self, past: Past, branch: Past) -> Past:
+        """``past`` with the statuses of ``branch``: the histories from which the next iteration starts."""
+        return tuple(
+            {**start, **{name: reached[name] for name in group.law.status}}
+            for group, start, reached in zip(self.laws, past, branch, strict=True)
+        )
+
+    def step_limit(self, strain: Floats, increment: Floats) -> float:
+        """Largest fraction of an increment that every law of this rank allows; at most 1."""
+        limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
+        return min([1.0, *(float(np.min(limit)) for limit in limits)])
+
+    def force(self, traction: Floats, result: PETSc.Vec) -> None:
+        """(2.31) ``result`` += G' W f. Collective."""
+        tractions = self.jump.createVecLeft()
+        tractions.setArray((self.weights[:, None] * traction).ravel())
+        self.jump.multTransposeAdd(tractions, result, result)
+        tractions.destroy()
+
+    def tangent(self, moduli: Floats) -> list[tuple[Ints, Floats]]:
+        """(2.32) Blocks W g' D g of each group: unknowns (n, k), values (n, k, k)."""
+        return [
+            (g.unknowns, joint.tangent(g.jump[:, None], moduli[g.sections, None], self.weights[g.sections, None]))
+            for g in self.groups
+        ]
+
+
+def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PETSc.Mat:
+    """(2.3)-(2.9) G for sections at natural coordinates ``points`` (q,). The caller destroys it. Collective."""
+    block, dim = blocks.joints, blocks.sizes.dim
+    frame, _ = joint.frame(blocks.solid.points[block.bottom])
+    operators = joint.jump_operator(frame, points)
+    count = len(block.ids) * len(points) * dim
+    matrix = create_matrix(
+        ((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 4 * dim, blocks.comm
+    )
+    start = matrix.getOwnershipRange()[0]
+    faces = node_unknowns(blocks, np.stack([block.bottom, block.top], axis=1))  # (joint, face, end, component)
+    shape = operators.reshape(len(block.ids), len(points), dim, 2, dim, dim)
+    ends_of = [np.flatnonzero([not np.isclose(abs(xi), 1.0) or xi == end for end in (-1.0, 1.0)]) for xi in points]
+    for point, ends in enumerate(ends_of):
+        first = start + (np.arange(len(block.ids)) * len(points) + point) * dim
+        cols = faces[:, :, ends].reshape(len(block.ids), -1)
+        values = shape[:, point][:, :, :, ends].reshape(len(block.ids), dim, -1)
+        add_blocks(matrix, first[:, None] + np.arange(dim), cols, values)
+    matrix.assemble()
+    if expand is None:
+        return matrix
+    product = matrix.matMult(expand)
+    matrix.destroy()
+    return product
+
+
+def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:
+    """Rows of G gathered by section; all rows of a section share their columns."""
+    indptr, indices, values = jump.getValuesCSR()
+    first, width = indptr[:-1:dim], np.diff(indptr)[::dim]
+    groups = []
+    for k in np.unique(width):
+        chosen = np.flatnonzero(width == k)
+        rows = (first[chosen, None] + np.arange(dim * k)).reshape(len(chosen), dim, k)
+        groups.append(SectionGroup(chosen, indices[rows[:, 0]].astype(np.int64), values[rows]))
+    return tuple(groups)
+
+
+def initial_tractions(blocks: Blocks, scene: Scene, points: int) -> Floats:
+    """(2.14) Initial effective tractions (s, dim): of the initial stress, plus the initial pressure; overrides after.
+
+    Raises InputError that lists the fractures under initial tension or past their strength.
+    """
+    block, dim = blocks.joints, blocks.sizes.dim
+    frame, _ = joint.frame(blocks.solid.points[block.bottom])
+    sigma = np.broadcast_to(stress_tensor(scene)[:dim, :dim], (len(block.ids), dim, dim))
+    traction = joint.traction_from_stress(frame, sigma)
+    traction[:, -1] += scene.fluid.initial_pressure if scene.fluid is not None else 0.0
+    for number, name in enumerate(block.fractures):
+        table, here = scene.fracture_named(name), block.fracture == number
+        if table.initial_normal_traction is not None:
+            traction[here, -1] = table.initial_normal_traction
+        if table.initial_shear_traction is not None:
+            traction[here, :-1] = table.initial_shear_traction
+    return np.repeat(traction, points, axis=0)
+
+
+def law_groups(blocks: Blocks, scene: Scene, initial: Floats, points: int) -> tuple[LawGroup, ...]:
+    """One group a law, its parameters as arrays over the sections of every fracture that names it."""
+    block = blocks.joints
+    tables = [scene.fracture_named(name) for name in block.fractures]
+    fracture = np.repeat(block.fracture, points)
+    choices = {
+        "coupled_tangent": scene.method.tangent == "consistent",
+        "strength_when_open": scene.method.open_strength == "cohesion",
+    }
+    groups = []
+    for name in sorted({table.law for table in tables}):
+        law = JOINT_LAWS[name]
+        sections = np.flatnonzero(np.array([table.law == name for table in tables], dtype=bool)[fracture])
+        given: dict[str, Any] = {
+            "initial_normal_traction": initial[sections, -1],
+            "initial_shear_traction": initial[sections, :-1],
+        }
+        for field in fields(law):
+            if field.name in choices:
+                given[field.name] = choices[field.name]
+            elif field.name not in given:
+                key = "friction" if field.name == "friction_coefficient" else field.name
+                column = np.array([getattr(table, key) if table.law == name else np.nan for table in tables], dtype=float)
+                given[field.name] = column[fracture[sections]]
+        groups.append(LawGroup(sections, law(**given)))
+    return tuple(groups)
+
+
+def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int) -> None:
+    """Raise InputError, on every rank, that lists fractures under initial tension or past their strength. Collective."""
+    fracture = np.repeat(blocks.joints.fracture, points)
+    tension, failed = set(), set()
+    scale = float(np.abs(initial).max(initial=0.0))
+    tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
+    for group in groups:
+        dim = initial.shape[1]
+        answer = group.law.respond(np.zeros((len(group.sections), dim)), group.law.rest(len(group.sections), dim))
+        failed.update(fracture[group.sections[answer.is_sliding | (answer.utilisation >= 1.0)]].tolist())
+    names = blocks.joints.fractures
+    bad_tension = sorted({names[i] for part in blocks.comm.allgather(tension) for i in part})
+    bad_failed = sorted({names[i] for part in blocks.comm.allgather(failed) for i in part})
+    if bad_tension:
+        raise InputError(
+            f"initial state: effective normal traction is tensile on {', '.join(bad_tension)}: compress the rock"
+            " (initial_stress), lower fluid.initial_pressure, or give initial_normal_traction <= 0"
+        )
+    if bad_failed:
+        raise InputError(
+            f"initial state: initial shear traction reaches the strength of {', '.join(bad_failed)}: lower the shear"
+            " stress (initial_stress), or raise friction or cohesion"
+        )
+
+
+def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Joints:
+    """Operators and laws of the joints. Collective."""
+    xi, weight = joint.RULES[scene.method.quadrature]
+    _, length = joint.frame(blocks.solid.points[blocks.joints.bottom])
+    weights = joint.section_length(length, weight).ravel()
+    initial = initial_tractions(blocks, scene, len(xi))
+    groups = law_groups(blocks, scene, initial, len(xi))
+    refuse_bad_start(blocks, groups, initial, len(xi))
+    jump = jump_matrix(blocks, xi, expand)
+    return Joints(blocks.sizes.dim, jump, weights, initial, section_groups(jump, blocks.sizes.dim), groups)

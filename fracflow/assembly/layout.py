@@ -1,0 +1,103 @@
+"""The unknowns of a step in one vector: on each rank first its displacements, then its pressures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.blocks import Blocks, owner_of, petsc_ints
+from fracflow.mesh.data import Floats, Ints
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes and numbers of the solid and flow unknowns, apart and together."""
+
+    comm: MPI.Comm
+    solid_starts: Ints
+    flow_starts: Ints
+
+    @property
+    def solid_count(self) -> int:
+        """Displacement unknowns of this rank."""
+        return int(np.diff(self.solid_starts)[self.comm.rank])
+
+    @property
+    def flow_count(self) -> int:
+        """Pressure unknowns of this rank."""
+        return int(np.diff(self.flow_starts)[self.comm.rank])
+
+    @property
+    def start(self) -> int:
+        """First number of this rank in the joined vector."""
+        return int(self.solid_starts[self.comm.rank] + self.flow_starts[self.comm.rank])
+
+    @property
+    def total(self) -> int:
+        """Unknowns of all ranks."""
+        return int(self.solid_starts[-1] + self.flow_starts[-1])
+
+    def solid_numbers(self, numbers: Ints) -> Ints:
+        """Joined numbers of displacement unknowns."""
+        return numbers + self.flow_starts[owner_of(self.solid_starts, numbers)]
+
+    def flow_numbers(self, numbers: Ints) -> Ints:
+        """Joined numbers of pressure unknowns."""
+        return numbers + self.solid_starts[owner_of(self.flow_starts, numbers) + 1]
+
+    def index_sets(self) -> tuple[PETSc.IS, PETSc.IS]:
+        """The splits named solid and flow, for PCFIELDSPLIT. The caller destroys them."""
+        middle = self.start + self.solid_count
+        solid = PETSc.IS().createStride(self.solid_count, self.start, 1, comm=self.comm)
+        flow = PETSc.IS().createStride(self.flow_count, middle, 1, comm=self.comm)
+        return solid, flow
+
+    def solid_vector(self) -> PETSc.Vec:
+        """A new displacement vector, zero."""
+        return PETSc.Vec().createMPI((self.solid_count, int(self.solid_starts[-1])), comm=self.comm)
+
+    def flow_vector(self) -> PETSc.Vec:
+        """A new pressure vector, zero."""
+        return PETSc.Vec().createMPI((self.flow_count, int(self.flow_starts[-1])), comm=self.comm)
+
+    def joined_vector(self) -> PETSc.Vec:
+        """A new vector of both, zero."""
+        return PETSc.Vec().createMPI((self.solid_count + self.flow_count, self.total), comm=self.comm)
+
+
+def layout_of(blocks: Blocks, with_flow: bool) -> Layout:
+    """The unknowns that a scene needs; without flow the flow part is empty."""
+    flow = blocks.flow.starts if with_flow else np.zeros(blocks.comm.size + 1, dtype=np.int64)
+    return Layout(blocks.comm, blocks.solid.unknown_starts, flow)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Local rows of a sparse matrix whose columns are global numbers."""
+
+    rows: Ints
+    cols: Ints
+    values: Floats
+
+
+def local_rows(matrix: PETSc.Mat) -> Rows:
+    """The entries of this rank's rows; row numbers are local, column numbers global."""
+    indptr, indices, values = matrix.getValuesCSR()
+    rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
+    return Rows(rows, indices.astype(np.int64), values)
+
+
+def create_matrix(layout: tuple[tuple[int, int], tuple[int, int]], row_entries: int | Ints, comm: MPI.Comm) -> PETSc.Mat:
+    """An empty AIJ matrix with room for ``row_entries`` on a row in each of its two parts; more is allowed."""
+    entries = row_entries if isinstance(row_entries, int) else (petsc_ints(row_entries), petsc_ints(row_entries))
+    matrix = PETSc.Mat().createAIJ(layout, nnz=entries, comm=comm)
+    matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+    return matrix
+
+
+def add_blocks(matrix: PETSc.Mat, rows: Ints, cols: Ints, values: Floats) -> None:
+    """Add dense blocks: rows (n, r), cols (n, c), values (n, r, c). Not collective; assemble afterwards."""
+    if len(rows):
+        matrix.setValuesRCV(petsc_ints(rows), petsc_ints(cols), np.ascontiguousarray(values), PETSc.InsertMode.ADD)

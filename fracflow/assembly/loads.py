@@ -1,0 +1,201 @@
+"""What acts from outside: supports, loads on sides, wells; each a constant pattern times a function of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.layout import Layout
+from fracflow.assembly.solid import nodal_force, stress_tensor
+from fracflow.elements import solid
+from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks, owner_of
+from fracflow.mesh.data import Floats, Ints
+from fracflow.scene import Load, Scene, Support
+
+TimeFunction = Callable[[float], float]
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """Unknowns of this rank (local numbers) that follow a function of time."""
+
+    numbers: Ints
+    value: TimeFunction
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A vector times a function of time, times a load factor where one is named."""
+
+    vector: PETSc.Vec
+    value: TimeFunction
+    control: str | None
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks."""
+
+    supports: tuple[Prescribed, ...]
+    forces: tuple[Pattern, ...]
+    pressures: tuple[Prescribed, ...]
+    wells: tuple[Pattern, ...]
+    fixed_solid: Ints
+    fixed_flow: Ints
+
+    def force(self, time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
+        """``result`` = R(t) of (2.38)."""
+        _sum(self.forces, time, controls, result)
+
+    def source(self, time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
+        """``result`` = Q(t) of (3.20), per unit thickness."""
+        _sum(self.wells, time, controls, result)
+
+    def impose(self, time: float, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
+        """Write the prescribed values into both vectors."""
+        for vector, parts in ((displacement, self.supports), (pressure, self.pressures)):
+            local = vector.getArray()
+            for part in parts:
+                local[part.numbers] = part.value(time)
+
+
+def _sum(patterns: tuple[Pattern, ...], time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
+    result.set(0.0)
+    for pattern in patterns:
+        factor = 1.0 if pattern.control is None else controls[pattern.control]
+        result.axpy(factor * pattern.value(time), pattern.vector)
+
+
+def side_facets(blocks: Blocks, name: str) -> Ints:
+    """Local numbers of this rank's facets of a named side."""
+    sides = blocks.solid.sides
+    return np.flatnonzero(blocks.solid.side_of == sides.index(name)) if name in sides else np.zeros(0, dtype=np.int64)
+
+
+def outward(blocks: Blocks, facets: Ints) -> Floats:
+    """Outward unit normals (s, 2) of boundary facets."""
+    points = blocks.solid.points
+    ends = points[blocks.solid.side_facets[facets]]
+    along = ends[:, 1] - ends[:, 0]
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
+    nodes = blocks.solid.cells[blocks.solid.side_cell[facets]]
+    inside = np.where(nodes[..., None] >= 0, points[nodes], np.nan)
+    away = ends.mean(axis=1) - np.nanmean(inside, axis=1) if len(facets) else ends.mean(axis=1)
+    return normal * np.sign(np.einsum("si,si->s", normal, away))[:, None]
+
+
+def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
+    nodes = blocks.solid.side_facets[facets]
+    return nodal_force(blocks, nodes, solid.traction_force(blocks.solid.points[nodes], traction), expand)
+
+
+def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
+    names = [load.on] if isinstance(load.on, str) else list(load.on)
+    known = blocks.solid.sides
+    for name in names:
+        if name not in known:
+            raise InputError(f'load: on = "{name}": no such side (the mesh has: {", ".join(known) or "none"})')
+    facets = np.concatenate([side_facets(blocks, name) for name in names])
+    normal = outward(blocks, facets)
+    if load.pressure is not None:
+        return [Pattern(_side_force(blocks, facets, -normal, expand), load.pressure, load.control)]
+    if load.traction == "initial-stress":
+        traction = normal @ stress_tensor(scene)[:2, :2].T
+        return [Pattern(_side_force(blocks, facets, traction, expand), lambda time: 1.0, load.control)]
+    assert load.traction is not None and not isinstance(load.traction, str)
+    patterns = []
+    for axis, value in enumerate(load.traction):
+        unit = np.zeros((len(facets), 2))
+        unit[:, axis] = 1.0
+        patterns.append(Pattern(_side_force(blocks, facets, unit, expand), value, load.control))
+    return patterns
+
+
+def _supported(blocks: Blocks, support: Support, name: str, points: Mapping[str, Ints]) -> dict[str, Ints]:
+    """Unknowns of each supported component on a side, a rock or a point, of this rank's part. Raises InputError."""
+    block, dim = blocks.solid, blocks.sizes.dim
+    rotation = {"rotation": dim}
+    if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
+        bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
+        column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
+        return {part: block.body_unknown[bodies, column[part]] for part in support.components}
+    if name in block.sides:
+        nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
+    elif name in block.rocks:
+        nodes = np.unique(block.cells[block.cell_rock == block.rocks.index(name)])
+        nodes = nodes[nodes >= 0]
+    elif name in points:
+        nodes = np.flatnonzero(np.isin(block.node_ids, points[name]))
+    else:
+        known = ", ".join([*block.sides, *block.rocks, *points])
+        raise InputError(f'support: on = "{name}": no such side, rock or point (the mesh has: {known})')
+    turning = block.body[nodes] >= 0
+    if blocks.comm.allreduce(int(turning.any())):
+        raise InputError(f'support: on = "{name}": lies on a rigid rock; support the rock itself, by its name')
+    given = [part for part in support.components if part != "rotation"] if "rotation" in support.components else support.components
+    if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
+        raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
+    return {part: block.unknown[nodes, AXES.index(part)] for part in given}
+
+
+def _own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
+    mine = np.unique(everywhere)
+    return mine[owner_of(starts, mine) == rank] - starts[rank]
+
+
+def assemble_loads(
+    blocks: Blocks,
+    scene: Scene,
+    layout: Layout,
+    expand: PETSc.Mat | None,
+    points: Mapping[str, Ints],
+    well_nodes: Mapping[str, int],
+) -> Loads:
+    """Patterns of all loads.
+
+    points      name -> split nodes of a named point
+    well_nodes  name of a well -> PETSc number of its flow node
+    Collective. Raises InputError, on every rank, for names the mesh does not have.
+    """
+    comm, starts = blocks.comm, blocks.solid.unknown_starts
+    supports: list[Prescribed] = []
+    taken = np.zeros(0, dtype=np.int64)
+    for support in scene.support:
+        for name in [support.on] if isinstance(support.on, str) else support.on:
+            for part, numbers in _supported(blocks, support, name, points).items():
+                everywhere = np.unique(np.concatenate(comm.allgather(numbers)))
+                value = (support.displacement or {}).get(part, lambda time: 0.0)
+                new = np.setdiff1d(everywhere, taken)  # where two supports meet, the first one holds
+                taken = np.union1d(taken, new)
+                supports.append(Prescribed(_own(starts, comm.rank, new), value))
+    forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
+
+    pressures, wells, held = [], [], []
+    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    for well in scene.well if scene.has_flow else ():
+        node = well_nodes[well.name]
+        if well.pressure is not None:
+            initial = scene.fluid.initial_pressure if scene.fluid is not None else 0.0
+            value = (lambda time, p=initial: p) if well.pressure == "initial" else well.pressure
+            assert callable(value)
+            pressures.append(Prescribed(_own(layout.flow_starts, comm.rank, np.array([node])), value))
+            held.append(node)
+        else:
+            vector = layout.flow_vector()
+            vector.setValue(node, 1.0 / depth if comm.rank == 0 else 0.0, addv=PETSc.InsertMode.ADD)
+            vector.assemble()
+            assert well.flow_rate is not None
+            wells.append(Pattern(vector, well.flow_rate, well.control))
+    return Loads(
+        tuple(supports),
+        tuple(forces),
+        tuple(pressures),
+        tuple(wells),
+        layout.solid_numbers(taken.astype(np.int64)),
+        layout.flow_numbers(np.unique(np.array(held, dtype=np.int64))),
+    )

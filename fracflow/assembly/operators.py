@@ -1,0 +1,88 @@
+"""All constant operators of a scene, made once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.flow import Flow, assemble_flow
+from fracflow.assembly.joints import Joints, assemble_joints
+from fracflow.assembly.layout import Layout, layout_of
+from fracflow.assembly.solid import expansion, initial_stress_force, mass, stiffness
+from fracflow.mesh.blocks import Blocks
+from fracflow.scene import Scene
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Natural sizes that make both balances O(1): force and displacement of a node, pressure, length."""
+
+    force: float
+    displacement: float
+    pressure: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Operators:
+    """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid."""
+
+    blocks: Blocks
+    layout: Layout
+    expand: PETSc.Mat | None
+    stiffness: PETSc.Mat
+    mass: PETSc.Mat
+    prestress: PETSc.Vec
+    joints: Joints
+    flow: Flow | None
+    scales: Scales
+
+    def nodal(self, unknowns: PETSc.Vec) -> PETSc.Vec:
+        """Nodal values of a vector of solid unknowns: u = E q. The caller destroys the result. Collective."""
+        if self.expand is None:
+            return unknowns.copy()
+        result = self.expand.createVecLeft()
+        self.expand.mult(unknowns, result)
+        return result
+
+
+def natural_scales(blocks: Blocks, scene: Scene, joints: Joints, stiff: PETSc.Mat) -> Scales:
+    """Scales from the data: the largest initial stress or joint law stress k_n0 d0, the mean joint length. Collective."""
+    comm = blocks.comm
+    total, count = comm.allreduce(joints.weights.sum()), comm.allreduce(len(joints.weights))
+    length = float(total / count) if count else 1.0
+    candidates = [float(np.abs(joints.initial).max(initial=0.0)), 0.0]
+    stiffness_scale = 0.0
+    for group in joints.laws:
+        law = group.law
+        stiffness_scale = max(stiffness_scale, float(np.max(law.normal_stiffness, initial=0.0)))
+    if scene.initial_stress is not None:
+        given = scene.initial_stress
+        candidates += [abs(given.xx), abs(given.yy), abs(given.xy)]
+    stress = max(comm.allgather(max(candidates)))
+    diagonal = stiff.getDiagonal()
+    stiffness_scale = max(max(comm.allgather(stiffness_scale)) * length, diagonal.max()[1] if diagonal.getSize() else 0.0)
+    diagonal.destroy()
+    stress = stress if stress > 0.0 else max(stiffness_scale, 1.0) * 1e-3 / length
+    force = stress * length
+    return Scales(force, force / stiffness_scale if stiffness_scale > 0.0 else 1.0, stress, length)
+
+
+def assemble(blocks: Blocks, scene: Scene) -> Operators:
+    """Make every operator. Collective."""
+    expand = expansion(blocks)
+    joints = assemble_joints(blocks, scene, expand)
+    stiff = stiffness(blocks, scene, expand)
+    return Operators(
+        blocks,
+        layout_of(blocks, scene.has_flow),
+        expand,
+        stiff,
+        mass(blocks, scene, expand),
+        initial_stress_force(blocks, scene, expand),
+        joints,
+        assemble_flow(blocks, scene, expand) if scene.has_flow else None,
+        natural_scales(blocks, scene, joints, stiff),
+    )

@@ -1,0 +1,1 @@
+"""Element kernels: NumPy only, vectorised, first axis = element, dimension from array shapes."""

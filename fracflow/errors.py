@@ -1,0 +1,9 @@
+"""The two ways a run can end badly; every message is one line that says what would be right."""
+
+
+class InputError(Exception):
+    """The scene, the mesh or the command line is wrong: exit code 2."""
+
+
+class SolveError(Exception):
+    """The equations of a step could not be solved: exit code 3, the last good state is on disk."""

@@ -1,0 +1,78 @@
+"""What a joint law takes and gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Parameter = float | Floats
+Past = Mapping[str, Floats]
+Kind = Literal["shear", "scalar"]
+
+
+@dataclass(frozen=True, eq=False)
+class JointResponse:
+    """(2.10b) Answer of n joint sections to a strain; components (s, n), normal last, tension positive.
+
+    traction    (n, dim)       effective traction [stress]
+    tangent     (n, dim, dim)  d traction_i / d strain_j [stress/length]
+    stored      (n,)           stored energy since the initial state, int f d eps_e [stress x length]
+    inelastic   (n, dim)       inelastic strain: plastic slip in shear, 0 in normal direction [length]
+    utilisation (n,)           shear traction over peak strength; 0 where open or without limit
+    is_sliding  (n,)           the section is on its sliding branch
+    is_open     (n,)           the walls have lost contact
+    margin      (n,)           dimensionless distance >= 0 of the choice of status from its threshold
+    past        name -> array  the new history; commit it when the step is accepted
+    """
+
+    traction: Floats
+    tangent: Floats
+    stored: Floats
+    inelastic: Floats
+    utilisation: Floats
+    is_sliding: Bools
+    is_open: Bools
+    margin: Floats
+    past: dict[str, Floats]
+
+
+class JointLaw(Protocol):
+    """Frozen parameters, pure functions of strain and past; ``status`` is the latched part of ``history``."""
+
+    history: ClassVar[dict[str, Kind]]
+    status: ClassVar[tuple[str, ...]]
+
+    def rest(self, sections: int, dim: int) -> dict[str, Floats]:
+        """History of the initial state, one array a name: "shear" (n, dim-1), "scalar" (n,)."""
+        ...
+
+    def respond(self, strain: Floats, past: Past) -> JointResponse:
+        """Response to the total strain (n, dim) after ``past``, at most one change of status a section."""
+        ...
+
+    def step_limit(self, strain: Floats, increment: Floats) -> Floats:
+        """Largest fraction (n,) of the increment (n, dim) that may be taken; inf where there is no limit."""
+        ...
+
+
+def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[str, Floats]:
+    """Zero arrays of the shapes that ``history`` declares."""
+    shapes: dict[Kind, tuple[int, ...]] = {"shear": (sections, dim - 1), "scalar": (sections,)}
+    return {name: np.zeros(shapes[kind]) for name, kind in history.items()}
+
+
+def per_section(value: Parameter, sections: int) -> Floats:
+    """A parameter as an array (n,)."""
+    return np.broadcast_to(np.asarray(value, dtype=float), (sections,))
+
+
+def per_tangent(value: Parameter, sections: int, tangents: int) -> Floats:
+    """A shear parameter as an array (n, dim-1); a number, (n,) in two dimensions, or (n, dim-1)."""
+    array = np.asarray(value, dtype=float)
+    return np.broadcast_to(array[:, None] if array.ndim == 1 else array, (sections, tangents))

@@ -1,0 +1,60 @@
+"""A joint of two uncoupled springs, without strength limit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from .base import Floats, JointResponse, Kind, Parameter, Past, per_section, per_tangent, rest_history
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """(2.22) with constant moduli: f = f_0 + k eps in shear and normal direction, tension included.
+
+    normal_stiffness        k_n [stress/length], number or (n,)
+    shear_stiffness         k_s [stress/length], number or (n,)
+    initial_normal_traction f_n0 [stress], number or (n,), tension positive, effective
+    initial_shear_traction  f_s0 [stress], number, (n,) in two dimensions, or (n, dim-1)
+    """
+
+    normal_stiffness: Parameter
+    shear_stiffness: Parameter
+    initial_normal_traction: Parameter = 0.0
+    initial_shear_traction: Parameter = 0.0
+
+    history: ClassVar[dict[str, Kind]] = {}
+    status: ClassVar[tuple[str, ...]] = ()
+
+    def rest(self, sections: int, dim: int) -> dict[str, Floats]:
+        """No history."""
+        return rest_history(self.history, sections, dim)
+
+    def respond(self, strain: Floats, past: Past) -> JointResponse:
+        """(2.22) Traction, tangent and stored energy of strain (n, dim); ``past`` is empty."""
+        sections, dim = strain.shape
+        stiffness = np.empty((sections, dim))
+        stiffness[:, :-1] = per_section(self.shear_stiffness, sections)[:, None]
+        stiffness[:, -1] = per_section(self.normal_stiffness, sections)
+        initial = np.empty((sections, dim))
+        initial[:, :-1] = per_tangent(self.initial_shear_traction, sections, dim - 1)
+        initial[:, -1] = per_section(self.initial_normal_traction, sections)
+        change = stiffness * strain
+        never = np.zeros(sections, dtype=bool)
+        return JointResponse(
+            traction=initial + change,
+            tangent=stiffness[:, :, None] * np.eye(dim),
+            stored=np.einsum("ni,ni->n", initial + 0.5 * change, strain),
+            inelastic=np.zeros((sections, dim)),
+            utilisation=np.zeros(sections),
+            is_sliding=never,
+            is_open=never.copy(),
+            margin=np.full(sections, np.inf),
+            past={},
+        )
+
+    def step_limit(self, strain: Floats, increment: Floats) -> Floats:
+        """No limit."""
+        return np.full(len(strain), np.inf)

@@ -1,0 +1,136 @@
+"""The solid and flow blocks as one rank holds them: local arrays that carry their original numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.data import Floats, Ints
+
+
+@dataclass(frozen=True)
+class SolidBlock:
+    """Cells and split nodes of one rank; owned nodes come first, ghosts after them.
+
+    node_ids      (n,)      number in the split mesh
+    node_global   (n,)      number in PETSc's order, contiguous on each rank
+    points        (n, dim)  coordinates [length]
+    owned         int       nodes owned by this rank
+    cells         (m, k)    local nodes, -1 pads
+    cell_ids      (m,)      number in the split mesh
+    cell_rock     (m,)      index into ``rocks``
+    side_facets   (s, dim)  local nodes of the named boundary facets of this rank's cells
+    side_of       (s,)      index into ``sides``
+    side_cell     (s,)      local cell a side facet belongs to
+    unknown       (n, dim)  PETSc number of the unknown of a deformable node; -1 on a rigid body
+    body          (n,)      rigid body a node belongs to, -1 for none
+    body_unknown  (b, r)    unknowns of each rigid body: dim translations, then the rotation
+    body_center   (b, dim)  the point a body turns about [length]
+    body_rock     (b,)      index into ``rocks``
+    body_owner    (b,)      rank that owns its unknowns
+    unknown_starts (size + 1,) first unknown of each rank
+    node_starts    (size + 1,) first node of each rank
+    """
+
+    node_ids: Ints
+    node_global: Ints
+    points: Floats
+    owned: int
+    cells: Ints
+    cell_ids: Ints
+    cell_rock: Ints
+    rocks: tuple[str, ...]
+    side_facets: Ints
+    side_of: Ints
+    side_cell: Ints
+    sides: tuple[str, ...]
+    unknown: Ints
+    body: Ints
+    body_unknown: Ints
+    body_center: Floats
+    body_rock: Ints
+    body_owner: Ints
+    unknown_starts: Ints
+    node_starts: Ints
+
+
+@dataclass(frozen=True)
+class JointBlock:
+    """Joints owned by one rank (the rank of the bottom cell).
+
+    ids       (j,)      number in the split mesh
+    bottom    (j, dim)  local nodes of the solid block
+    top       (j, dim)
+    flow      (j, dim)  PETSc numbers of the flow nodes
+    flow_ids  (j, dim)  their numbers in the split mesh
+    fracture  (j,)      index into ``fractures``
+    """
+
+    ids: Ints
+    bottom: Ints
+    top: Ints
+    flow: Ints
+    flow_ids: Ints
+    fracture: Ints
+    fractures: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FlowBlock:
+    """Flow nodes owned by one rank.
+
+    ids     (q,)      number in the split mesh
+    points  (q, dim)  coordinates [length]
+    starts  (size + 1,) first PETSc number of each rank
+    """
+
+    ids: Ints
+    points: Floats
+    starts: Ints
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Counts over all ranks."""
+
+    dim: int
+    nodes: int
+    cells: int
+    joints: int
+    flow_nodes: int
+    cut_joints: int
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Everything of the mesh that one rank holds."""
+
+    comm: MPI.Comm
+    solid: SolidBlock
+    joints: JointBlock
+    flow: FlowBlock
+    sizes: Sizes
+
+    def gather(self, ids: Ints, values: NDArray[Any], total: int) -> NDArray[Any] | None:
+        """Collect rows by their original numbers on rank 0, None elsewhere. Collective."""
+        parts = self.comm.gather((ids, values), root=0)
+        if parts is None:
+            return None
+        whole = np.zeros((total, *values.shape[1:]), dtype=values.dtype)
+        for number, rows in parts:
+            whole[number] = rows
+        return whole
+
+
+def owner_of(starts: Ints, numbers: Ints) -> Ints:
+    """Rank that owns each number, from the first number of each rank."""
+    return np.searchsorted(starts, numbers, side="right") - 1
+
+
+def petsc_ints(numbers: NDArray[Any]) -> NDArray[Any]:
+    """Cast to PETSc's integer, which its calls insist on."""
+    return np.ascontiguousarray(numbers, dtype=PETSc.IntType)

@@ -1,0 +1,153 @@
+"""From the split mesh on rank 0 to the blocks of every rank.
+
+Cells go where the partitioner sends them. A node belongs to the lowest rank that has a cell with it, a joint to the rank of
+its bottom cell, a flow node to the lowest rank that has a joint with it. PETSc numbers are contiguous on each rank and
+within a rank follow the original numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from fracflow._petsc import MPI
+from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBlock
+from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.mesh.partition import partition_cells
+
+
+def distribute(mesh: SplitMesh | None, comm: MPI.Comm, rigid_rocks: Collection[str] = ()) -> Blocks:
+    """Send each rank its blocks. ``mesh`` is given on rank 0 and None elsewhere. Collective."""
+    cell_rank = partition_cells(mesh, comm)
+    pieces = None
+    if mesh is not None:
+        assert cell_rank is not None
+        pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks)
+    solid, joints, flow, sizes = comm.scatter(pieces, root=0)
+    return Blocks(comm, SolidBlock(**solid), JointBlock(**joints), FlowBlock(**flow), Sizes(**sizes))
+
+
+def rigid_bodies(mesh: SplitMesh, rigid_rocks: Collection[str]) -> tuple[Ints, Ints]:
+    """Body of each node (-1 for none) and rock of each body: connected pieces of rigid rock."""
+    is_rigid = np.isin(mesh.cell_rock, [i for i, rock in enumerate(mesh.rocks) if rock in rigid_rocks])
+    body = np.full(len(mesh.points), -1, dtype=np.int64)
+    cells = mesh.cells[is_rigid]
+    if not len(cells):
+        return body, np.zeros(0, dtype=np.int64)
+    cell, corner = np.nonzero(cells >= 0)
+    nodes = cells[cell, corner]
+    first = cells[cell, 0]
+    links = sparse.coo_matrix((np.ones(len(nodes)), (first, nodes)), shape=(len(body), len(body)))
+    label = connected_components(links, directed=False)[1]
+    used, number = np.unique(label[nodes], return_inverse=True)
+    body[nodes] = number
+    rock = np.zeros(len(used), dtype=np.int64)
+    rock[body[cells[:, 0]]] = mesh.cell_rock[is_rigid]
+    return body, rock
+
+
+def _lowest_rank(rank: Ints, numbers: Ints, total: int, size: int) -> Ints:
+    owner = np.full(total, size, dtype=np.int64)
+    np.minimum.at(owner, numbers, rank)
+    return owner
+
+
+def _renumber(owner: Ints, size: int, width: Ints | None = None) -> tuple[Ints, Ints]:
+    """New first number of each item, contiguous by owner, and the starts; an item takes ``width`` numbers."""
+    width = np.ones(len(owner), dtype=np.int64) if width is None else width
+    order = np.argsort(owner, kind="stable")
+    first = np.empty(len(owner), dtype=np.int64)
+    first[order] = np.concatenate([[0], np.cumsum(width[order])[:-1]]) if len(owner) else 0
+    counts = np.bincount(owner, weights=width, minlength=size).astype(np.int64)
+    return first, np.concatenate([[0], np.cumsum(counts)])
+
+
+def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection[str]) -> list[Any]:
+    dim = mesh.points.shape[1]
+    cell, corner = np.nonzero(mesh.cells >= 0)
+    node_owner = _lowest_rank(cell_rank[cell], mesh.cells[cell, corner], len(mesh.points), size)
+    node_global, node_starts = _renumber(node_owner, size)
+    joint_rank = cell_rank[mesh.joint_cells[:, 0]]
+    flow_owner = _lowest_rank(np.repeat(joint_rank, dim), mesh.joint_flow.ravel(), len(mesh.flow_origin), size)
+    flow_global, flow_starts = _renumber(flow_owner, size)
+
+    body, body_rock = rigid_bodies(mesh, rigid_rocks)
+    bodies = len(body_rock)
+    rotations = dim * (dim - 1) // 2
+    center = np.zeros((bodies, dim))
+    body_owner = np.zeros(bodies, dtype=np.int64)
+    on_body = np.flatnonzero(body >= 0)
+    if bodies:
+        count = np.bincount(body[on_body], minlength=bodies)[:, None]
+        np.add.at(center, body[on_body], mesh.points[on_body])
+        center /= count
+        body_owner = _lowest_rank(node_owner[on_body], body[on_body], bodies, size)
+    free = np.where(body >= 0, 0, dim)
+    owner = np.concatenate([node_owner, body_owner])
+    first, starts = _renumber(owner, size, np.concatenate([free, np.full(bodies, dim + rotations)]))
+    unknown = first[: len(body), None] + np.arange(dim)
+    unknown[body >= 0] = -1
+    body_unknown = first[len(body) :, None] + np.arange(dim + rotations)
+
+    sizes = dict(
+        dim=dim,
+        nodes=len(mesh.points),
+        cells=len(mesh.cells),
+        joints=len(mesh.joint_bottom),
+        flow_nodes=len(mesh.flow_origin),
+        cut_joints=int(np.count_nonzero(cell_rank[mesh.joint_cells[:, 0]] != cell_rank[mesh.joint_cells[:, 1]])),
+    )
+    pieces = []
+    for rank in range(size):
+        cells = np.flatnonzero(cell_rank == rank)
+        joints = np.flatnonzero(joint_rank == rank)
+        sides = np.flatnonzero(cell_rank[mesh.side_cell] == rank)
+        owned = np.flatnonzero(node_owner == rank)
+        corners = mesh.cells[cells]
+        touched = np.unique(np.concatenate([corners[corners >= 0], mesh.joint_bottom[joints].ravel(), mesh.joint_top[joints].ravel()]))
+        ghosts = touched[node_owner[touched] != rank]
+        nodes = np.concatenate([owned, ghosts])
+        local = np.full(len(mesh.points) + 1, -1, dtype=np.int64)  # the last entry keeps the padding at -1
+        local[nodes] = np.arange(len(nodes))
+        solid = dict(
+            node_ids=nodes,
+            node_global=node_global[nodes],
+            points=mesh.points[nodes],
+            owned=len(owned),
+            cells=local[corners],
+            cell_ids=cells,
+            cell_rock=mesh.cell_rock[cells],
+            rocks=mesh.rocks,
+            side_facets=local[mesh.side_facets[sides]],
+            side_of=mesh.side_of[sides],
+            side_cell=np.searchsorted(cells, mesh.side_cell[sides]),
+            sides=mesh.sides,
+            unknown=unknown[nodes],
+            body=body[nodes],
+            body_unknown=body_unknown,
+            body_center=center,
+            body_rock=body_rock,
+            body_owner=body_owner,
+            unknown_starts=starts,
+            node_starts=node_starts,
+        )
+        flow_nodes = np.flatnonzero(flow_owner == rank)
+        joint = dict(
+            ids=joints,
+            bottom=local[mesh.joint_bottom[joints]],
+            top=local[mesh.joint_top[joints]],
+            flow=flow_global[mesh.joint_flow[joints]],
+            flow_ids=mesh.joint_flow[joints],
+            fracture=mesh.joint_fracture[joints],
+            fractures=mesh.fractures,
+        )
+        flow = dict(ids=flow_nodes, points=mesh.points[mesh.flow_origin[flow_nodes]], starts=flow_starts)
+        pieces.append((solid, joint, flow, sizes))
+    return pieces
+
+
+

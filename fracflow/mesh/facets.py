@@ -1,0 +1,132 @@
+"""Facets of cells: the edges of triangles and quads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from fracflow.mesh.data import Floats, Ints
+
+# (dim, corners of a cell) -> corners of its facets, so listed that the facet's normal, s turned left, points
+# into the cell. Another cell, as a tetrahedron, is another row.
+FACETS = {
+    (2, 3): np.array([[0, 1], [1, 2], [2, 0]]),
+    (2, 4): np.array([[0, 1], [1, 2], [2, 3], [3, 0]]),
+}
+
+
+@dataclass(frozen=True)
+class HalfFacets:
+    """Facets as their cells see them: a facet inside the mesh appears twice.
+
+    nodes   (q, dim)  with the cell on the left
+    cell    (q,)      row of the cell
+    corner  (q, dim)  corner of the cell at each node
+    """
+
+    nodes: Ints
+    cell: Ints
+    corner: Ints
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Half facets that belong to wanted facets, as rows of the half facets.
+
+    count   (f,)  cells that have the wanted facet
+    first   (f,)  one of them, -1 if there is none
+    second  (f,)  the other, -1 if there is none
+    inside  (g, 2)  the pairs of all other facets shared by two cells
+    crowded (h,)  one half facet of each facet shared by more than two cells
+    """
+
+    count: Ints
+    first: Ints
+    second: Ints
+    inside: Ints
+    crowded: Ints
+
+
+def corner_counts(cells: Ints) -> Ints:
+    """Corners of each cell (m,)."""
+    return np.sum(cells >= 0, axis=1)
+
+
+def half_facets(cells: Ints, dim: int) -> HalfFacets:
+    """All facets of all cells, in the order of the cells of each shape."""
+    counts = corner_counts(cells)
+    nodes, owners, corners = [], [], []
+    for (cell_dim, size), table in FACETS.items():
+        rows = np.flatnonzero(counts == size)
+        if cell_dim == dim and len(rows):
+            nodes.append(cells[rows][:, table].reshape(-1, dim))
+            owners.append(np.repeat(rows, len(table)))
+            corners.append(np.tile(table, (len(rows), 1)))
+    if not nodes:
+        empty = np.zeros((0, dim), dtype=np.int64)
+        return HalfFacets(empty, np.zeros(0, dtype=np.int64), empty)
+    return HalfFacets(np.concatenate(nodes), np.concatenate(owners), np.concatenate(corners))
+
+
+def number_facets(*tables: Ints) -> list[Ints]:
+    """Give facets (., dim) with the same nodes the same number, over all tables."""
+    rows = np.sort(np.concatenate(tables), axis=1)
+    key = rows[:, 0]
+    for column in rows.T[1:]:
+        # Numbered anew before each column: the product of three node numbers would overflow.
+        key = np.unique(key, return_inverse=True)[1] * (column.max(initial=0) + 1) + column
+    number = np.unique(key, return_inverse=True)[1]
+    return np.split(number, np.cumsum([len(table) for table in tables])[:-1])
+
+
+def match(half: HalfFacets, facets: Ints) -> Matches:
+    """Find the wanted ``facets`` (f, dim) among the half facets."""
+    number, wanted = number_facets(half.nodes, facets)
+    total = 1 + max(number.max(initial=-1), wanted.max(initial=-1))
+    count = np.bincount(number, minlength=total)
+    order = np.argsort(number, kind="stable")
+    start = np.cumsum(count) - count
+    padded = np.append(order, [-1, -1])
+    first = np.where(count > 0, padded[start], -1)
+    second = np.where(count > 1, padded[start + 1], -1)
+    is_wanted = np.zeros(total, dtype=bool)
+    is_wanted[wanted] = True
+    others = np.flatnonzero((count == 2) & ~is_wanted)
+    inside = np.stack([first[others], second[others]], axis=1)
+    return Matches(count[wanted], first[wanted], second[wanted], inside, first[count > 2])
+
+
+def count_cells_at(cells: Ints, facets: Ints) -> Ints:
+    """Cells that have each of ``facets`` (f, dim): 2 inside the mesh, 1 on its boundary, 0 elsewhere."""
+    return match(half_facets(near(cells, facets), facets.shape[1]), facets).count
+
+
+def near(cells: Ints, facets: Ints) -> Ints:
+    """Cells with at least one whole facet's worth of nodes among those of ``facets``."""
+    return cells[rows_near(cells, facets, facets.shape[1])]
+
+
+def rows_near(cells: Ints, facets: Ints, least: int) -> Ints:
+    """Rows of the cells with at least ``least`` nodes among those of ``facets``."""
+    is_on = np.zeros(1 + max(cells.max(initial=-1), facets.max(initial=-1)), dtype=bool)
+    is_on[facets] = True
+    # Padding looks up the last node; the second factor takes it out again.
+    return (
+        np.flatnonzero(np.sum(is_on[cells] & (cells >= 0), axis=1) >= least)
+        if len(cells)
+        else np.zeros(0, np.int64)
+    )
+
+
+def components(first: Ints, second: Ints, total: int) -> Ints:
+    """Component (total,) of each vertex of the graph with edges ``first``-``second``."""
+    links = sparse.coo_matrix((np.ones(len(first), dtype=np.int8), (first, second)), shape=(total, total))
+    return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def spot(points: Floats, nodes: Ints) -> str:
+    """Coordinates of the middle of ``nodes``, for messages."""
+    return "(" + ", ".join(f"{value:.6g}" for value in points[nodes].mean(axis=0)) + ")"

@@ -1,0 +1,162 @@
+"""Elements get their meaning: physical surfaces name rocks, curves fractures and sides, points places."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from fracflow.errors import InputError
+from fracflow.mesh.data import Floats, Ints, RawMesh
+from fracflow.mesh.facets import count_cells_at, spot
+from fracflow.mesh.gmsh import Elements
+from fracflow.mesh.orient import orient
+
+EVERY = "default"  # [fracture.default] makes fractures of all named curves inside the mesh
+CURVE = 1
+
+
+def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawMesh:
+    """Give elements their meaning. Raises InputError, naming ``what``, if they have none."""
+    if elements.others:
+        raise InputError(
+            f"{what}: has elements of type {elements.others[0]}; use linear triangles and quads only"
+        )
+    points = _plane(elements.points, what)
+    cells, rock_group = _cells(elements, points, what)
+    facets, facet_group = _distinct(elements, "line")
+    named, point_group = _distinct(elements, "point")
+    _check_names(elements, np.unique(np.concatenate([rock_group, facet_group, point_group])), what)
+
+    is_fracture = _fracture_groups(elements, cells, facets, facet_group, fractures)
+    on_fracture = is_fracture[facet_group]
+    rocks, cell_rock = _names(elements, rock_group)
+    names, fracture_of = _names(elements, facet_group[on_fracture])
+    sides, side_of = _names(elements, facet_group[~on_fracture])
+    for name in sorted(set(fractures) - set(names) - {EVERY}):
+        known = ", ".join(sorted({*names, *sides})) or "none"
+        raise InputError(
+            f'{what}: no physical curve "{name}" for the fracture of that name (there are: {known})'
+        )
+
+    used = np.unique(cells[cells >= 0])
+    number = np.full(len(points) + 1, -1, dtype=np.int64)  # the last one stands for padding
+    number[used] = np.arange(len(used))
+    fracture_facets, side_facets = number[facets[on_fracture]], number[facets[~on_fracture]]
+    for group, rows, of in ((names, fracture_facets, fracture_of), (sides, side_facets, side_of)):
+        if np.any(rows < 0):
+            name = group[of[np.argmax(np.any(rows < 0, axis=1))]]
+            raise InputError(
+                f'{what}: physical curve "{name}" is not made of edges of cells; embed it in its surface'
+            )
+    return RawMesh(
+        points=points[used],
+        cells=number[cells],
+        cell_rock=cell_rock,
+        rocks=rocks,
+        fracture_facets=orient(fracture_facets, fracture_of),
+        fracture_of=fracture_of,
+        fractures=names,
+        side_facets=side_facets,
+        side_of=side_of,
+        sides=sides,
+        named_points=_named_points(elements, number[named[:, 0]], point_group, what),
+    )
+
+
+def _plane(points: Floats, what: str) -> Floats:
+    if points.shape[1] == 3 and len(points):
+        height = np.ptp(points[:, 2])
+        if height > 1e-9 * np.ptp(points, axis=0).max():
+            raise InputError(f"{what}: the mesh is not in a plane z = constant (z varies by {height:.3g})")
+    return points[:, :2]
+
+
+def _distinct(elements: Elements, kind: str) -> tuple[Ints, Ints]:
+    """Nodes and group of the elements that have one: a row for each of an element's groups, none twice."""
+    element, group = elements.members[kind].T
+    nodes = elements.nodes[kind][element]
+    _, first = np.unique(np.column_stack([np.sort(nodes, axis=1), group]), axis=0, return_index=True)
+    first = np.sort(first)
+    return nodes[first], group[first]
+
+
+def _cells(elements: Elements, points: Floats, what: str) -> tuple[Ints, Ints]:
+    """Counter-clockwise cells, padded, and the group of each."""
+    blocks, groups = [], []
+    width = 4 if len(elements.nodes["quad"]) else 3
+    for kind in ("triangle", "quad"):
+        nodes, group = _distinct(elements, kind)
+        bare = np.setdiff1d(np.arange(len(elements.nodes[kind])), elements.members[kind][:, 0])
+        if len(bare):
+            raise InputError(
+                f"{what}: the cell at {spot(points, elements.nodes[kind][bare[0]])} belongs to no physical "
+                f"surface; give every surface a name"
+            )
+        number = np.unique(np.sort(nodes, axis=1), axis=0, return_inverse=True)[1].ravel()
+        if np.any(twice := np.bincount(number)[number] > 1):
+            one, other = group[np.flatnonzero(number == number[np.argmax(twice)])[:2]]
+            raise InputError(
+                f"{what}: the cell at {spot(points, nodes[np.argmax(twice)])} belongs to two physical "
+                f'surfaces, "{elements.group_names[one]}" and "{elements.group_names[other]}"; give it one'
+            )
+        padding = ((0, 0), (0, width - nodes.shape[1]))
+        if len(nodes):
+            blocks.append(np.pad(_turned(nodes, points, what), padding, constant_values=-1))
+        groups.append(group)
+    if not blocks:
+        raise InputError(
+            f"{what}: has no cells; it needs a surface, meshed or to be meshed, with a physical name"
+        )
+    return np.concatenate(blocks), np.concatenate(groups)
+
+
+def _turned(cells: Ints, points: Floats, what: str) -> Ints:
+    """Cells (m, k) of one shape, clockwise ones turned. Raises InputError for flat or folded ones."""
+    corners = points[cells]
+    ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    turn = ahead[..., 0] * behind[..., 1] - ahead[..., 1] * behind[..., 0]
+    is_clockwise = turn.sum(axis=1) < 0
+    turn = np.where(is_clockwise[:, None], -turn, turn)
+    if np.any(is_bad := turn.min(axis=1) <= 0):
+        worst = cells[np.argmax(is_bad)]
+        raise InputError(
+            f"{what}: the cell at {spot(points, worst)} is flat, folded or not convex; mesh it better"
+        )
+    return np.where(is_clockwise[:, None], cells[:, ::-1], cells)
+
+
+def _check_names(elements: Elements, used: Ints, what: str) -> None:
+    for group in used:
+        if not elements.group_names[group].strip():
+            kind = ("point", "curve", "surface")[elements.group_dims[group]]
+            raise InputError(f"{what}: physical {kind} {elements.group_tags[group]} has no name; give it one")
+
+
+def _fracture_groups(
+    elements: Elements, cells: Ints, facets: Ints, group: Ints, fractures: Collection[str]
+) -> Ints:
+    """Which groups are fractures (groups,)."""
+    is_fracture = np.isin(elements.group_names, list(fractures)) & (elements.group_dims == CURVE)
+    if EVERY in fractures and len(facets):
+        is_outside = count_cells_at(cells, facets) < 2
+        is_fracture[np.setdiff1d(group, group[is_outside])] = True
+    return is_fracture
+
+
+def _names(elements: Elements, group: Ints) -> tuple[tuple[str, ...], Ints]:
+    """Names of the groups that occur, and the place of each among them."""
+    used, place = np.unique(group, return_inverse=True)
+    return tuple(elements.group_names[index] for index in used), place.astype(np.int64)
+
+
+def _named_points(elements: Elements, nodes: Ints, group: Ints, what: str) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for node, index in zip(nodes.tolist(), group.tolist(), strict=True):
+        name = elements.group_names[index]
+        if node < 0:
+            raise InputError(f'{what}: physical point "{name}" is no node of a cell; embed it in its surface')
+        if name in found:
+            raise InputError(f'{what}: physical point "{name}" has several points; give each its own name')
+        found[name] = node
+    return found

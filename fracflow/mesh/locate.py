@@ -1,0 +1,110 @@
+"""Where wells, probes and point supports of a scene sit on the mesh; runs on rank 0, which has it whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow.errors import InputError
+from fracflow.mesh.data import Floats, Ints, SplitMesh
+
+At = Sequence[float] | str | tuple[str, str]
+"""Coordinates, the name of a point, or (fracture, "start" | "end")."""
+
+
+@dataclass(frozen=True)
+class FracturePlace:
+    """A flow node and the joint ends that meet there.
+
+    flow     number of the flow node
+    point    (dim,) its coordinates [length]
+    nodes    split nodes (bottom, top) of the first joint end
+    joints   (k,) joints that end there
+    ends     (k,) which end of each, 0 or 1
+    """
+
+    flow: int
+    point: Floats
+    nodes: tuple[int, int]
+    joints: Ints
+    ends: Ints
+
+
+@dataclass(frozen=True)
+class RockPlace:
+    """A node of the rock: its number in the split mesh and its coordinates (dim,) [length]."""
+
+    node: int
+    point: Floats
+
+
+def coordinates(mesh: SplitMesh, at: At, what: str) -> Floats:
+    """Coordinates (dim,) that ``at`` stands for. Raises InputError naming ``what``."""
+    if isinstance(at, str):
+        if at not in mesh.named_points:
+            known = ", ".join(sorted(mesh.named_points)) or "none"
+            raise InputError(f'{what}: at = "{at}": the mesh has no point of that name (it has: {known})')
+        return mesh.points[mesh.named_points[at]]
+    if isinstance(at, tuple) and isinstance(at[0], str):
+        return mesh.points[fracture_end(mesh, at[0], str(at[1]), what)]
+    return np.asarray(at, dtype=float)
+
+
+def fracture_end(mesh: SplitMesh, fracture: str, end: str, what: str) -> int:
+    """Raw node where a trace starts or ends. Raises InputError for a closed or branching trace."""
+    if fracture not in mesh.fractures:
+        raise InputError(f'{what}: fracture = "{fracture}": no such fracture (there are: {", ".join(mesh.fractures)})')
+    nodes = mesh.flow_origin[mesh.joint_flow[mesh.joint_fracture == mesh.fractures.index(fracture)]]
+    here, there = (0, 1) if end == "start" else (1, 0)
+    ends = np.setdiff1d(nodes[:, here], nodes[:, there])
+    if len(ends) != 1:
+        raise InputError(f'{what}: fracture "{fracture}" has {len(ends)} {end}s; give coordinates instead')
+    return int(ends[0])
+
+
+def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None) -> FracturePlace:
+    """The flow node nearest to ``at``. Raises InputError if it is farther than one joint's length."""
+    point = coordinates(mesh, at, what)
+    if not len(mesh.flow_origin):
+        raise InputError(f"{what}: the mesh has no fractures")
+    if fracture is not None and fracture not in mesh.fractures:
+        raise InputError(f'{what}: on = "{fracture}": no such fracture (there are: {", ".join(mesh.fractures)})')
+    chosen = np.ones(len(mesh.joint_flow), dtype=bool)
+    if fracture is not None:
+        chosen = mesh.joint_fracture == mesh.fractures.index(fracture)
+    candidates = np.unique(mesh.joint_flow[chosen])
+    distance = np.linalg.norm(mesh.points[mesh.flow_origin[candidates]] - point, axis=1)
+    flow = int(candidates[np.argmin(distance)])
+    joints, ends = np.nonzero((mesh.joint_flow == flow) & chosen[:, None])
+    pair = mesh.points[mesh.joint_bottom[joints[0]]]
+    if distance.min() > np.linalg.norm(pair[1] - pair[0]):
+        raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {distance.min():.3g} away; move it onto one")
+    nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
+    return FracturePlace(flow, mesh.points[mesh.flow_origin[flow]], nodes, joints, ends)
+
+
+def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> RockPlace:
+    """The node nearest to ``at``, of the named rock where one is given."""
+    point = coordinates(mesh, at, what)
+    chosen = np.ones(len(mesh.cells), dtype=bool) if rock is None else mesh.cell_rock == mesh.rocks.index(rock)
+    nodes = np.unique(mesh.cells[chosen])
+    nodes = nodes[nodes >= 0]
+    node = int(nodes[np.argmin(np.linalg.norm(mesh.points[nodes] - point, axis=1))])
+    return RockPlace(node, mesh.points[node])
+
+
+def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> FracturePlace | RockPlace:
+    """A probe sits on a fracture if ``on`` names one, or if a fracture node is exactly there; else in the rock."""
+    if on is not None and on in mesh.fractures:
+        return on_fracture(mesh, at, what, on)
+    if on is not None and on not in mesh.rocks:
+        raise InputError(f'{what}: on = "{on}": neither a fracture ({", ".join(mesh.fractures)}) nor a rock ({", ".join(mesh.rocks)})')
+    if on is None and len(mesh.flow_origin):
+        point = coordinates(mesh, at, what)
+        nodes = mesh.points[mesh.flow_origin]
+        extent = np.ptp(mesh.points, axis=0).max()
+        if np.linalg.norm(nodes - point, axis=1).min() <= 1e-9 * extent:
+            return on_fracture(mesh, at, what)
+    return in_rock(mesh, at, what, on)

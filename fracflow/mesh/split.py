@@ -1,0 +1,177 @@
+"""Fractures become joints: corners joined across all other facets are one copy of a node."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fracflow.errors import InputError
+from fracflow.mesh.data import Floats, Ints, RawMesh, SplitMesh
+from fracflow.mesh.facets import HalfFacets, Matches, components, half_facets, match, rows_near, spot
+
+
+def split(raw: RawMesh) -> SplitMesh:
+    """Give a fracture node one copy for each piece of rock around it, and a fracture facet two faces.
+
+    A corner (cell, node) on a fracture is joined to that of the neighbour across each facet that is not on a
+    fracture; the connected components are the copies. The first copy, that of the lowest cell, keeps the
+    node's number. A tip has one copy: its section has no jump. The top of a joint is on the cell left of its
+    facet, the bottom on that right of it. Raises InputError, naming fracture and place, for facets that
+    have no cell on one side or are not in the mesh.
+    """
+    dim = raw.points.shape[1]
+    facets = raw.fracture_facets
+    rows = rows_near(raw.cells, facets, 1)
+    half = half_facets(raw.cells[rows], dim)
+    matches = match(half, facets)
+    _check_fractures(raw, half, matches)
+
+    cells, origin = _copy_nodes(raw, rows, half, matches.inside)
+    bottom, top = _below_and_above(raw, half, matches)
+    flow_origin, joint_flow = np.unique(facets, return_inverse=True)
+    side_facets, side_cell = _sides(raw, cells)
+    return SplitMesh(
+        points=raw.points[origin],
+        origin=origin,
+        cells=cells,
+        cell_rock=raw.cell_rock,
+        rocks=raw.rocks,
+        joint_bottom=_nodes_facing(cells[rows], half, bottom, facets),
+        joint_top=_nodes_facing(cells[rows], half, top, facets),
+        joint_cells=rows[half.cell[np.stack([bottom, top], axis=1)]],
+        joint_flow=joint_flow.reshape(facets.shape),
+        joint_fracture=raw.fracture_of,
+        fractures=raw.fractures,
+        flow_origin=flow_origin,
+        side_facets=side_facets,
+        side_cell=side_cell,
+        side_of=raw.side_of,
+        sides=raw.sides,
+        named_points=raw.named_points,
+    )
+
+
+def summary(mesh: SplitMesh) -> dict[str, Any]:
+    """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; fracture lengths."""
+    meeting = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))
+    closed = mesh.joint_flow[mesh.joint_bottom == mesh.joint_top]
+    edge = mesh.points[mesh.joint_bottom[:, -1]] - mesh.points[mesh.joint_bottom[:, 0]]
+    length = np.bincount(mesh.joint_fracture, np.linalg.norm(edge, axis=1), len(mesh.fractures))
+    cell, corner = np.nonzero(mesh.cells >= 0)
+    nodes = mesh.cells[cell, corner]
+    piece = components(mesh.cells[cell, 0], nodes, len(mesh.points))
+    return {
+        "cells": len(mesh.cells),
+        "nodes": len(mesh.points),
+        "copies": int(np.sum(mesh.origin != np.arange(len(mesh.origin)))),
+        "joints": len(mesh.joint_flow),
+        "junctions": int(np.sum(meeting > 2)),
+        "tips": int(np.sum(meeting[closed] == 1)),
+        "blocks": len(np.unique(piece[nodes])),
+        "lengths": {name: float(value) for name, value in zip(mesh.fractures, length, strict=True)},
+    }
+
+
+def _copy_nodes(raw: RawMesh, rows: Ints, half: HalfFacets, inside: Ints) -> tuple[Ints, Ints]:
+    """Cells with the new node numbers, and the raw node of each."""
+    is_on = np.zeros(len(raw.points), dtype=bool)
+    is_on[raw.fracture_facets] = True
+    near = raw.cells[rows]
+    width = near.shape[1]
+    # Both halves of a facet list its nodes in ascending order, so that their corners face each other.
+    by_node = np.argsort(half.nodes, axis=1)
+    node = np.take_along_axis(half.nodes, by_node, axis=1)
+    corner = half.cell[:, None] * width + np.take_along_axis(half.corner, by_node, axis=1)
+    is_joined = is_on[node[inside[:, 0]]]
+    label = components(corner[inside[:, 0]][is_joined], corner[inside[:, 1]][is_joined], near.size)
+
+    corners = np.flatnonzero((near >= 0).ravel() & is_on[near].ravel())
+    piece, first, member = np.unique(label[corners], return_index=True, return_inverse=True)
+    piece_node = near.ravel()[corners[first]]
+    order = np.lexsort([first, piece_node])
+    is_copy = np.zeros(len(piece), dtype=bool)
+    is_copy[order[1:]] = piece_node[order[1:]] == piece_node[order[:-1]]
+    copies = order[is_copy[order]]
+    number = piece_node.copy()
+    number[copies] = len(raw.points) + np.arange(len(copies))
+
+    renamed = near.ravel().copy()
+    renamed[corners] = number[member]
+    cells = raw.cells.copy()
+    cells[rows] = renamed.reshape(near.shape)
+    return cells, np.concatenate([np.arange(len(raw.points)), piece_node[copies]])
+
+
+def _places(half: HalfFacets, chosen: Ints, facets: Ints) -> Ints:
+    """Place of each facet's nodes within the chosen half facets (f, dim)."""
+    return np.argmax(half.nodes[chosen][:, None, :] == facets[:, :, None], axis=2)
+
+
+def _nodes_facing(cells: Ints, half: HalfFacets, chosen: Ints, facets: Ints) -> Ints:
+    """New nodes of the chosen half facets, in the order of ``facets``."""
+    corner = np.take_along_axis(half.corner[chosen], _places(half, chosen, facets), axis=1)
+    return cells[half.cell[chosen][:, None], corner]
+
+
+def _below_and_above(raw: RawMesh, half: HalfFacets, matches: Matches) -> tuple[Ints, Ints]:
+    """The half facets of the cells on the right and on the left of each fracture facet."""
+    facets = raw.fracture_facets
+    identity = np.eye(facets.shape[1])
+    # A permutation is even, and the cell on the left, where its matrix has determinant one.
+    left = np.linalg.det(identity[_places(half, matches.first, facets)]) > 0
+    other = np.linalg.det(identity[_places(half, matches.second, facets)]) > 0
+    if np.any(left == other):
+        worst = facets[np.argmax(left == other)]
+        raise InputError(
+            f"mesh: the cells at {spot(raw.points, worst)} overlap or turn clockwise; order them all alike"
+        )
+    return np.where(left, matches.second, matches.first), np.where(left, matches.first, matches.second)
+
+
+def _sides(raw: RawMesh, cells: Ints) -> tuple[Ints, Ints]:
+    """New nodes of the named boundary facets, cell on the left, and their cells."""
+    rows = rows_near(raw.cells, raw.side_facets, raw.points.shape[1])
+    half = half_facets(raw.cells[rows], raw.points.shape[1])
+    matches = match(half, raw.side_facets)
+    for is_bad, what in (
+        (matches.count == 0, "no edge of the mesh"),
+        (matches.count > 1, "inside the mesh; name it as a fracture, or leave it without a name"),
+    ):
+        if np.any(is_bad):
+            worst = int(np.argmax(is_bad))
+            name, place = raw.sides[raw.side_of[worst]], spot(raw.points, raw.side_facets[worst])
+            raise InputError(f'side "{name}": the facet at {place} is {what}')
+    chosen = matches.first
+    owner = rows[half.cell[chosen]]
+    return cells[owner[:, None], half.corner[chosen]], owner
+
+
+def _check_fractures(raw: RawMesh, half: HalfFacets, matches: Matches) -> None:
+    """Raise InputError for the first facet that cannot become a joint."""
+    if len(matches.crowded):
+        place = spot(raw.points, half.nodes[matches.crowded[0]])
+        raise InputError(f"mesh: more than two cells share the edge at {place}; cells must not overlap")
+    one_sided = (
+        "has a cell on one side only: it lies on the outer boundary, or the mesh does not conform there"
+    )
+    twice = "stands twice; fractures must not overlap"
+    for is_bad, what in (
+        (matches.count == 0, "is no edge of the mesh"),
+        (matches.count == 1, one_sided),
+        (matches.count > 2, "has more than two cells; cells must not overlap"),
+        (_is_repeated(raw.fracture_facets), twice),
+    ):
+        if np.any(is_bad):
+            worst = int(np.argmax(is_bad))
+            name, place = raw.fractures[raw.fracture_of[worst]], _ends(raw.points, raw.fracture_facets[worst])
+            raise InputError(f'fracture "{name}": the facet {place} {what}')
+
+
+def _ends(points: Floats, facet: Ints) -> str:
+    return " to ".join(spot(points, facet[i : i + 1]) for i in range(len(facet)))
+
+
+def _is_repeated(facets: Ints) -> Ints:
+    _, member, count = np.unique(np.sort(facets, axis=1), axis=0, return_inverse=True, return_counts=True)
+    return count[member.ravel()] > 1

@@ -1,0 +1,146 @@
+"""events.csv: when and where fractures slipped or opened."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow.errors import InputError
+from fracflow.output.folder import write_atomic
+
+COLUMNS = ("kind", "fracture", "node", "probe", "x", "y", "start", "end", "slip", "peak_slip_rate")
+_KINDS = ("open", "slip")
+_NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class FractureNodes:
+    """Where each fracture node is.
+
+    fracture  (n,)  name of the fracture
+    node      (n,)  number of the node in the scene's mesh
+    x, y      (n,)  coordinates [length]
+    probe     (n,)  name of the probe there, "" for none
+    """
+
+    fracture: Sequence[str]
+    node: NDArray[np.int64]
+    x: Floats
+    y: Floats
+    probe: Sequence[str]
+
+
+@dataclass
+class _Running:
+    """Events of one kind now under way; row is -1 at a node that has none."""
+
+    row: NDArray[np.int64]
+    slip_before: Floats
+    peak_rate: Floats
+
+
+class EventLog:
+    """Log of events: one is a fracture node from its first slipping (or open) section to none.
+
+    path          the CSV file, rewritten as a whole when an event starts or ends
+    nodes         static table of the n fracture nodes
+    plastic_slip  (n,) before the first update; zero if not given [length]
+    """
+
+    def __init__(self, path: str | Path, nodes: FractureNodes, plastic_slip: Floats | None = None) -> None:
+        count = len(nodes.node)
+        self.path = Path(path)
+        self.nodes = nodes
+        self.rows: list[dict[str, Any]] = []
+        self._plastic_slip = np.array(np.zeros(count) if plastic_slip is None else plastic_slip, dtype=float)
+        self._running = {
+            kind: _Running(np.full(count, -1), np.zeros(count), np.zeros(count)) for kind in _KINDS
+        }
+        self._write()
+
+    def update(
+        self, time: float, sliding: Flags, is_open: Flags, plastic_slip: Floats, slip_rate: Floats
+    ) -> bool:
+        """Book one accepted step; returns whether an event started or ended.
+
+        time          at the end of the step [time]
+        sliding       (n,) whether any section at the node slides
+        is_open       (n,) whether any section at the node is open
+        plastic_slip  (n,) signed, top minus bottom [length]
+        slip_rate     (n,) signed [length/time]
+        """
+        changed = False
+        starts: list[tuple[int, str]] = []
+        for kind, now in (("slip", np.asarray(sliding, bool)), ("open", np.asarray(is_open, bool))):
+            running = self._running[kind]
+            was = running.row >= 0
+            running.peak_rate = np.where(was | now, np.fmax(running.peak_rate, np.abs(slip_rate)), 0.0)
+            starts += [(int(i), kind) for i in np.flatnonzero(now & ~was)]
+            for i in np.flatnonzero(was & ~now):
+                self._measure(kind, int(i), plastic_slip)
+                self.rows[running.row[i]]["end"] = float(time)
+                running.row[i], running.peak_rate[i], changed = -1, 0.0, True
+        for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
+            self._start(kind, i, time)
+        self._plastic_slip = np.array(plastic_slip, dtype=float)
+        if changed or starts:
+            self._write()
+        return changed or bool(starts)
+
+    def close(self) -> None:
+        """Write the file with the latest slip of events still under way."""
+        self._write()
+
+    def _start(self, kind: str, i: int, time: float) -> None:
+        nodes, running = self.nodes, self._running[kind]
+        running.row[i], running.slip_before[i] = len(self.rows), self._plastic_slip[i]
+        place = {"fracture": nodes.fracture[i], "node": int(nodes.node[i]), "probe": nodes.probe[i]}
+        where = {"x": float(nodes.x[i]), "y": float(nodes.y[i]), "start": float(time), "end": None}
+        self.rows.append({"kind": kind, **place, **where, "slip": 0.0, "peak_slip_rate": 0.0})
+
+    def _measure(self, kind: str, i: int, plastic_slip: Floats) -> None:
+        running = self._running[kind]
+        row = self.rows[running.row[i]]
+        row["slip"] = float(plastic_slip[i] - running.slip_before[i])
+        row["peak_slip_rate"] = float(running.peak_rate[i])
+
+    def _write(self) -> None:
+        for kind, running in self._running.items():
+            for i in np.flatnonzero(running.row >= 0):
+                self._measure(kind, int(i), self._plastic_slip)
+        text = io.StringIO()
+        table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(self.rows)
+        write_atomic(self.path, text.getvalue())
+
+
+def read_events(path: str | Path) -> list[dict[str, Any]]:
+    """Read events.csv: one dict an event, numbers as numbers, ``end`` None while it is under way.
+
+    Raises InputError if the file is missing or has other columns.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8") as file:
+            table = csv.DictReader(file)
+            rows = list(table)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; name an events.csv of a run") from error
+    if tuple(table.fieldnames or ()) != COLUMNS:
+        raise InputError(f"{path}: columns are {table.fieldnames}, should be {', '.join(COLUMNS)}")
+    return [_typed(row) for row in rows]
+
+
+def _typed(row: dict[str, str]) -> dict[str, Any]:
+    numbers = {key: float(row[key]) if row[key] else None for key in _NUMBERS}
+    return {**row, **numbers, "node": int(row["node"])}

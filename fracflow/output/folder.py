@@ -1,0 +1,117 @@
+"""The run folder: made, cleared of an earlier run, and written to so that a kill leaves whole files."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fracflow.errors import InputError
+
+MARKER = ".fracflow"
+_OWN_FILES = (
+    "scene.toml",
+    "history.h5",
+    "events.csv",
+    "plan.json",
+    "checkpoint.h5",
+    "log.txt",
+    "report.html",
+    "*.xdmf",
+    "*.part",
+    "fields/*.h5",
+    "fields/*.part",
+    "pictures/*.png",
+)
+_OWN_FOLDERS = ("fields", "pictures")
+
+
+def write_atomic(path: Path, text: str) -> None:
+    """Write ``text`` aside and rename, so that ``path`` always holds a whole text."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def to_json(value: Any, indent: int | None = None) -> str:
+    """JSON of plain values, NumPy arrays and mappings; nan and inf become strings."""
+    return json.dumps(_plain(value), indent=indent, ensure_ascii=False, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Sequence):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    if value is None or isinstance(value, bool | int | float):
+        return value
+    return str(value)
+
+
+class RunFolder:
+    """The folder of one run.
+
+    path    a new or empty folder, or the folder of an earlier run: that run's own files are removed,
+            any other file stays
+    resume  keep the earlier run's files and go on
+
+    Raises InputError if ``path`` is a file, or holds files but no run of fracflow, or (with ``resume``) no
+    run at all.
+    """
+
+    def __init__(self, path: str | Path, resume: bool = False) -> None:
+        self.path = Path(path)
+        if self.path.exists() and not self.path.is_dir():
+            raise InputError(f"{self.path}: is a file; name a folder for the run")
+        is_run = (self.path / MARKER).exists()
+        if resume and not is_run:
+            raise InputError(f"{self.path}: holds no run of fracflow; name the folder of an earlier run")
+        if not is_run and self.path.exists() and any(self.path.iterdir()):
+            raise InputError(f"{self.path}: holds files that are no run's; name a new or empty folder")
+        try:
+            self._prepare(keep=resume)
+        except OSError as error:
+            raise InputError(f"{self.path}: {error.strerror}; name a folder to write to") from error
+
+    def _prepare(self, keep: bool) -> None:
+        self.path.mkdir(parents=True, exist_ok=True)
+        (self.path / MARKER).write_text("run folder of fracflow\n", encoding="utf-8")
+        if not keep:
+            for pattern in _OWN_FILES:
+                for file in self.path.glob(pattern):
+                    file.unlink()
+            for name in _OWN_FOLDERS:
+                folder = self.path / name
+                if folder.is_dir() and not any(folder.iterdir()):
+                    folder.rmdir()
+
+    def __truediv__(self, name: str) -> Path:
+        return self.path / name
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a whole text file at once and return its path."""
+        write_atomic(self.path / name, text)
+        return self.path / name
+
+    def write_json(self, name: str, value: Any) -> Path:
+        """Write ``value`` (plain, NumPy, mappings) as indented JSON."""
+        return self.write_text(name, to_json(value, indent=2) + "\n")
+
+    def write_plan(self, plan: Any) -> Path:
+        """Write the decision record of the run: ``plan.json``."""
+        return self.write_json("plan.json", plan)
+
+    def log(self, line: str) -> None:
+        """Append one line to ``log.txt``; it is on disk when this returns."""
+        with (self.path / "log.txt").open("a", encoding="utf-8") as file:
+            file.write(line.rstrip("\n") + "\n")

@@ -1,0 +1,255 @@
+"""Pictures of a run, drawn from its folder alone: where it slipped, how fast, and where the energy went."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fracflow.output.rundata import PROBE_QUANTITIES, RunData, load_run_data
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, distinct to colour-blind readers and in grey
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+INK, PALE = "#222222", "#9a9a9a"
+_STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "savefig.dpi": 200,
+}
+_ENERGIES = (
+    ("kinetic", "kinetic"),
+    ("friction", "friction"),
+    ("rock_strain", "rock strain"),
+    ("joint_shear", "joint shear"),
+    ("joint_normal", "joint normal"),
+    ("viscous", "viscous"),
+)
+_MAX_LINES = 7
+
+
+def draw(folder: str | Path) -> list[Path]:
+    """Draw ``pictures/overview.png`` and ``pictures/probes.png`` of a run and return their paths.
+
+    The second is left out if the run has no probes. Raises InputError if the folder has no history.
+    """
+    import matplotlib
+
+    run = load_run_data(folder)
+    pictures = Path(folder) / "pictures"
+    pictures.mkdir(exist_ok=True)
+    with matplotlib.rc_context(_STYLE):
+        drawn = {"overview": _overview(run), "probes": _probes(run)}
+        paths = [_save(figure, pictures / f"{name}.png") for name, figure in drawn.items() if figure]
+    return paths
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    part = path.with_name(path.name + ".part")
+    figure.savefig(part, format="png")
+    part.replace(path)
+    return path
+
+
+def _overview(run: RunData) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7.4), layout="constrained")
+    axes = figure.subplot_mosaic(
+        [["map", "slip"], ["map", "energy"], ["map", "pressure"]], width_ratios=[1.15, 1]
+    )
+    figure.suptitle(run.title, fontsize=13, fontweight="bold", x=0.01, ha="left")
+    _draw_map(axes["map"], run)
+    slips = {name: run.probe(name, "slip") for name in run.probes_with("slip")}
+    _draw_lines(axes["slip"], run, slips, "Slip at the probes", run.label("slip", "length"))
+    _draw_energy(axes["energy"], run)
+    if not _draw_pressure_profiles(axes["pressure"], run):
+        pressures = {name: run.probe(name, "pressure") for name in run.probes_with("pressure")}
+        label = run.label("pressure", "stress")
+        _draw_lines(axes["pressure"], run, pressures, "Pressure at the probes", label)
+    return figure
+
+
+def _draw_map(axes: Axes, run: RunData) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    axes.set_title("Where the rock slipped")
+    axes.grid(False)
+    axes.set_aspect("equal", anchor="N")
+    if run.rock is not None:
+        look = dict(facecolors="#f4f1ea", edgecolors="#dcd6c8", linewidths=0.25)
+        axes.add_collection(PolyCollection(run.rock, **look))  # type: ignore[arg-type]
+    fractures = run.fractures
+    if fractures is not None and len(fractures.segments):
+        ends = fractures.segments
+        axes.add_collection(LineCollection(list(ends), colors=INK, linewidths=1.0))
+        slip = np.abs(fractures.on_segments("plastic_slip"))
+        top = slip.max(initial=0.0)
+        if top == 0.0:
+            axes.set_title("The fractures: none has slipped")
+        else:
+            share = slip / top
+            moved = share > 1e-6
+            lines = LineCollection(
+                list(ends[moved]), cmap="viridis_r", linewidths=(2.0 + 6.0 * share[moved]), capstyle="round"
+            )
+            lines.set_array(slip[moved])
+            lines.set_clim(0.0, top)
+            axes.add_collection(lines)
+            label = run.label("plastic slip at the end", "length")
+            look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.02)
+            bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)  # type: ignore[arg-type]
+            _tidy_numbers(bar.ax)
+        for name, (x, y) in fractures.label_places().items():
+            _tag(axes, name, x, y, (0, 0), color="#5a5a5a", ha="center", va="center")
+    _draw_marks(axes, run)
+    axes.autoscale_view()
+    axes.margins(0.03)
+    axes.set_xlabel(run.label("x", "length"))
+    axes.set_ylabel(run.label("y", "length"))
+
+
+def _draw_marks(axes: Axes, run: RunData) -> None:
+    first = run.first_events()
+    if first:
+        x, y = np.array([(event["x"], event["y"]) for event in first]).T
+        axes.plot(x, y, "*", ms=11, mfc="#D55E00", mec="white", mew=0.8, zorder=5, label="slipped first")
+    for places, marker, colour, label in (
+        (run.wells, "v", "#0072B2", "well"),
+        (run.probes, "o", "white", "probe"),
+    ):
+        if places:
+            x, y = np.array(list(places.values())).T
+            axes.plot(x, y, marker, ms=6, mfc=colour, mec=INK, mew=0.9, ls="", zorder=6, label=label)
+    for name, (x, y) in {**run.probes, **run.wells}.items():
+        _tag(axes, name, x, y, (6, 5))
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=3, handletextpad=0.3)
+
+
+def _tag(axes: Axes, text: str, x: float, y: float, shift: tuple[float, float], **how: str) -> None:
+    import matplotlib.patheffects as effects
+
+    halo = [effects.withStroke(linewidth=2.5, foreground="white")]
+    place = dict(xy=(x, y), xytext=shift, textcoords="offset points", fontsize=7.5, zorder=7)
+    axes.annotate(text, path_effects=halo, **place, **how)  # type: ignore[arg-type]
+
+
+def _draw_lines(
+    axes: Axes, run: RunData, lines: dict[str, np.ndarray], title: str, label: str, span: slice = slice(None)
+) -> None:
+    """Histories, named at their right ends; the largest ones if there are many."""
+    axes.set_title(title)
+    x, x_label = run.axis(span)
+    ranked = sorted(lines, key=lambda name: -np.ptp(np.nan_to_num(lines[name])))[:_MAX_LINES]
+    shown = [name for name in lines if name in ranked]
+    if not shown or len(x) == 0:
+        _say_nothing(axes)
+        return
+    if len(shown) < len(lines):
+        axes.set_title(f"{title} (the {len(shown)} that change most)")
+    for name, colour in zip(shown, COLOURS, strict=False):
+        axes.plot(x, lines[name][span], color=colour, marker="." if len(x) == 1 else "")
+    axes.margins(x=0.0)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(label)
+    _tidy_numbers(axes)
+    _name_ends(axes, [(name, float(np.nan_to_num(lines[name][span][-1]))) for name in shown])
+
+
+def _tidy_numbers(axes: Axes) -> None:
+    axes.ticklabel_format(axis="both", scilimits=(-2, 4), useMathText=True)
+    axes.locator_params(axis="both", nbins=6)
+
+
+def _name_ends(axes: Axes, ends: list[tuple[str, float]]) -> None:
+    """Name lines beside their last values, moved apart where they would lie on each other."""
+    low, high = axes.get_ylim()
+    height = [(value - low) / (high - low) for _, value in ends]
+    order = np.argsort(height, kind="stable")
+    gap = min(0.1, 1.0 / max(1, len(ends)))
+    spread = np.array(height)[order]
+    for i in range(1, len(spread)):
+        spread[i] = max(spread[i], spread[i - 1] + gap)
+    spread -= max(0.0, spread[-1] - 1.0)
+    for i in range(len(spread) - 2, -1, -1):
+        spread[i] = min(spread[i], spread[i + 1] - gap)
+    for i, y in zip(order, spread, strict=True):
+        line = dict(arrowstyle="-", color=COLOURS[i], lw=0.7, shrinkA=0, shrinkB=0)
+        axes.annotate(
+            ends[i][0], (1.0, height[i]), (1.03, y), "axes fraction", "axes fraction", arrowprops=line,
+            color=COLOURS[i], fontsize=8, va="center", annotation_clip=False,
+        )  # fmt: skip
+
+
+def _say_nothing(axes: Axes, text: str = "none in this run") -> None:
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=PALE)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def _draw_energy(axes: Axes, run: RunData) -> None:
+    start = run.start
+    keys = {label: f"energy/{key}" for key, label in _ENERGIES if f"energy/{key}" in run.history}
+    changes = {label: run.history[key] - run.history[key][start] for label, key in keys.items()}
+    scale = max((np.abs(values[start:]).max() for values in changes.values()), default=0.0)
+    lines = {label: v for label, v in changes.items() if np.abs(v[start:]).max() > 1e-3 * scale}
+    title = "Energy since the dynamics began" if run.has_dynamics else "Energy since the start"
+    _draw_lines(axes, run, lines, title, run.label("change", "energy"), slice(start, None))
+    if lines:
+        axes.axhline(0.0, color=PALE, lw=0.8, zorder=1)
+
+
+def _draw_pressure_profiles(axes: Axes, run: RunData) -> bool:
+    """Pressure along each fracture, before the dynamics (pale) and at the end; False if there is no fluid."""
+    fractures = run.fractures
+    if fractures is None or not fractures.has("pressure"):
+        return False
+    axes.set_title(f"Pressure along the fractures{', before (dashed) and after' * fractures.has_before}")
+    profiles = fractures.profiles("pressure", _MAX_LINES)
+    for (name, (along, before, after)), colour in zip(profiles.items(), COLOURS, strict=False):
+        if before is not None:
+            axes.plot(along, before, color=colour, lw=1.0, ls=(0, (4, 2)), alpha=0.7)
+        axes.plot(along, after, color=colour)
+        _tag(axes, name, along[-1], after[-1], (4, 2), color=colour)
+    axes.set_xlabel(run.label("distance along the fracture", "length"))
+    axes.set_ylabel(run.label("pressure", "stress"))
+    _tidy_numbers(axes)
+    axes.margins(x=0.0)
+    return True
+
+
+def _probes(run: RunData) -> Figure | None:
+    from matplotlib.figure import Figure
+
+    shown = {key: kind for key, kind in PROBE_QUANTITIES.items() if run.probes_with(key)}
+    if not shown:
+        return None
+    rows = -(-len(shown) // 2)
+    figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
+    figure.suptitle(f"{run.title}: probes", fontsize=13, fontweight="bold", x=0.01, ha="left")
+    grid = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes, (key, kind) in zip(grid, shown.items(), strict=False):
+        word = key.replace("_", " ")
+        lines = {name: run.probe(name, key) for name in run.probes_with(key)}
+        _draw_lines(axes, run, lines, word.capitalize(), run.label(word, kind))
+    for axes in grid[len(shown) :]:
+        axes.remove()
+    return figure

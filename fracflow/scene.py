@@ -1,0 +1,193 @@
+"""The scene: what a run is about, validated, with units; errors name key, value and what would be right."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import (
+    Field,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
+
+from fracflow import __version__
+from fracflow.errors import InputError
+from fracflow.scene_actions import Control, Load, Probe, Stage, Support, Well
+from fracflow.scene_checks import check_mesh_names, contradictions
+from fracflow.scene_errors import nearest, one_line
+from fracflow.scene_tables import (
+    Accuracy,
+    Fluid,
+    Fracture,
+    Geometry,
+    InitialStress,
+    Mesh,
+    Method,
+    Option,
+    Output,
+    Part,
+    Rock,
+    with_preset,
+)
+from fracflow.scene_toml import override, read_toml, write_toml, write_value
+from fracflow.units import UnitSystem, fault
+
+__all__ = ["Scene", "load"]
+
+
+class Scene(Part):
+    """A scene: geometry, materials, what is held, loaded and pumped, and the stages of the run."""
+
+    version: str = Field(default=__version__, description="version of fracflow that wrote the file")
+    title: str = Field(default="", description="one line for reports")
+    units: str = Field(
+        default="SI",
+        description='units of plain numbers: "SI", LENGTH-FORCE-TIME such as "ft-lbf-s", or "none"',
+    )
+    model: Literal["default", "report", "full"] = Field(
+        default="default",
+        description="report: the choices of the 1976 report; full: the plan leaves nothing out",
+    )
+    method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
+    petsc: dict[str, Option] = Field(
+        default_factory=dict, description="PETSc options, without the leading dash"
+    )
+    accuracy: Accuracy = Field(default_factory=Accuracy, description="when iterations have converged")
+    output: Output = Field(default_factory=Output, description="what a run writes")
+    geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
+    mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")
+    rock: dict[str, Rock] = Field(default_factory=dict, description="rocks by name")
+    initial_stress: InitialStress | None = Field(
+        default=None, description="uniform stress before the first step"
+    )
+    fracture: dict[str, Fracture] = Field(
+        default_factory=dict, description='fractures by name; "default" serves those without a table'
+    )
+    fluid: Fluid | None = Field(
+        default=None, description="the fluid in the fractures; without it no flow is modelled"
+    )
+    support: tuple[Support, ...] = Field(default=(), description="what is held or moved")
+    load: tuple[Load, ...] = Field(default=(), description="tractions on sides")
+    well: tuple[Well, ...] = Field(default=(), description="where fluid is pumped, or its pressure kept")
+    control: dict[str, Control] = Field(
+        default_factory=dict, description="factors that wells and loads share"
+    )
+    probe: tuple[Probe, ...] = Field(default=(), description="places whose history is written")
+    stage: tuple[Stage, ...] = Field(default=(), description="the parts of the run, one after another")
+
+    _file: Path = PrivateAttr(default=Path("scene.toml"))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve_method(cls, data: Any) -> Any:
+        return with_preset(data) if isinstance(data, dict) else data
+
+    @model_validator(mode="after")
+    def _agree(self) -> Scene:
+        faults = list(contradictions(self))
+        if faults:
+            path, text = faults[0]
+            more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+            raise fault(text + more, path=path)
+        return self
+
+    def __eq__(self, other: object) -> bool:
+        """Scenes are equal when their tables are, wherever they were read from."""
+        return isinstance(other, Scene) and self.model_dump() == other.model_dump()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @staticmethod
+    def from_data(data: Mapping[str, Any], file: Path = Path("scene.toml")) -> Scene:
+        """Make a scene of what its TOML holds; raises InputError of one line."""
+        try:
+            units = UnitSystem.parse(data.get("units", "SI"))
+        except ValueError as error:
+            raise InputError(f"{file.name}: units = {write_value(data['units'])}: {error}") from None
+        try:
+            scene = Scene.model_validate(dict(data), context={"units": units})
+        except ValidationError as error:
+            raise InputError(f"{file.name}: {one_line(error, data, Scene)}") from None
+        scene._file = file.absolute()
+        return scene
+
+    @property
+    def source(self) -> str:
+        """The name of the scene file, as error messages give it."""
+        return self._file.name
+
+    @property
+    def folder(self) -> Path:
+        """The folder that file names in the scene are relative to."""
+        return self._file.absolute().parent
+
+    @property
+    def mesh_path(self) -> Path | None:
+        """The absolute path of the geometry or mesh file, None where the scene has [geometry]."""
+        return None if self.mesh is None else (self.folder / self.mesh.file).resolve()
+
+    @property
+    def fractures_path(self) -> Path | None:
+        """The absolute path of the file of traces, None where there is none."""
+        csv = None if self.geometry is None else self.geometry.fractures_csv
+        return None if csv is None else (self.folder / csv).resolve()
+
+    @property
+    def unit_system(self) -> UnitSystem:
+        """The units of all numbers of the scene."""
+        return UnitSystem.parse(self.units)
+
+    @property
+    def has_flow(self) -> bool:
+        """Whether flow is modelled: there is a fluid, and neither viscosity, weight nor density is zero."""
+        fluid = self.fluid
+        return fluid is not None and 0.0 not in (fluid.viscosity, fluid.specific_weight, fluid.density)
+
+    @property
+    def has_dynamics(self) -> bool:
+        """Whether a stage has inertia."""
+        return any(stage.kind == "dynamic" for stage in self.stage)
+
+    def fracture_named(self, name: str) -> Fracture:
+        """Find the table of a fracture, or the default one; raises InputError where there is neither."""
+        found = self.fracture.get(name) or self.fracture.get("default")
+        if found is None:
+            raise InputError(f"{self.source}: fracture.{name}: missing; {nearest(name, self.fracture)}")
+        return found
+
+    def check_mesh_names(
+        self,
+        rocks: Collection[str],
+        fractures: Collection[str],
+        sides: Collection[str],
+        points: Collection[str],
+    ) -> None:
+        """Compare the names the scene uses with those of its mesh; raises InputError."""
+        check_mesh_names(self, rocks, fractures, sides, points)
+
+    def dump_toml(self, to: Path | None = None) -> str:
+        """Write the scene with all defaults; file names relative to the folder ``to`` where that is given."""
+        data = self.model_dump(exclude_none=True) | {"version": __version__}
+        if to is not None and self.mesh_path is not None:
+            data["mesh"]["file"] = os.path.relpath(self.mesh_path, to)
+        if to is not None and self.fractures_path is not None:
+            data["geometry"]["fractures_csv"] = os.path.relpath(self.fractures_path, to)
+        return write_toml({key: value for key, value in data.items() if value not in ((), {})})
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Document every key: a JSON schema with descriptions and dimensions."""
+        return cls.model_json_schema()
+
+
+def load(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
+    """Read a scene file and apply ``path.to.key=value`` overrides; raises InputError of one line."""
+    file = Path(path)
+    data = read_toml(file)
+    for setting in overrides:
+        override(data, setting)
+    return Scene.from_data(data, file)

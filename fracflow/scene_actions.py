@@ -1,0 +1,200 @@
+"""The tables of a scene that say what is held, loaded, pumped, watched, and in which stages."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from fracflow.scene_tables import Count, Fraction, Name, Part
+from fracflow.tables import At, Displaced, Place, Tabled, TabledVector, TimeTable
+from fracflow.units import FLOW_RATE, STRESS, TIME, Quantity, fault
+
+Component = Literal["x", "y", "rotation"]
+Duration = Annotated[float, Quantity(TIME, above=0.0)]
+Measured = Literal[
+    "displacement", "velocity", "acceleration", "slip", "plastic_slip", "slip_rate", "opening", "aperture",
+    "shear_traction", "normal_traction", "strength", "pressure", "head", "flow_rate", "strain", "stress",
+]  # fmt: skip
+Names = Annotated[
+    tuple[Name, ...], Field(min_length=1), BeforeValidator(lambda on: [on] if isinstance(on, str) else on)
+]
+
+
+class Support(Part):
+    """[[support]] Sides, points or rocks that are held, or moved as prescribed."""
+
+    on: Names = Field(description="names of sides, points or rocks: one or a list")
+    components: tuple[Component, ...] = Field(
+        default=("x", "y"),
+        min_length=1,
+        description="what is held; by default x and y, or the keys of displacement",
+    )
+    displacement: Annotated[dict[str, TimeTable], Displaced()] | None = Field(
+        default=None,
+        description="prescribed {x = ..., y = ...} [length]; rotation of a rigid rock in radians",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _follow_displacement(cls, data: Any) -> Any:
+        moved = data.get("displacement") if isinstance(data, dict) else None
+        if not isinstance(moved, dict) or "components" in data:
+            return data
+        known = [part for part in get_args(Component) if part in moved]
+        return {**data, "components": known} if known else data
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Support:
+        moved = set(self.displacement or {})
+        if not moved <= set(self.components):
+            extra = ", ".join(sorted(moved - set(self.components)))
+            raise fault(f"contradicts displacement, which prescribes {extra} too", key="components")
+        return self
+
+
+class Load(Part):
+    """[[load]] A traction on sides: as [x, y], as a pressure, or that of the initial stress."""
+
+    on: Names = Field(description="names of sides: one or a list")
+    traction: Annotated[tuple[TimeTable, TimeTable] | str, TabledVector(STRESS, "initial-stress")] | None = (
+        Field(default=None, description='[t_x, t_y] in global axes [force/length**2], or "initial-stress"')
+    )
+    pressure: Annotated[TimeTable, Tabled(STRESS)] | None = Field(
+        default=None, description="pressure against the side, positive pushes inwards [force/length**2]"
+    )
+    control: Name | None = Field(
+        default=None, description="name of the [control] whose factor multiplies the load"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Load:
+        if self.traction is None and self.pressure is None:
+            raise fault("missing; a load needs traction or pressure", key="traction")
+        if self.traction is not None and self.pressure is not None:
+            raise fault("contradicts pressure; give one of them", key="traction")
+        if self.control is not None and self.traction == "initial-stress":
+            raise fault('contradicts traction = "initial-stress", which has no factor', key="control")
+        return self
+
+
+class Well(Part):
+    """[[well]] A place where fluid is pumped in or out, or its pressure is kept."""
+
+    name: Name = Field(description="name of the well")
+    at: Annotated[Place, At()] = Field(
+        description='[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}'
+    )
+    flow_rate: Annotated[TimeTable, Tabled(FLOW_RATE)] | None = Field(
+        default=None, description="volume pumped in per time, over the whole flow_depth [length**3/time]"
+    )
+    pressure: Annotated[TimeTable | str, Tabled(STRESS, "initial")] | None = Field(
+        default=None, description='pressure kept [force/length**2], or "initial"'
+    )
+    control: Name | None = Field(
+        default=None, description="name of the [control] whose factor multiplies flow_rate"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Well:
+        if self.flow_rate is None and self.pressure is None:
+            raise fault("missing; a well needs flow_rate or pressure", key="flow_rate")
+        if self.flow_rate is not None and self.pressure is not None:
+            raise fault("contradicts flow_rate; give one of them", key="pressure")
+        if self.control is not None and self.pressure is not None:
+            raise fault("contradicts pressure; a control multiplies a flow_rate", key="control")
+        return self
+
+
+class Control(Part):
+    """[control.NAME] A factor that several wells or loads share, and that a stage may search."""
+
+    initial: Annotated[float, Quantity()] = Field(default=0.0, description="value at the start [1]")
+    increment: Annotated[float, Quantity(above=0.0)] = Field(
+        default=1.0, description="first guess of the search for failure, in the unit of the factor itself [1]"
+    )
+
+
+class Probe(Part):
+    """[[probe]] A place whose history is written."""
+
+    name: Name = Field(description="name in the run folder")
+    at: Annotated[Place, At()] = Field(
+        description='[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}'
+    )
+    on: Name | None = Field(
+        default=None, description="fracture or rock that is meant, where several meet at the place"
+    )
+    quantities: tuple[Measured, ...] | None = Field(
+        default=None, description="what to write; all there is if not given"
+    )
+
+
+class Stage(Part):
+    """[[stage]] A part of the run."""
+
+    name: Name | None = Field(default=None, description="name by which --set and the log call the stage")
+    kind: Literal["steady", "quasi-static", "dynamic"] = Field(
+        description="steady: no storage, no inertia; quasi-static: no inertia; dynamic: both"
+    )
+    end: Annotated[float, Quantity(TIME)] | None = Field(
+        default=None, description="time at which the stage ends [time]"
+    )
+    time_step: Duration | None = Field(default=None, description="time step [time]")
+    steps: Count | None = Field(default=None, description="number of steps, in place of end")
+    until: Literal["incipient"] | None = Field(
+        default=None, description="incipient: raise the control until the first section is about to slip"
+    )
+    control: Name | None = Field(default=None, description="name of the [control] that the stage raises")
+    tolerance: Fraction = Field(
+        default=1e-6, description="of the search: strength (1 - tolerance) f_sy is used up when it ends [1]"
+    )
+    increment_per_step: Annotated[float, Quantity(above=0.0)] | None = Field(
+        default=None,
+        description="raise of the control each step over its value at the start of the stage [1]",
+    )
+    then: Literal["hold"] | None = Field(
+        default=None, description="hold: keep the control after the first failure"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Stage:
+        if self.until is not None or self.increment_per_step is not None or self.then is not None:
+            key = next(
+                key for key in ("until", "increment_per_step", "then") if getattr(self, key) is not None
+            )
+            if self.control is None:
+                raise fault(f"missing; {key} needs the name of a [control]", key="control")
+        if self.until is not None and self.increment_per_step is not None:
+            raise fault("contradicts until, which finds its own increments", key="increment_per_step")
+        if self.then is not None and self.increment_per_step is None:
+            raise fault("needs increment_per_step: there is nothing to hold", key="then")
+        self._check_time()
+        return self
+
+    def _check_time(self) -> None:
+        if self.takes_no_time:
+            for key in ("time_step", "end", "steps"):
+                if getattr(self, key) is not None:
+                    raise fault("contradicts a steady stage until incipient, which takes no time", key=key)
+            return
+        if self.kind == "dynamic" and self.until is not None:
+            raise fault('contradicts kind = "dynamic"; allowed kinds: "steady", "quasi-static"', key="until")
+        if self.time_step is None:
+            raise fault(f"missing; a {self.kind} stage needs it", key="time_step")
+        if self.until is None and self.end is None and self.steps is None:
+            raise fault(f"missing; a {self.kind} stage needs end or steps", key="end")
+        if self.end is not None and self.steps is not None:
+            raise fault(f"contradicts end = {self.end:g}; give one of them", key="steps")
+
+    @property
+    def takes_no_time(self) -> bool:
+        """Whether the stage only searches a steady state, at a standing clock."""
+        return self.kind == "steady" and self.until is not None
+
+    def step_count(self, start: float) -> int | None:
+        """Count the steps of a stage that begins at ``start`` until ``end``; None where nothing bounds it."""
+        if self.steps is not None or self.end is None or self.time_step is None:
+            return self.steps
+        return max(0, math.ceil((self.end - start) / self.time_step * (1.0 - 1e-12) - 1e-9))

@@ -1,0 +1,150 @@
+"""What must hold between the tables of a scene, and between a scene and its mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from typing import TYPE_CHECKING
+
+from fracflow.errors import InputError
+from fracflow.scene_errors import nearest
+from fracflow.tables import FractureEnd, Place
+
+if TYPE_CHECKING:
+    from fracflow.scene import Scene
+
+Fault = tuple[tuple[int | str, ...], str]
+
+
+def contradictions(scene: Scene) -> Iterator[Fault]:
+    """List what contradicts, is missing or unknown between tables: (path of the key, what is wrong)."""
+    yield from _geometry(scene)
+    yield from _materials(scene)
+    yield from _controls(scene)
+    yield from _actions(scene)
+    for key in ("well", "probe", "stage"):
+        names = [entry.name for entry in getattr(scene, key)]
+        for index, name in enumerate(names):
+            if name is not None and name in names[:index]:
+                yield (key, index, "name"), "stands twice; names must differ"
+
+
+def _geometry(scene: Scene) -> Iterator[Fault]:
+    geometry = scene.geometry
+    if (geometry is None) == (scene.mesh is None):
+        both = geometry is not None
+        yield (
+            ("geometry",),
+            "contradicts [mesh]; give one of them" if both else "missing; give [geometry] or [mesh]",
+        )
+    if geometry is None:
+        return
+    traces = [trace.name for trace in geometry.fracture]
+    for index, name in enumerate(traces):
+        if name in traces[:index]:
+            yield ("geometry", "fracture", index, "name"), "stands twice; names must differ"
+        if name == "default":
+            yield (
+                ("geometry", "fracture", index, "name"),
+                "is kept for [fracture.default]; choose another name",
+            )
+        if name not in scene.fracture and "default" not in scene.fracture:
+            yield ("fracture", name), f'missing; the fracture "{name}" needs a table, or [fracture.default]'
+    for name in () if geometry.fractures_csv else scene.fracture:
+        if name not in (*traces, "default"):
+            yield ("fracture", name), f"no fracture of that name in [geometry]; {nearest(name, traces)}"
+    for name in scene.rock:
+        if name != "rock":
+            yield ("rock", name), 'unknown name; the rock of [geometry] is called "rock"'
+
+
+def _materials(scene: Scene) -> Iterator[Fault]:
+    if not scene.rock:
+        yield ("rock",), "missing; a scene needs [rock.NAME]"
+    for name, rock in scene.rock.items():
+        if scene.has_dynamics and rock.density is None:
+            yield ("rock", name, "density"), "missing; dynamic stages need it"
+    for name, fracture in scene.fracture.items():
+        if scene.has_flow and fracture.aperture is None:
+            yield ("fracture", name, "aperture"), "missing; the fluid needs it"
+    if scene.fluid is None and scene.well:
+        yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
+
+
+def _controls(scene: Scene) -> Iterator[Fault]:
+    followers = {well.control for well in scene.well} | {load.control for load in scene.load}
+    for key in ("well", "load", "stage"):
+        for index, entry in enumerate(getattr(scene, key)):
+            if entry.control is not None and entry.control not in scene.control:
+                yield (
+                    (key, index, "control"),
+                    f"no [control] of that name; {nearest(entry.control, scene.control)}",
+                )
+            elif entry.control is not None and entry.control not in followers:
+                yield (key, index, "control"), "no well or load has this control: give one control = ..."
+
+
+def _actions(scene: Scene) -> Iterator[Fault]:
+    for index, load in enumerate(scene.load):
+        if load.traction == "initial-stress" and scene.initial_stress is None:
+            yield ("load", index, "traction"), "needs the table [initial_stress]"
+    clock: float | None = 0.0
+    for index, stage in enumerate(scene.stage):
+        if stage.takes_no_time:
+            continue
+        if clock is not None and stage.end is not None and stage.end <= clock:
+            yield ("stage", index, "end"), f"must be later than the start of the stage, {clock:g}"
+        bounded = clock is not None and stage.until is None
+        steps = stage.step_count(clock) if bounded and clock is not None else None
+        clock = clock + steps * stage.time_step if clock is not None and steps and stage.time_step else None
+
+
+def check_mesh_names(
+    scene: Scene,
+    rocks: Collection[str],
+    fractures: Collection[str],
+    sides: Collection[str],
+    points: Collection[str],
+) -> None:
+    """Compare the names a scene uses with those its mesh has; raises InputError for the first stranger."""
+    for place, name, allowed in _used_names(scene, rocks, fractures, sides, points):
+        if name not in allowed:
+            raise InputError(f'{scene.source}: {place} = "{name}": not in the mesh; {nearest(name, allowed)}')
+    for kind, names, known in (("rock", rocks, scene.rock), ("fracture", fractures, scene.fracture)):
+        for name in names:
+            if name not in known and not (kind == "fracture" and "default" in known):
+                raise InputError(f'{scene.source}: {kind}.{name}: missing; the mesh has a {kind} "{name}"')
+
+
+def _used_names(
+    scene: Scene,
+    rocks: Collection[str],
+    fractures: Collection[str],
+    sides: Collection[str],
+    points: Collection[str],
+) -> Iterator[tuple[str, str, Collection[str]]]:
+    """List (key, name, allowed names) of all names that the mesh must have."""
+    for name in scene.rock:
+        yield "rock", name, rocks
+    for name in scene.fracture:
+        yield "fracture", name, (*fractures, "default")
+    for index, support in enumerate(scene.support):
+        for name in support.on:
+            yield f"support.{index}.on", name, (*sides, *points, *rocks)
+    for index, load in enumerate(scene.load):
+        for name in load.on:
+            yield f"load.{index}.on", name, sides
+    for well in scene.well:
+        yield from _place(f"well.{well.name}.at", well.at, fractures, points)
+    for probe in scene.probe:
+        yield from _place(f"probe.{probe.name}.at", probe.at, fractures, points)
+        if probe.on is not None:
+            yield f"probe.{probe.name}.on", probe.on, (*fractures, *rocks)
+
+
+def _place(
+    key: str, at: Place, fractures: Collection[str], points: Collection[str]
+) -> Iterator[tuple[str, str, Collection[str]]]:
+    if isinstance(at, FractureEnd):
+        yield f"{key}.fracture", at.fracture, fractures
+    elif isinstance(at, str):
+        yield key, at, points

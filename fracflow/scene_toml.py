@@ -1,0 +1,148 @@
+"""Scene text: read it, change it by ``--set path.to.key=value``, write it."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+from fracflow.errors import InputError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; raises InputError where there is none, or where it is not TOML."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such scene file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path.name}: not UTF-8 text") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path.name}: not valid TOML: {' '.join(str(error).split())}") from None
+
+
+def override(data: dict[str, Any], setting: str) -> None:
+    """Apply one ``path.to.key=value`` in place; entries of arrays are called by their name or their index."""
+    path, equals, text = setting.partition("=")
+    keys = [key.strip().strip("\"'") for key in re.findall(r'"[^"]*"|\'[^\']*\'|[^.]+', path.strip())]
+    if not equals or not keys or not all(keys):
+        raise InputError(
+            f"--set {_one_line(setting)}: must be path.to.key=value, such as stage.0.time_step=0.1"
+        )
+    here: Any = data
+    for depth, key in enumerate(keys[:-1]):
+        here = _entry(here, key, ".".join(keys[: depth + 1]), setting)
+    if isinstance(here, list):
+        here[_index(here, keys[-1], path, setting)] = parse_value(text)
+    elif isinstance(here, dict):
+        here[keys[-1]] = parse_value(text)
+    else:
+        raise InputError(f"--set {_one_line(setting)}: {'.'.join(keys[:-1])} is a value, not a table")
+
+
+def parse_value(text: str) -> Any:
+    """Read the value of ``--set`` as TOML; what is not TOML is a string."""
+    try:
+        values = tomllib.loads(f"value = {text.strip()}")
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+    return values["value"] if len(values) == 1 else text.strip()
+
+
+def _entry(here: Any, key: str, path: str, setting: str) -> Any:
+    if isinstance(here, list):
+        return here[_index(here, key, path, setting)]
+    if isinstance(here, dict):
+        return here.setdefault(key, {})
+    raise InputError(f"--set {_one_line(setting)}: {path.rpartition('.')[0]} is a value, not a table")
+
+
+def _index(entries: list[Any], key: str, path: str, setting: str) -> int:
+    names = [entry.get("name") if isinstance(entry, dict) else None for entry in entries]
+    if key in names:
+        return names.index(key)
+    if key.isdecimal() and int(key) < len(entries):
+        return int(key)
+    known = [json.dumps(name, ensure_ascii=False) if name else str(index) for index, name in enumerate(names)]
+    allowed = ", ".join(known[:12]) or "none"
+    raise InputError(f"--set {_one_line(setting)}: {path}: no such entry; allowed: {allowed}")
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())[:120]
+
+
+def write_value(value: Any) -> str:
+    """Write a value as TOML, tables inline."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, float):
+        return write_float(value)
+    if isinstance(value, Mapping):
+        return (
+            "{" + ", ".join(f"{write_key(key)} = {write_value(entry)}" for key, entry in value.items()) + "}"
+        )
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(write_value(entry) for entry in value) + "]"
+    return str(value)
+
+
+def write_float(value: float) -> str:
+    """Write a float in the shorter of its exact forms: 1e8, not 100000000.0."""
+    plain = repr(value)
+    if plain in ("nan", "inf", "-inf"):
+        return plain
+    short = str(Decimal(plain).normalize()).lower().replace("e+", "e")
+    return short if "e" in short and not 1e-5 < abs(value) < 1e5 else plain
+
+
+def write_key(key: str) -> str:
+    """Write a key, in quotes where it needs them."""
+    return key if _BARE.fullmatch(key) else json.dumps(key, ensure_ascii=False)
+
+
+def write_toml(data: Mapping[str, Any], path: tuple[str, ...] = ()) -> str:
+    """Write tables and arrays of tables under their headings; whatever lies deeper in an array is inline."""
+    values = {key: value for key, value in data.items() if not _is_table(value)}
+    lines = [f"{write_key(key)} = {write_value(value)}" for key, value in values.items()]
+    blocks = []
+    if path and (lines or not data):
+        lines.insert(0, f"[{'.'.join(map(write_key, path))}]")
+    if lines:
+        blocks.append("\n".join(lines) + "\n")
+    for key, value in data.items():
+        heading = (*path, key)
+        if isinstance(value, Mapping):
+            blocks.append(write_toml(value, heading))
+        elif _is_table(value):
+            blocks.extend(_array_entry(entry, heading) for entry in value)
+    return "\n".join(blocks)
+
+
+def _array_entry(entry: Mapping[str, Any], path: tuple[str, ...]) -> str:
+    lines = [f"{write_key(key)} = {write_value(value)}" for key, value in entry.items()]
+    return "\n".join([f"[[{'.'.join(map(write_key, path))}]]", *lines]) + "\n"
+
+
+def _is_table(value: Any) -> bool:
+    entries = (
+        isinstance(value, list | tuple)
+        and len(value) > 0
+        and all(isinstance(part, Mapping) for part in value)
+    )
+    return isinstance(value, Mapping) or entries

@@ -1,0 +1,101 @@
+"""The state of a run: what one step takes and the next one is given. Nothing in it is changed in place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from fracflow._petsc import PETSc
+from fracflow.mesh.data import Floats
+
+Past = tuple[Mapping[str, Floats], ...]
+"""Histories of the joint sections, one mapping a law."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacement, velocity and acceleration of the solid unknowns."""
+
+    displacement: PETSc.Vec
+    velocity: PETSc.Vec
+    acceleration: PETSc.Vec
+
+    def destroy(self) -> None:
+        """Free the vectors; their owner calls it."""
+        for vector in (self.displacement, self.velocity, self.acceleration):
+            vector.destroy()
+
+
+@dataclass(frozen=True)
+class Sections:
+    """What the laws answered at this rank's joint sections; meanings as in ``laws.base.JointResponse``."""
+
+    strain: Floats
+    traction: Floats
+    tangent: Floats
+    stored: Floats
+    inelastic: Floats
+    utilisation: Floats
+    is_sliding: NDArray[Any]
+    is_open: NDArray[Any]
+    margin: Floats
+    past: Past
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Terms of the balances at one instant, kept for the energy books.
+
+    load        outer forces R on the solid unknowns [force per thickness]
+    support     reactions at supported unknowns, zero elsewhere
+    conduction  K_F p of (3.20) [volume rate per thickness]
+    source      well rates Q, and what prescribed pressures draw in
+    """
+
+    load: PETSc.Vec
+    support: PETSc.Vec
+    conduction: PETSc.Vec
+    source: PETSc.Vec
+
+    def destroy(self) -> None:
+        """Free the vectors; their owner calls it."""
+        for vector in (self.load, self.support, self.conduction, self.source):
+            vector.destroy()
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything at the end of a step.
+
+    controls  value of each load factor
+    energy    running totals of the energy books [energy per thickness]
+    """
+
+    time: float
+    motion: Motion
+    pressure: PETSc.Vec
+    sections: Sections
+    forces: Forces
+    controls: Mapping[str, float]
+    energy: Mapping[str, float]
+
+    def destroy(self) -> None:
+        """Free the vectors; called once the next state is accepted."""
+        self.motion.destroy()
+        self.pressure.destroy()
+        self.forces.destroy()
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What a step cost and how it ended."""
+
+    newton: int
+    krylov: int
+    cycles: int
+    factorisations: int
+    solid_residual: float
+    flow_residual: float

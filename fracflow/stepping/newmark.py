@@ -1,0 +1,132 @@
+"""(4.1)-(4.3) The Newmark family and its two limits without inertia, on arrays and PETSc Vecs alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class Alphas:
+    """(4.3) Coefficients of acceleration (a0, a2, a3) and velocity (a1, a4, a5) at the end of a step."""
+
+    a0: float = 0.0
+    a1: float = 0.0
+    a2: float = 0.0
+    a3: float = 0.0
+    a4: float = 0.0
+    a5: float = 0.0
+
+
+class HasMotion(Protocol):
+    """Displacement, velocity and acceleration, all arrays or all Vecs."""
+
+    @property
+    def displacement(self) -> Any:
+        """Displacement [length]."""
+
+    @property
+    def velocity(self) -> Any:
+        """Velocity [length/time]."""
+
+    @property
+    def acceleration(self) -> Any:
+        """Acceleration [length/time^2]."""
+
+
+class Stepper(Protocol):
+    """A rule for velocity and acceleration at the end of a step.
+
+    order    order of accuracy in the time step; 0 where time does not enter
+    inertia  the mass matrix takes part
+    storage  wall velocities take part in the balance of fluid
+    """
+
+    order: ClassVar[int]
+    inertia: ClassVar[bool]
+    storage: ClassVar[bool]
+
+    def alphas(self, time_step: float) -> Alphas:
+        """Coefficients of a step of that length."""
+        ...
+
+
+def acceleration(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -> Any:
+    """(4.2e) a_new = a0 (d_new - d) - a2 v - a3 a; a new array or Vec."""
+    change = displacement_new - motion_old.displacement
+    return alphas.a0 * change - alphas.a2 * motion_old.velocity - alphas.a3 * motion_old.acceleration
+
+
+def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -> Any:
+    """(4.2f) v_new = a1 (d_new - d) - a4 v - a5 a; a new array or Vec."""
+    change = displacement_new - motion_old.displacement
+    return alphas.a1 * change - alphas.a4 * motion_old.velocity - alphas.a5 * motion_old.acceleration
+
+
+def _checked(time_step: float) -> float:
+    """The time step; InputError unless positive."""
+    if not time_step > 0.0:
+        raise InputError(f"time_step = {time_step}: must be positive")
+    return time_step
+
+
+@dataclass(frozen=True)
+class Newmark:
+    """(4.1a) Newmark with beta, gamma: 1/4, 1/2 is the trapezoidal rule, without numerical dissipation.
+
+    Second order if gamma = 1/2, else first. InputError for beta <= 0 (explicit) or gamma < 1/2 (unstable).
+    """
+
+    beta: float = 0.25
+    gamma: float = 0.5
+
+    order: ClassVar[int] = 2
+    inertia: ClassVar[bool] = True
+    storage: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be stepped implicitly."""
+        if not self.beta > 0.0:
+            raise InputError(f"newmark_beta = {self.beta}: must be positive (1/4 for the trapezoidal rule)")
+        if not self.gamma >= 0.5:
+            raise InputError(f"newmark_gamma = {self.gamma}: must be 1/2 or more, less is unstable")
+
+    def alphas(self, time_step: float) -> Alphas:
+        """(4.3) alpha_0 ... alpha_5; time_step [time], positive."""
+        dt, beta, gamma = _checked(time_step), self.beta, self.gamma
+        return Alphas(
+            a0=1.0 / (dt**2 * beta),
+            a1=gamma / (dt * beta),
+            a2=1.0 / (dt * beta),
+            a3=1.0 / (2.0 * beta) - 1.0,
+            a4=gamma / beta - 1.0,
+            a5=dt * (gamma / (2.0 * beta) - 1.0),
+        )
+
+
+@dataclass(frozen=True)
+class Steady:
+    """(4.3) with all alpha_k = 0: equilibrium and steady flow, neither inertia nor storage."""
+
+    order: ClassVar[int] = 0
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = False
+
+    def alphas(self, time_step: float) -> Alphas:
+        """All zero, whatever the time step."""
+        return Alphas()
+
+
+@dataclass(frozen=True)
+class BackwardEuler:
+    """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
+
+    order: ClassVar[int] = 1
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = True
+
+    def alphas(self, time_step: float) -> Alphas:
+        """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
+        return Alphas(a1=1.0 / _checked(time_step))

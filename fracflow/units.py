@@ -1,0 +1,177 @@
+"""Unit systems, and scene values that are plain numbers or strings with a unit such as ``"30 GPa"``."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import pint
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+STRESS = "force/length**2"
+STIFFNESS = "force/length**3"
+DENSITY = "force*time**2/length**4"
+WEIGHT = "force/length**3"
+VISCOSITY = "force*time/length**2"
+COMPRESSIBILITY = "length**2/force"
+FLOW_RATE = "length**3/time"
+LINE_FORCE = "force/length"
+LENGTH = "length"
+TIME = "time"
+ANGLE = "angle"
+PLAIN = "1"
+
+EXAMPLES = {
+    STRESS: "30 GPa",
+    STIFFNESS: "10 GPa/m",
+    DENSITY: "2700 kg/m^3",
+    VISCOSITY: "1e-3 Pa s",
+    COMPRESSIBILITY: "4.5e-10 1/Pa",
+    FLOW_RATE: "0.1 m^3/s",
+    LINE_FORCE: "1 N/m",
+    LENGTH: "1 mm",
+    TIME: "10 ms",
+    ANGLE: "30 deg",
+}
+_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
+
+
+@cache
+def _registry() -> pint.UnitRegistry[Any]:
+    """Make the one unit registry; it takes a moment, so only when a string first asks for it."""
+    return pint.UnitRegistry()
+
+
+@dataclass(frozen=True)
+class UnitSystem:
+    """Three units that all others follow from; ``name`` "none" has no units and takes plain numbers only."""
+
+    name: str
+    length: str = ""
+    force: str = ""
+    time: str = ""
+
+    @staticmethod
+    def parse(name: object) -> UnitSystem:
+        """Read ``"SI"``, ``"none"`` or ``"LENGTH-FORCE-TIME"``; raises ValueError that says what fits."""
+        fits = 'use "SI", "none" or LENGTH-FORCE-TIME such as "ft-lbf-s"'
+        if name == "none":
+            return UnitSystem("none")
+        if name == "SI":
+            return UnitSystem("SI", "m", "N", "s")
+        parts = name.split("-") if isinstance(name, str) else []
+        if len(parts) != 3:
+            raise ValueError(f"not a unit system; {fits}")
+        for part, dimension in zip(parts, ("[length]", "[force]", "[time]"), strict=True):
+            try:
+                known = _registry().Quantity(1.0, part).check(dimension)
+            except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
+                known = False
+            if not known:
+                raise ValueError(f'"{part}" is not a unit of {dimension[1:-1]}; {fits}')
+        return UnitSystem(str(name), *parts)
+
+    def unit(self, dimension: str) -> str:
+        """Write the unit of a dimension: ``force/length**2`` in ft-lbf-s is ``lbf/ft**2``."""
+        names = {"length": self.length, "force": self.force, "time": self.time, "angle": "degree"}
+        return re.sub("[a-z]+", lambda word: names[word.group()], dimension)
+
+    def convert(self, text: str, dimension: str) -> float:
+        """Turn ``"30 GPa"`` into a number of this system; raises ValueError that says what fits."""
+        fits = what_fits(dimension, self)
+        match = _NUMBER_AND_UNIT.fullmatch(text)
+        if match is None:
+            raise ValueError(f"must be {fits}")
+        if dimension == PLAIN or self.name == "none":
+            raise ValueError(f"takes no unit; must be {fits}")
+        number, unit = float(match[1]), match[2]
+        if unit is None:
+            raise ValueError(f"a string needs a unit; must be {fits}")
+        try:
+            factor = (
+                _registry().Quantity(1.0, _registry().parse_units(unit)).to(self.unit(dimension)).magnitude
+            )
+        except pint.DimensionalityError:
+            raise ValueError(f'"{unit}" is not a unit of {dimension}; must be {fits}') from None
+        except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
+            raise ValueError(f'unknown unit "{unit}"; must be {fits}') from None
+        return number * float(factor)
+
+
+def what_fits(dimension: str, system: UnitSystem | None) -> str:
+    """Say which values a dimension takes, with an example."""
+    if dimension == PLAIN or system is None or system.name == "none":
+        return "a plain number"
+    return f'a number in {system.unit(dimension)} or a string such as "{EXAMPLES[dimension]}"'
+
+
+def fault(text: str, **context: object) -> PydanticCustomError:
+    """Make the error that a validator raises; ``key`` in the context names the key inside a table."""
+    return PydanticCustomError("fracflow", "{text}", {"text": text, **context})
+
+
+def system_of(info: ValidationInfo) -> UnitSystem | None:
+    """Take the unit system from the validation context, None where a table is built from Python."""
+    return info.context.get("units") if isinstance(info.context, dict) else None
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Annotation of a scene value: its dimension and the open or closed range it must lie in."""
+
+    dimension: str = PLAIN
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+
+    def read(self, value: object, info: ValidationInfo) -> float:
+        """Validate a number or a string with unit."""
+        system = system_of(info)
+        if isinstance(value, str):
+            try:
+                number = (system or UnitSystem("none")).convert(value, self.dimension)
+            except ValueError as error:
+                raise fault(str(error)) from None
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            raise fault(f"must be {what_fits(self.dimension, system)}")
+        else:
+            number = float(value)
+        if not math.isfinite(number):
+            raise fault("must be finite")
+        self._check_range(number)
+        return number
+
+    def _check_range(self, number: float) -> None:
+        rules = (
+            ("above", self.above, operator.gt),
+            ("at least", self.at_least, operator.ge),
+            ("below", self.below, operator.lt),
+            ("at most", self.at_most, operator.le),
+        )
+        given = [(word, limit, holds) for word, limit, holds in rules if limit is not None]
+        if not all(holds(number, limit) for _, limit, holds in given):
+            words = " and ".join(f"{word} {limit:g}" for word, limit, _ in given)
+            raise fault(f"out of range; must be {words}")
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Let pydantic read the value with ``read``."""
+        return core_schema.with_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        return {**number_schema(self.dimension)}
+
+
+def number_schema(dimension: str) -> dict[str, Any]:
+    """JSON schema of a number that may carry its unit."""
+    if dimension == PLAIN:
+        return {"type": "number", "dimension": "1"}
+    return {"type": ["number", "string"], "dimension": dimension, "examples": [EXAMPLES[dimension]]}

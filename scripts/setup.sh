@@ -1,0 +1,86 @@
+# Source this: everything fracflow needs on Debian or Ubuntu, made once, then the environment to run in.
+#   . scripts/setup.sh
+# System packages come from apt, the rest from pip into .venv beside this folder; nothing else is touched.
+
+_fracflow_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+_fracflow_packages="python3 python3-venv python3-petsc4py python3-mpi4py python3-h5py-mpi python3-scipy
+  python3-numpy python3-gmsh openmpi-bin"
+
+_fracflow_missing() {
+  local package
+  for package in $_fracflow_packages; do
+    [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || printf '%s ' "$package"
+  done
+}
+
+_fracflow_install_system() {
+  local missing sudo=""
+  missing=$(_fracflow_missing)
+  missing=${missing% }
+  [ -n "$missing" ] || return 0
+  if [ "$(id -u)" != 0 ]; then
+    if sudo -n true 2>/dev/null; then
+      sudo="sudo -n"
+    else
+      echo "setup: missing packages; run: sudo apt-get update && sudo apt-get install -y --no-install-recommends $missing" >&2
+      return 1
+    fi
+  fi
+  echo "setup: installing $missing"
+  # shellcheck disable=SC2086
+  $sudo apt-get update -q </dev/null &&
+    $sudo env DEBIAN_FRONTEND=noninteractive \
+      apt-get install -y -q --no-install-recommends $missing </dev/null && return 0
+  echo "setup: apt-get could not install: $missing" >&2
+  return 1
+}
+
+_fracflow_stamp() {
+  (cd "$_fracflow_root" && { cat scripts/constraints.txt scripts/setup.sh pyproject.toml
+    pwd; /usr/bin/python3 --version; dpkg-query -W -f '${Version}\n' python3-numpy; } | sha256sum | cut -d' ' -f1)
+}
+
+_fracflow_install_python() {
+  local venv=$_fracflow_root/.venv stamp pin numpy
+  stamp=$(_fracflow_stamp)
+  [ "$(cat "$venv/.fracflow-stamp" 2>/dev/null)" = "$stamp" ] && return 0
+  echo "setup: preparing $venv"
+  # The system's own Python by its full path: its petsc4py works with no other.
+  local clear=--clear
+  grep -qs '^home = /usr/bin$' "$venv/pyvenv.cfg" && clear=""
+  /usr/bin/python3 -m venv $clear --system-site-packages "$venv" || return 1
+  numpy=$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)') || return 1
+  pin=$(mktemp) || return 1
+  { cat "$_fracflow_root/scripts/constraints.txt"; echo "numpy==$numpy"; } >"$pin"
+  "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
+    -r "$_fracflow_root/scripts/constraints.txt" -c "$pin" </dev/null &&
+    "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
+      --no-deps --no-build-isolation -e "$_fracflow_root" </dev/null
+  local status=$?
+  rm -f "$pin"
+  [ $status = 0 ] || { echo "setup: pip could not fill $venv" >&2; return 1; }
+  "$venv/bin/python" -c 'from fracflow._petsc import PETSc; import h5py, scipy, gmsh' ||
+    { echo "setup: the packages in $venv do not import together" >&2; return 1; }
+  echo "$stamp" >"$venv/.fracflow-stamp"
+}
+
+_fracflow_petsc_dir() {
+  local package
+  for package in $(dpkg-query -W -f '${Package}\n' 'python3-petsc4py-real[0-9]*' 2>/dev/null | sort -rV); do
+    dpkg -L "$package" | sed -n 's,^\(.*/petscdir/petsc[^/]*/[^/]*-real\)/lib/python3/dist-packages/petsc4py$,\1,p'
+  done | sed -n 1p
+}
+
+export PYTHONNOUSERSITE=1 # packages in ~/.local would come before the system's numpy
+export OMP_NUM_THREADS=1 MPLBACKEND=Agg
+export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1
+unset PYTHONHOME
+
+if ! _fracflow_install_system; then return 1 2>/dev/null || exit 1; fi
+if [ -z "${PETSC_DIR:-}" ]; then
+  PETSC_DIR=$(_fracflow_petsc_dir)
+  export PETSC_DIR
+  [ -n "$PETSC_DIR" ] || unset PETSC_DIR
+fi
+if ! _fracflow_install_python; then return 1 2>/dev/null || exit 1; fi
+export PATH="$_fracflow_root/.venv/bin:$PATH"

@@ -1,0 +1,121 @@
+"""The suite on one rank or many: ranks meet every test together, fail together, and never hang for long."""
+
+from __future__ import annotations
+
+import gc
+import os
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+from fracflow._petsc import MPI
+
+WORLD = MPI.COMM_WORLD.Dup()  # the suite's own messages never meet those of the code under test
+SIZE, RANK = WORLD.size, WORLD.rank
+PATIENCE = float(os.environ.get("FRACFLOW_TEST_PATIENCE", "300"))  # seconds a rank waits for the others
+PATIENCE_AFTER_FAILURE = 30.0
+
+# Ranks must draw the same examples, and a failure must come back on the next run.
+settings.register_profile("fracflow", derandomize=True, deadline=None, database=None)
+settings.load_profile("fracflow")
+
+
+def meet(patience: float, reason: str) -> None:
+    """Wait for all ranks; a rank that waits in vain says why and ends them all."""
+    request, end = WORLD.Ibarrier(), time.monotonic() + patience
+    while not request.Test():
+        if time.monotonic() > end:
+            os.write(2, f"\nrank {RANK}: other ranks did not come within {patience:g} s\n{reason}\n".encode())
+            WORLD.Abort(1)
+        time.sleep(0.0005)
+
+
+@pytest.hookimpl(tryfirst=True)  # pytest's own tmp_path reads basetemp when it is configured
+def pytest_configure(config):
+    if SIZE == 1:
+        return
+    root = WORLD.bcast(tempfile.mkdtemp(prefix="fracflow-tests-") if RANK == 0 else None)
+    config.shared_root = Path(root)
+    config.option.basetemp = str(config.shared_root / f"rank{RANK}")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session):
+    reporter = session.config.pluginmanager.getplugin("terminalreporter")
+    if RANK > 0 and reporter is not None:
+        # What fails on this rank is printed by rank 0, see pytest_runtest_makereport.
+        reporter._tw._file = open(os.devnull, "w")
+
+
+def pytest_collection_modifyitems(config, items):
+    if SIZE == 1:
+        return
+    serial = [item for item in items if item.get_closest_marker("serial")]
+    if serial:
+        config.hook.pytest_deselected(items=serial)
+        items[:] = [item for item in items if not item.get_closest_marker("serial")]
+
+
+def pytest_collection_finish(session):
+    found = ([item.nodeid for item in session.items], session.testsfailed)
+    meet(PATIENCE, "while the tests were collected")
+    if any(other != found for other in WORLD.allgather(found)):
+        os.write(2, f"\nrank {RANK}: ranks have collected different tests\n".encode())
+        WORLD.Abort(1)
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)
+def pytest_runtest_makereport(item, call):
+    report = (yield).get_result()
+    if SIZE == 1:
+        return
+    failed = report.outcome == "failed"
+    reason = f"{item.nodeid} ({report.when}) {report.outcome}\n{report.longreprtext if failed else ''}"
+    meet(PATIENCE_AFTER_FAILURE if failed else PATIENCE, reason)
+    crash = getattr(getattr(report.longrepr, "reprcrash", None), "message", "")
+    text = f"{crash.partition(chr(10))[0]}\n{report.longreprtext}" if failed else ""
+    all_outcomes = WORLD.allgather((report.outcome, text))
+    outcomes = [outcome for outcome, _ in all_outcomes]
+    if "failed" in outcomes:
+        texts = [f"rank {rank}: {text}" for rank, (_, text) in enumerate(all_outcomes) if text]
+        report.outcome, report.longrepr = "failed", "\n".join(texts)
+    elif len(set(outcomes)) > 1:
+        report.outcome, report.longrepr = "failed", f"outcomes differ between ranks: {outcomes}"
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item):
+    gc.collect()
+
+
+def pytest_sessionfinish(session, exitstatus):
+    if SIZE > 1:
+        meet(PATIENCE, "at the end of the suite")
+        if RANK == 0 and exitstatus == 0:
+            shutil.rmtree(session.config.shared_root, ignore_errors=True)
+
+
+def pytest_unconfigure(config):
+    if SIZE > 1:
+        meet(PATIENCE, "after the suite")  # mpirun ends all when one exits, and rank 0 has yet to print
+
+
+@pytest.fixture
+def shared_tmp(tmp_path, request):
+    """One new folder for all ranks."""
+    if SIZE == 1:
+        return tmp_path
+    root = request.config.shared_root
+    path = WORLD.bcast(tempfile.mkdtemp(dir=root, prefix="shared-") if RANK == 0 else None)
+    return Path(path)
+
+
+@pytest.fixture
+def comm():
+    """All ranks of the run."""
+    return MPI.COMM_WORLD

@@ -1,0 +1,62 @@
+"""Means of the cubed aperture, against quadrature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from fracflow.laws.cubic_flow import MEANS, conductance, exact_mean_cube, report_mean_cube
+
+WALLS = [(1.0, 0.2), (0.3, 1.7), (1.0, 1.0), (2e-6, 5e-4)]
+
+
+@pytest.mark.parametrize("d1,d2", WALLS)
+def test_exact_mean_is_the_harmonic_one(d1, d2):
+    resistance = quad(lambda x: (d1 + (d2 - d1) * x) ** -3, 0, 1, epsabs=0, epsrel=1e-11, limit=500)[0]
+    assert exact_mean_cube(d1, d2)[0] * resistance == pytest.approx(1.0, rel=1e-8)
+
+
+@pytest.mark.parametrize("d1,d2", WALLS)
+def test_report_mean_is_the_arithmetic_one(d1, d2):
+    assert report_mean_cube(d1, d2)[0] == pytest.approx(quad(lambda x: (d1 + (d2 - d1) * x) ** 3, 0, 1)[0])
+
+
+@pytest.mark.parametrize("name", MEANS)
+def test_derivatives_and_symmetry(name):
+    d1, d2 = np.random.default_rng(1).uniform(1e-3, 1.0, (2, 50))
+    mean, slope_1, slope_2 = MEANS[name](d1, d2)
+    step = 1e-7
+    assert np.allclose(
+        (MEANS[name](d1 + step, d2)[0] - MEANS[name](d1 - step, d2)[0]) / (2 * step), slope_1, atol=1e-7
+    )
+    assert np.allclose(
+        (MEANS[name](d1, d2 + step)[0] - MEANS[name](d1, d2 - step)[0]) / (2 * step), slope_2, atol=1e-7
+    )
+    swapped = MEANS[name](d2, d1)
+    assert np.allclose(swapped[0], mean) and np.allclose(swapped[1], slope_2)
+    assert np.allclose(MEANS[name](d1, d1)[0], d1**3)
+
+
+@pytest.mark.parametrize("name", MEANS)
+def test_closed_walls(name):
+    with np.errstate(all="raise"):
+        closed = MEANS[name](np.array([0.0, -1.0, -1.0]), np.array([0.0, -2.0, 0.5]))
+    assert all(np.isfinite(part).all() for part in closed)
+    assert np.all(np.array(closed)[:, :2] == 0)
+    assert closed[1][2] == 0
+    assert (closed[0][2] == 0) == (name == "exact"), "only the report's mean conducts through a closed end"
+
+
+def flow(mean, elements):
+    d = np.linspace(1.0, 0.2, elements + 1)
+    return 1.0 / np.sum(1.0 / conductance(mean(d[:-1], d[1:])[0], 1.0 / elements, 1.0 / 12.0))
+
+
+def test_taper_five_to_one():
+    exact = 2 * 1.0 * 0.2**2 / 1.2
+    for elements in (1, 3, 16):
+        assert flow(exact_mean_cube, elements) == pytest.approx(exact, rel=1e-13)
+    expected = {1: 3.68, 2: 1.0923, 4: 0.326, 8: 0.0913, 16: 0.0239}
+    for elements, excess in expected.items():
+        assert flow(report_mean_cube, elements) / exact - 1 == pytest.approx(excess, rel=3e-3)

@@ -1,0 +1,18 @@
+"""Plane strain moduli."""
+
+import numpy as np
+
+from fracflow.laws.elastic import out_of_plane_stress, plane_strain_stiffness
+
+
+def test_inverse_is_the_plane_strain_compliance():
+    modulus, ratio = np.array([5e8, 2.0]), np.array([0.25, 0.4])
+    for E, nu, stiffness in zip(modulus, ratio, plane_strain_stiffness(modulus, ratio), strict=True):
+        compliance = (1 + nu) / E * np.array([[1 - nu, -nu, 0], [-nu, 1 - nu, 0], [0, 0, 2]])
+        assert np.allclose(stiffness @ compliance, np.eye(3), atol=1e-14)
+
+
+def test_no_strain_out_of_plane():
+    nu, stress = 0.25, np.array([[3.0, -1.0, 0.7]])
+    assert np.allclose(out_of_plane_stress(stress, nu) - nu * (stress[:, 0] + stress[:, 1]), 0)
+    assert plane_strain_stiffness(1.0, 0.0).shape == (1, 3, 3)

@@ -1,0 +1,196 @@
+"""What every joint law of the registry must keep."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fracflow.laws import JOINT_LAWS
+
+SECTIONS = 40
+SAMPLES = {
+    "hyperbolic-coulomb": dict(
+        normal_stiffness=2e3,
+        shear_stiffness=1.5e3,
+        aperture=0.01,
+        friction_coefficient=0.7,
+        cohesion=0.5,
+        stick_slip_ratio=0.8,
+        initial_normal_traction=-4.0,
+        initial_shear_traction=1.0,
+    ),
+    "linear": dict(
+        normal_stiffness=2e3, shear_stiffness=1.5e3, initial_normal_traction=-4.0, initial_shear_traction=1.0
+    ),
+}
+
+
+@pytest.fixture(params=sorted(JOINT_LAWS))
+def law(request):
+    return JOINT_LAWS[request.param](**SAMPLES[request.param])
+
+
+@pytest.fixture(params=[2, 3], ids=["2d", "3d"])
+def dim(request):
+    return request.param
+
+
+def path(dim, seed=0, steps=30):
+    """Random walk of strains that closes, opens, slides and reverses."""
+    rng = np.random.default_rng(seed)
+    strain = np.zeros((SECTIONS, dim))
+    for _ in range(steps):
+        strain = strain + rng.normal(0.0, 1.5e-3, strain.shape)
+        strain[:, -1] = np.clip(strain[:, -1], -0.008, 0.004)
+        yield strain
+
+
+def copy(past):
+    return {name: array.copy() for name, array in past.items()}
+
+
+def latched(law, past, response):
+    """The history of ``past`` with the status the response has chosen."""
+    return {name: (response.past if name in law.status else past)[name] for name in past}
+
+
+def test_shapes_and_finite(law, dim):
+    past = law.rest(SECTIONS, dim)
+    shapes = {"shear": (SECTIONS, dim - 1), "scalar": (SECTIONS,)}
+    for strain in path(dim):
+        response = law.respond(strain, past)
+        assert response.traction.shape == response.inelastic.shape == (SECTIONS, dim)
+        assert response.tangent.shape == (SECTIONS, dim, dim)
+        for name in ("stored", "utilisation", "is_sliding", "is_open", "margin"):
+            assert getattr(response, name).shape == (SECTIONS,)
+        assert response.is_sliding.dtype == response.is_open.dtype == bool
+        for name in ("traction", "tangent", "stored", "inelastic"):
+            assert np.isfinite(getattr(response, name)).all()
+        assert (response.margin >= 0).all() and (response.utilisation >= 0).all()  # false for nan
+        assert set(response.past) == set(law.history)
+        for name, kind in law.history.items():
+            assert response.past[name].shape == shapes[kind]
+        assert (law.step_limit(strain, -strain) > 0).all()
+        past = response.past
+
+
+def test_pure(law, dim):
+    past = law.rest(SECTIONS, dim)
+    for strain in path(dim):
+        kept, kept_strain = copy(past), strain.copy()
+        first, second = law.respond(strain, past), law.respond(strain, past)
+        assert np.array_equal(strain, kept_strain)
+        for name in past:
+            assert np.array_equal(past[name], kept[name])
+            assert not np.shares_memory(past[name], first.past[name])
+        assert np.array_equal(first.traction, second.traction)
+        past = first.past
+
+
+def test_initial_state(law, dim):
+    response = law.respond(np.zeros((SECTIONS, dim)), law.rest(SECTIONS, dim))
+    assert np.allclose(response.traction[:, :-1], law.initial_shear_traction)
+    assert np.allclose(response.traction[:, -1], law.initial_normal_traction)
+    assert np.all(response.stored == 0) and np.all(response.inelastic == 0)
+
+
+def test_tangent_is_the_derivative(law, dim):
+    """Central differences with the status latched, where the status holds on both sides."""
+    past, step, checked, slid = law.rest(SECTIONS, dim), 1e-9, 0, 0
+    for strain in path(dim):
+        response = law.respond(strain, past)
+        here = latched(law, past, response)
+        base = law.respond(strain, here)
+        for j in range(dim):
+            shift = step * np.eye(dim)[j]
+            ahead, behind = law.respond(strain + shift, here), law.respond(strain - shift, here)
+            difference = (ahead.traction - behind.traction) / (2 * step)
+            smooth = (base.margin > 1e-3) & (ahead.is_open == behind.is_open)
+            smooth &= (ahead.is_sliding == base.is_sliding) & (behind.is_sliding == base.is_sliding)
+            smooth &= np.abs(strain[:, -1]) > 2 * step
+            assert np.allclose(difference[smooth], base.tangent[smooth][:, :, j], rtol=1e-5, atol=1e-3)
+            checked += smooth.sum()
+            slid += (smooth & base.is_sliding).sum()
+        past = response.past
+    assert checked > 500
+    assert slid > 50 or not law.status
+
+
+def test_dissipation(law, dim):
+    past, before = law.rest(SECTIONS, dim), np.zeros((SECTIONS, dim))
+    for strain in path(dim):
+        response = law.respond(strain, past)
+        work = np.einsum("ni,ni->n", response.traction, response.inelastic - before)
+        assert (work >= -1e-14).all()
+        past, before = response.past, response.inelastic
+
+
+def test_stored_energy_is_the_work_of_the_traction(law, dim):
+    """Traction = d stored / d strain while sticking."""
+    past, step = law.rest(SECTIONS, dim), 1e-7
+    strain = np.random.default_rng(3).uniform(-1e-4, 1e-4, (SECTIONS, dim))
+    base = law.respond(strain, past)
+    assert not base.is_sliding.any()
+    for j in range(dim):
+        shift = step * np.eye(dim)[j]
+        slope = law.respond(strain + shift, past).stored - law.respond(strain - shift, past).stored
+        assert np.allclose(slope / (2 * step), base.traction[:, j], rtol=1e-6, atol=1e-6)
+
+
+def test_one_change_of_status(law, dim):
+    """Sticking to sliding one way to sliding the other takes three calls."""
+    if not law.status:
+        pytest.skip("no status")
+    past = law.rest(1, dim)
+    there, back = np.zeros((1, dim)), np.zeros((1, dim))
+    there[0, 0], back[0, 0] = 0.1, -0.1
+    past = law.respond(there, past).past
+    reverse = law.respond(back, past)
+    assert not reverse.is_sliding[0]
+    assert np.array_equal(reverse.inelastic[0, :-1], past["plastic_slip"][0])
+    again = law.respond(back, latched(law, past, reverse))
+    assert again.is_sliding[0] and again.traction[0, 0] < 0
+
+
+def test_rotation_of_shear(law):
+    """Shear is isotropic: rotated slip gives rotated shear traction, tangent and history."""
+    law = type(law)(**{**vars(law), "initial_shear_traction": np.tile([0.8, 0.0], (SECTIONS, 1))})
+    angle = 0.7
+    turn = np.eye(3)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    turned_law = type(law)(
+        **{**vars(law), "initial_shear_traction": law.initial_shear_traction @ turn[:2, :2].T}
+    )
+    past, turned_past = law.rest(SECTIONS, 3), law.rest(SECTIONS, 3)
+    for strain in path(3):
+        plain, turned = law.respond(strain, past), turned_law.respond(strain @ turn.T, turned_past)
+        assert np.allclose(turned.traction, plain.traction @ turn.T, atol=1e-9)
+        assert np.allclose(turned.tangent, turn @ plain.tangent @ turn.T, atol=1e-6)
+        past, turned_past = plain.past, turned.past
+
+
+def test_3d_with_slip_along_one_axis_is_2d(law):
+    flat, solid = law.rest(SECTIONS, 2), law.rest(SECTIONS, 3)
+    law3 = type(law)(**{**vars(law), "initial_shear_traction": np.tile([1.0, 0.0], (SECTIONS, 1))})
+    for strain in path(2):
+        two = law.respond(strain, flat)
+        three = law3.respond(np.insert(strain, 1, 0.0, axis=1), solid)
+        assert np.allclose(three.traction, np.insert(two.traction, 1, 0.0, axis=1), atol=1e-12)
+        assert np.allclose(three.stored, two.stored)
+        flat, solid = two.past, three.past
+
+
+def test_parameters_may_be_arrays(law, dim):
+    arrays = {k: v if isinstance(v, bool) else np.full(SECTIONS, v) for k, v in vars(law).items()}
+    arrays["initial_shear_traction"] = np.full((SECTIONS, dim - 1), law.initial_shear_traction)
+    many = type(law)(**arrays)
+    past = law.rest(SECTIONS, dim)
+    for strain in path(dim):
+        one = law.respond(strain, past)
+        assert np.array_equal(one.traction, many.respond(strain, past).traction)
+        past = one.past
+
+
+def test_no_sections(law, dim):
+    response = law.respond(np.zeros((0, dim)), law.rest(0, dim))
+    assert response.traction.shape == (0, dim)

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fracflow.errors import InputError
+from fracflow.output.events import EventLog, FractureNodes, read_events
+
+NODES = FractureNodes(
+    ["A", "A", "B, lower"], np.array([7, 3, 5]), np.array([0.0, 1.0, 2.0]), np.zeros(3), ["", "mid", ""]
+)
+NO = np.zeros(3, bool)
+
+
+def flags(*which):
+    return np.isin(np.arange(3), which)
+
+
+def test_an_event_is_a_node_from_first_to_last_sliding_section(tmp_path):
+    log = EventLog(tmp_path / "events.csv", NODES, plastic_slip=np.array([0.5, 0.0, 0.0]))
+    assert read_events(log.path) == []
+    assert not log.update(1.0, NO, NO, np.array([0.5, 0.0, 0.0]), np.zeros(3))
+    assert log.update(2.0, flags(0, 1), NO, np.array([0.4, 0.1, 0.0]), np.array([-3.0, 1.0, 0.0]))
+    assert not log.update(3.0, flags(0, 1), NO, np.array([0.2, 0.2, 0.0]), np.array([-1.0, 2.0, 0.0]))
+    first, second = read_events(log.path)  # as known when the events started
+    assert (first["node"], second["node"]) == (3, 7)
+    assert (first["end"], first["slip"], first["probe"]) == (None, 0.1, "mid")
+    assert log.update(4.0, flags(1), flags(2), np.array([0.1, 0.3, 0.0]), np.array([-0.5, 0.5, 0.0]))
+    log.update(5.0, flags(0, 1), NO, np.array([0.0, 0.4, 0.0]), np.array([-0.25, 0.5, 0.0]))
+    log.close()
+    rows = read_events(log.path)
+    assert [(row["kind"], row["node"], row["start"], row["end"]) for row in rows] == [
+        ("slip", 3, 2.0, None),
+        ("slip", 7, 2.0, 4.0),
+        ("open", 5, 4.0, 5.0),
+        ("slip", 7, 5.0, None),
+    ]
+    assert [row["slip"] for row in rows] == pytest.approx([0.4, -0.4, 0.0, -0.1])
+    assert [row["peak_slip_rate"] for row in rows] == [2.0, 3.0, 0.0, 0.25]
+    assert rows[2]["fracture"] == "B, lower" and rows[2]["x"] == 2.0
+
+
+def test_another_table_is_refused(tmp_path):
+    (tmp_path / "events.csv").write_text("a,b\n1,2\n")
+    for name in ("events.csv", "none.csv"):
+        with pytest.raises(InputError, match=name):
+            read_events(tmp_path / name)

@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from fracflow.errors import InputError
+from fracflow.output.folder import RunFolder
+
+
+def test_a_run_folder_holds_texts_and_a_log(tmp_path):
+    folder = RunFolder(tmp_path / "deep" / "run")
+    folder.write_text("scene.toml", 'title = "ä"\n')
+    folder.write_plan([{"limit": np.float64(0.5), "error": float("inf"), "sizes": np.arange(2), "on": True}])
+    folder.log("one")
+    folder.log("two\n")
+    assert (folder / "log.txt").read_text() == "one\ntwo\n"
+    assert json.loads((folder / "plan.json").read_text()) == [
+        {"limit": 0.5, "error": "inf", "sizes": [0, 1], "on": True}
+    ]
+
+
+def test_an_earlier_run_is_replaced_but_other_files_stay(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    (folder / "fields").mkdir()
+    for name in ("history.h5", "fields/rock_000001.h5", "fields/notes.txt", "rock.xdmf", "mine.csv"):
+        (folder / name).write_text("")
+    RunFolder(tmp_path / "run", resume=True)
+    assert (folder / "history.h5").exists()
+    RunFolder(tmp_path / "run")
+    left = {path.name for path in folder.path.rglob("*") if path.is_file()}
+    assert left == {".fracflow", "notes.txt", "mine.csv"}
+
+
+def test_foreign_folders_are_left_alone(tmp_path):
+    (tmp_path / "letter.txt").write_text("dear")
+    (tmp_path / "empty").mkdir()
+    RunFolder(tmp_path / "empty")
+    with pytest.raises(InputError, match="no run's"):
+        RunFolder(tmp_path)
+    with pytest.raises(InputError, match="is a file"):
+        RunFolder(tmp_path / "letter.txt")
+    with pytest.raises(InputError, match="holds no run"):
+        RunFolder(tmp_path / "new", resume=True)
+    assert not (tmp_path / "new").exists()

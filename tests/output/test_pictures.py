@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from fracflow.errors import InputError
+from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
+from fracflow.output.pictures import draw
+
+STEPS, STEADY, END = 240, 12, 0.02
+
+
+def lattice(n: int, size: float):
+    x, y = np.meshgrid(np.linspace(0, size, n + 1), np.linspace(0, size, n + 1))
+    i = np.arange(n * (n + 1)).reshape(n, n + 1)[:, :-1].ravel()
+    return np.stack([x.ravel(), y.ravel()], axis=1), np.stack([i, i + 1, i + n + 2, i + n + 1], axis=1)
+
+
+def network(pieces: int):
+    ends = {"A": ((10, 20), (90, 70)), "B": ((50, 0), (50, 100)), "C": ((15, 80), (75, 55))}
+    along = np.linspace(0, 1, pieces + 1)[:, None]
+    points = np.concatenate([(1 - along) * np.array(a) + along * np.array(b) for a, b in ends.values()])
+    first = np.arange(pieces)
+    cells = np.concatenate([np.stack([first, first + 1], 1) + k * (pieces + 1) for k in range(len(ends))])
+    return list(ends), points, cells, np.repeat(np.arange(len(ends)), pieces)
+
+
+def make_run(folder, steps=STEPS, fluid=True, probes=True, fields=True, events=True, dynamic=True):
+    """A made-up run of the shape of problem 5.5: a steady climb, then slip."""
+    names, points, cells, fracture = network(20)
+    places = {"node1": [38.0, 37.5], "node2": [50.0, 30.0], "node3": [45.0, 67.5]} if probes else {}
+    attrs = {
+        "title": "Slip in a network of three fractures",
+        "units": {"length": "ft", "force": "lbf", "time": "s"},
+        "probes": places,
+        "wells": {"injection": [10, 20], "producer": [50, 100]},
+    }
+    t = np.concatenate([np.zeros(STEADY), np.linspace(0, END, STEPS - STEADY)])[:steps]
+    grow = np.clip(t / END, 0, 1)
+    with HistoryFile(folder / "history.h5", attrs) as history:
+        for i, (time, g) in enumerate(zip(t, grow, strict=True)):
+            kinetic = 40 * g * np.exp(-6 * g)
+            row = {"time": time, "step/kind": 2 if dynamic and i >= STEADY else 0, "energy/kinetic": kinetic}
+            row |= {"energy/friction": 12 * (1 - np.exp(-5 * g)), "energy/viscous": 0.0}
+            row |= {"energy/rock_strain": 900 - 18 * g, "energy/joint_shear": 30 - 8 * g}
+            for k, name in enumerate(places):
+                slip = 1e-3 * (k + 1) * (1 - np.exp(-(4 + k) * g)) * (1 if k != 1 else 0.66)
+                row |= {f"probe/{name}/slip": slip, f"probe/{name}/displacement": [slip, -0.4 * slip]}
+                row |= {f"probe/{name}/slip_rate": slip * 50, f"probe/{name}/opening": -1e-4 * g}
+                if fluid:
+                    row[f"probe/{name}/pressure"] = 2e4 - k * 3e3 * g
+            history.append(row)
+    if fields:
+        rock = FieldWriter(folder, "rock", *lattice(20, 100.0))
+        writer = FieldWriter(folder, "fractures", points, cells, {"fractures": names})
+        s = np.tile(np.linspace(0, 1, 21), 3)
+        for index, time, slip in ((0, 0.0, 0.0), (STEADY, 0.0, 0.0), (STEPS, END, 1e-3)):
+            beside = 0.3 * np.clip(np.sin(2 * np.pi * s), 0, 1)
+            shape = np.where(np.arange(63) < 21, np.sin(np.pi * s), beside)
+            data = {"plastic_slip": -slip * shape, "slip": -slip * shape}
+            if fluid:
+                data["pressure"] = 2e4 + 1e4 * (1 - s) * (1 if slip == 0 else 0.6 + s)
+            rock.write(index, time, {"displacement": np.zeros((441, 2))})
+            writer.write(index, time, data, {"fracture": fracture})
+    if events:
+        nodes = FractureNodes([names[0]] * 63, np.arange(63), *points.T, [""] * 63)
+        log = EventLog(folder / "events.csv", nodes)
+        sliding = np.arange(63) == 10
+        log.update(0.001, sliding, ~sliding & False, 1e-3 * sliding, 1.0 * sliding)
+    return folder
+
+
+def is_drawn(path):
+    image = imread(path)[..., :3]
+    return image.shape[0] > 400 and image.shape[1] > 1000 and image.std() > 0.02
+
+
+def test_a_full_run_is_drawn(tmp_path):
+    paths = draw(make_run(tmp_path))
+    assert [path.name for path in paths] == ["overview.png", "probes.png"]
+    assert all(is_drawn(path) for path in paths)
+
+
+@pytest.mark.parametrize(
+    "lacking",
+    [
+        {"fluid": False},
+        {"probes": False},
+        {"fields": False},
+        {"events": False, "dynamic": False},
+        {"steps": 1},
+        {"steps": STEADY, "dynamic": False},
+        {"fluid": False, "probes": False, "fields": False, "events": False},
+    ],
+    ids=str,
+)
+def test_a_run_that_lacks_parts_is_drawn(tmp_path, lacking):
+    paths = draw(make_run(tmp_path, **lacking))
+    assert len(paths) == (1 if lacking.get("probes") is False else 2)
+    assert all(is_drawn(path) for path in paths)
+
+
+def test_an_empty_folder_is_an_input_error(tmp_path):
+    with pytest.raises(InputError, match=r"history\.h5"):
+        draw(tmp_path)

@@ -1,0 +1,202 @@
+import json
+import math
+import pickle
+from pathlib import Path
+
+import pytest
+import tomllib
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fracflow.scene import Scene, load
+from fracflow.scene_toml import write_float, write_value
+from fracflow.tables import FractureEnd, TimeTable
+
+SCENES = sorted((Path(__file__).parents[2] / "meshes").glob("*/scene.toml"))
+
+
+def test_units_become_plain_numbers(make):
+    scene = make("fracture.fault.shear_stiffness=100 MPa/m", "rock.granite.density=2.7 g/cm^3")
+    fault = scene.fracture["fault"]
+    assert scene.rock["granite"].youngs_modulus == 50e9
+    assert scene.rock["granite"].density == pytest.approx(2700, rel=1e-14)
+    assert (fault.normal_stiffness, fault.shear_stiffness, fault.aperture) == pytest.approx((1e10, 1e8, 1e-3))
+    assert scene.fluid.viscosity == pytest.approx(1e-3)
+    assert scene.well[0].flow_rate(0.0) == pytest.approx(3e-3)
+    assert scene.stage[1].time_step == pytest.approx(0.01)
+    assert make("fracture.fault.friction_angle_deg=0.5 rad").fracture["fault"].friction == pytest.approx(
+        math.tan(0.5)
+    )
+
+
+def test_foot_pound_second(make):
+    scene = make(
+        "units=ft-lbf-s", "rock.granite.density=5.12 slug/ft^3", "fluid.specific_weight=62.4 lbf/ft^3"
+    )
+    assert scene.rock["granite"].density == pytest.approx(5.12, rel=1e-6)
+    assert scene.fluid.specific_weight == pytest.approx(62.4, rel=1e-12)
+    assert scene.rock["granite"].youngs_modulus == pytest.approx(50e9 / 47.88025898, rel=1e-8)
+    assert scene.fracture["fault"].aperture == pytest.approx(1e-3 / 0.3048, rel=1e-12)
+
+
+def test_table_interpolates_and_takes_the_mean_at_jumps():
+    linear = TimeTable((0.0, 1.0, 1.0, 2.0), (0.0, 1.0, 3.0, 4.0))
+    assert [linear(t) for t in (-1, 0, 0.5, 1, 1 + 5e-13, 1.5, 2, 9)] == [0, 0, 0.5, 2, 2, 3.5, 4, 4]
+    step = TimeTable((0.0, 0.3, 1.0), (1.0, 5.0, -1.0), "step")
+    assert [step(t) for t in (-1, 0, 0.1, 3 * 0.1, 0.31, 1, 2)] == [1, 1, 1, 3, 5, 2, -1]
+    assert TimeTable.constant(7.0)(3) == 7 and TimeTable.constant(7.0).is_constant
+    assert TimeTable((0.0, 0.0), (0.0, 1.0))(0.0) == 0.5
+
+
+def test_tables_of_a_scene(make):
+    rate = (
+        make('well.node2.flow_rate={time=["0 s", "1 min"], value=["1 l/s", 2], interpolation="step"}')
+        .well[0]
+        .flow_rate
+    )
+    assert rate == TimeTable((0.0, 60.0), (pytest.approx(1e-3), 2.0), "step")
+    traction = make("load.0.traction=[[[0, 0], [1, 2]], '1 MPa']").load[0].traction
+    assert (traction[0](0.5), traction[1](0.5)) == (1.0, 1e6)
+    assert (
+        make(
+            "well.node2={name='w',at='w',pressure='initial'}",
+            "load.0={on='west',pressure=1,control='pumping'}",
+        )
+        .well[0]
+        .pressure
+        == "initial"
+    )
+
+
+def test_supports(make):
+    assert make().support[0].on == ("west",)
+    assert make().support[0].components == ("x", "y")
+    moved = make("support.0.displacement={y = [[0, 0], [1, 2]]}").support[0]
+    assert moved.components == ("y",) and moved.displacement["y"](0.5) == 1 and "x" not in moved.displacement
+
+
+def test_overrides_by_name_index_and_new_tables(make):
+    scene = make(
+        "well.node2.flow_rate=5",
+        "stage.slow.tolerance=1e-4",
+        "stage.1.end=7",
+        "petsc.ksp_rtol=1e-9",
+        "title=two words",
+        "load.0.on.1=east",
+        'petsc."a.b"=true',
+    )
+    assert scene.well[0].flow_rate(0) == 5
+    assert (scene.stage[0].tolerance, scene.stage[1].end) == (1e-4, 7)
+    assert scene.petsc == {"ksp_rtol": 1e-9, "a.b": True}
+    assert scene.title == "two words" and scene.load[0].on == ("south", "east")
+
+
+def test_names_paths_and_flow(make, tmp_path):
+    scene = make()
+    assert scene.mesh_path == (tmp_path / "fault.geo").resolve() and scene.folder == tmp_path
+    assert scene.fracture_named("fault").friction == pytest.approx(math.tan(math.pi / 6))
+    assert scene.probe[0].at == FractureEnd("fault", "start") and scene.well[0].at == (0.0, 1.0)
+    assert scene.has_flow and scene.has_dynamics
+    assert not make("fluid.viscosity=0").has_flow
+    assert not make("fluid.specific_weight=0").has_flow
+    assert scene.stage[0].takes_no_time and scene.stage[1].step_count(0.0) == 300
+
+
+@pytest.mark.parametrize(
+    ("end", "step", "count"), [(20, 0.1, 200), (0.3, 0.1, 3), (1, 0.3, 4), (3, 0.01, 300)]
+)
+def test_steps_cover_the_stage(make, end, step, count):
+    assert make(f"stage.1.end={end}", f"stage.1.time_step={step}").stage[1].step_count(0.0) == count
+
+
+def test_report_model_resolves_methods(make):
+    default, report = make().method, make("model=report").method
+    assert (default.storage, default.conductance, default.newton_test) == ("lumped", "exact", "residual")
+    assert (default.tangent, default.open_strength, default.quadrature) == ("consistent", "none", "nodal")
+    assert (report.storage, report.conductance, report.newton_test) == ("report", "report", "out-of-balance")
+    assert (report.tangent, report.open_strength, report.coupling) == ("decoupled", "cohesion", "monolithic")
+    assert make("model=report", "method.tangent=consistent").method.tangent == "consistent"
+    assert make("model=full").method == default
+    assert None not in default.model_dump().values()
+
+
+def test_dump_loads_again(make, tmp_path):
+    scene = make(
+        "model=report", 'title=a "b" \\ c', "well.node2.flow_rate=[[0,1],[0,2],[3,1e-7]]", "units=ft-lbf-s"
+    )
+    text = scene.dump_toml()
+    assert make(text=text) == scene
+    assert make(text=text).dump_toml() == text
+    assert 'newton_test = "out-of-balance"' in text and text.startswith("version = ")
+
+
+def test_scene_travels_between_ranks(make):
+    scene = make()
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    assert pickle.loads(pickle.dumps(scene)).mesh_path == scene.mesh_path
+
+
+def test_dump_for_another_folder(make, tmp_path):
+    scene = make()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "scene.toml").write_text(scene.dump_toml(tmp_path / "run"))
+    assert load(tmp_path / "run" / "scene.toml").mesh_path == scene.mesh_path
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_floats_are_written_exactly(value):
+    assert tomllib.loads(f"x = {write_float(value)}")["x"] == value
+    assert isinstance(tomllib.loads(f"x = {write_float(value)}")["x"], float)
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_strings_are_written_exactly(value):
+    assert tomllib.loads(f"x = {write_value(value)}")["x"] == value
+
+
+def test_schema_documents_every_key():
+    schema = Scene.json_schema()
+    tables = {"Scene": schema} | schema["$defs"]
+    bare = [
+        f"{name}.{key}"
+        for name, table in tables.items()
+        for key, field in table.get("properties", {}).items()
+        if not field.get("description")
+    ]
+    assert not bare
+    assert '"dimension": "force/length**3"' in json.dumps(schema)
+
+
+def test_there_are_scenes():
+    names = {"report_5_2", "report_5_3", "report_5_5", "r01_inclined_joint", "three_fractures"}
+    assert {file.parent.name for file in SCENES} >= names
+
+
+@pytest.mark.parametrize("file", SCENES, ids=lambda file: file.parent.name)
+def test_every_scene_loads_and_survives_its_dump(file, tmp_path):
+    scene = load(file)
+    (tmp_path / "scene.toml").write_text(scene.dump_toml())
+    assert load(tmp_path / "scene.toml") == scene
+    assert load(file, ["model=report"]).method.storage == "report"
+
+
+def test_report_scenes_hold_the_data_of_the_text():
+    for name, ratio, shear, steps in (("report_5_3", 0.98, -1.4e5, 300), ("report_5_5", 0.94, -1.35e5, 300)):
+        scene = load(SCENES[0].parents[1] / name / "scene.toml")
+        stress, fault, fluid, rock = (
+            scene.initial_stress,
+            scene.fracture["fault"],
+            scene.fluid,
+            scene.rock["rock"],
+        )
+        assert (stress.xx, stress.yy, stress.zz, stress.xy) == (-2e5, -6e5, -2e5, shear)
+        assert (rock.youngs_modulus, rock.poissons_ratio, rock.density) == pytest.approx(
+            (5e8, 0.25, 5.12), rel=1e-6
+        )
+        assert (fault.normal_stiffness, fault.shear_stiffness, fault.aperture) == pytest.approx(
+            (1e8, 1e8, 0.01)
+        )
+        assert (fault.friction_angle_deg, fault.cohesion, fault.stick_slip_ratio) == (40, 0, ratio)
+        assert (fluid.viscosity, fluid.specific_weight) == pytest.approx((0.235e-4, 62.4))
+        assert (fluid.initial_pressure, fluid.flow_depth) == pytest.approx((0.3e5, 100))
+        assert scene.stage[1].steps == steps and scene.stage[1].time_step == 0.01
