@@ -20,7 +20,6 @@ from pydantic import (
 from fracflow.tables import Domain, Polyline
 from fracflow.units import (
     ANGLE,
-    COMPRESSIBILITY,
     DENSITY,
     LENGTH,
     LINE_FORCE,
@@ -270,9 +269,6 @@ class Fluid(Part):
         default=None, description="density of the fluid [force*time**2/length**4]; 0 leaves the flow out"
     )
     initial_pressure: Stress = Field(default=0.0, description="p0, uniform [force/length**2]")
-    compressibility: Annotated[float, Quantity(COMPRESSIBILITY, at_least=0.0)] = Field(
-        default=0.0, description="relative change of volume by pressure [length**2/force]"
-    )
     flow_depth: Size = Field(
         default=1.0, description="A, depth out of the plane that flow rates refer to [length]"
     )

@@ -18,7 +18,6 @@ STIFFNESS = "force/length**3"
 DENSITY = "force*time**2/length**4"
 WEIGHT = "force/length**3"
 VISCOSITY = "force*time/length**2"
-COMPRESSIBILITY = "length**2/force"
 FLOW_RATE = "length**3/time"
 LINE_FORCE = "force/length"
 LENGTH = "length"
@@ -31,7 +30,6 @@ EXAMPLES = {
     STIFFNESS: "10 GPa/m",
     DENSITY: "2700 kg/m^3",
     VISCOSITY: "1e-3 Pa s",
-    COMPRESSIBILITY: "4.5e-10 1/Pa",
     FLOW_RATE: "0.1 m^3/s",
     LINE_FORCE: "1 N/m",
     LENGTH: "1 mm",

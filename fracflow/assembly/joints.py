@@ -69,8 +69,8 @@ class Joints:
         strains.destroy()
         return local
 
-    def respond(self, strain: Floats, past: Past) -> Sections:
-        """What the laws answer to strains (s, dim), starting from ``past``, which stays as it is."""
+    def respond(self, strain: Floats, past: Past, hold: bool = False) -> Sections:
+        """What the laws answer to strains (s, dim) after ``past``, which stays as it is; ``hold`` keeps every status."""
         count = len(strain)
         whole = {
             "strain": strain,
@@ -85,7 +85,7 @@ class Joints:
         }
         new = []
         for group, history in zip(self.laws, past, strict=True):
-            answer = group.law.respond(strain[group.sections], history)
+            answer = group.law.respond(strain[group.sections], history, hold)
             for name, values in whole.items():
                 if name != "strain":
                     values[group.sections] = getattr(answer, name)

@@ -30,11 +30,12 @@ class Prescribed:
 
 @dataclass(frozen=True)
 class Pattern:
-    """A vector times a function of time, times a load factor where one is named."""
+    """A vector times a function of time, times a load factor where one is named; ``initial`` if of the initial stress."""
 
     vector: PETSc.Vec
     value: TimeFunction
     control: str | None
+    initial: bool = False
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,10 @@ class Loads:
     def force(self, time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
         """``result`` = R(t) of (2.38)."""
         _sum(self.forces, time, controls, result)
+
+    def initial_force(self, result: PETSc.Vec) -> None:
+        """``result`` = the part of R that the initial stress of the cut-off rock makes."""
+        _sum(tuple(pattern for pattern in self.forces if pattern.initial), 0.0, {}, result)
 
     def source(self, time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
         """``result`` = Q(t) of (3.20), per unit thickness."""
@@ -106,7 +111,7 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
         return [Pattern(_side_force(blocks, facets, -normal, expand), load.pressure, load.control)]
     if load.traction == "initial-stress":
         traction = normal @ stress_tensor(scene)[:2, :2].T
-        return [Pattern(_side_force(blocks, facets, traction, expand), lambda time: 1.0, load.control)]
+        return [Pattern(_side_force(blocks, facets, traction, expand), lambda time: 1.0, load.control, True)]
     assert load.traction is not None and not isinstance(load.traction, str)
     patterns = []
     for axis, value in enumerate(load.traction):

@@ -52,8 +52,8 @@ class JointLaw(Protocol):
         """History of the initial state, one array a name: "shear" (n, dim-1), "scalar" (n,)."""
         ...
 
-    def respond(self, strain: Floats, past: Past) -> JointResponse:
-        """Response to the total strain (n, dim) after ``past``, at most one change of status a section."""
+    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
+        """Response to the total strain (n, dim) after ``past``: at most one change of status a section, none with ``hold``."""
         ...
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:

@@ -80,11 +80,11 @@ class HyperbolicCoulomb:
             np.where(crushed, np.inf, energy),
         )
 
-    def respond(self, strain: Floats, past: Past) -> JointResponse:
+    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
         """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``past``, at most one change of status.
 
-        Opening at or past -d0 gives a normal traction of -inf and leaves the history as it was. ``margin`` is
-        that of the choice made from the status in ``past``.
+        With ``hold`` sticking sections stick and sliding ones slide whatever their trial traction is. Opening at
+        or past -d0 gives a normal traction of -inf and leaves the history as it was. ``margin`` is that of the choice made from the status in ``past``.
         """
         sections, dim = strain.shape
         k_s, tan_phi, cohesion, alpha = (
@@ -110,11 +110,12 @@ class HyperbolicCoulomb:
             np.where(np.isfinite(peak), peak, 0.0) + k_s * np.abs(strain[:, :-1]).sum(axis=-1)
         )
         persists = np.where(crushed, was_sliding, along >= residual - slack)
-        slides = np.where(was_sliding, persists, (size > peak) & ~crushed) & ~free
+        slides = was_sliding & ~free if hold else np.where(was_sliding, persists, (size > peak) & ~crushed) & ~free
 
-        held = np.where(slides, np.minimum(residual, size), 0.0)
+        held = np.where(slides, residual if hold else np.minimum(residual, size), 0.0)
         divisor = np.where(size > 0.0, size, 1.0)
-        direction = np.where((size > 0.0)[:, None], trial / divisor[:, None], latch)
+        backwards = was_sliding & (along <= 0.0)
+        direction = np.where(((size > 0.0) & ~backwards)[:, None], trial / divisor[:, None], latch)
         f_s = np.where(slides[:, None], held[:, None] * direction, np.where(free[:, None], 0.0, trial))
         plastic = past["plastic_slip"] + (trial - f_s) / k_s[:, None]
 

@@ -32,7 +32,7 @@ class Linear:
         """No history."""
         return rest_history(self.history, sections, dim)
 
-    def respond(self, strain: Floats, past: Past) -> JointResponse:
+    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
         """(2.22) Traction, tangent and stored energy of strain (n, dim); ``past`` is empty."""
         sections, dim = strain.shape
         stiffness = np.empty((sections, dim))

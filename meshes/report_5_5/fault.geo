@@ -3,7 +3,7 @@ joints = 6;
 columns = 2;
 length = 1000;
 width = 2000;
-y0 = 0;  // start of the fault
+y0 = -3000;  // start of the fault
 
 For i In {0:2}
   Point(2*i + 1) = {(i - 1)*width, y0, 0};

@@ -1,0 +1,5 @@
+"""python -m fracflow."""
+
+from fracflow.cli import main
+
+main()

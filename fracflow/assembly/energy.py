@@ -1,0 +1,113 @@
+"""The energy books: every term booked over each step with (2.33b), and what is left over.
+
+Running totals, per unit thickness. The balance that must close:
+kinetic + rock_strain + joint_normal + joint_shear + friction + viscous + scheme + spurious + dropped
+    = work_boundaries + work_wells + work_pressure
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.operators import Operators
+from fracflow.state import State
+
+STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "friction", "viscous", "scheme", "spurious", "dropped")
+WORK = ("work_boundaries", "work_wells", "work_pressure")
+ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
+
+
+def empty_books() -> dict[str, float]:
+    """All entries at zero."""
+    return dict.fromkeys(ENTRIES, 0.0)
+
+
+def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
+    """(4.4a) v' M v / 2. Collective."""
+    momentum = velocity.duplicate()
+    operators.mass.mult(velocity, momentum)
+    energy = 0.5 * velocity.dot(momentum)
+    momentum.destroy()
+    return float(energy)
+
+
+def book(operators: Operators, old: State, new: State, dt: float, storage: bool) -> dict[str, float]:
+    """Totals after a step of length ``dt`` from ``old`` to ``new``. Collective.
+
+    With ``storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
+    (``work_pressure``).
+    """
+    ops = operators
+    change = new.motion.displacement - old.motion.displacement
+    mean_acceleration = 0.5 * (new.motion.acceleration + old.motion.acceleration)
+    mean_pressure = 0.5 * (new.pressure + old.pressure)
+    term = change.duplicate()
+    parts = _joint_parts(ops, old, new)
+    parts["kinetic"] = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
+    ops.mass.mult(mean_acceleration, term)
+    parts["scheme"] = term.dot(change) - parts["kinetic"]
+    mean_displacement = 0.5 * (new.motion.displacement + old.motion.displacement)
+    ops.stiffness.mult(mean_displacement, term)
+    parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
+    parts["work_boundaries"] = 0.5 * sum(
+        vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
+    )
+    if ops.flow is not None:
+        parts |= _fluid_parts(ops, old, new, change, mean_pressure, dt, storage)
+        parts["scheme"] += parts.pop("fluid_scheme", 0.0)
+    for vector in (change, mean_acceleration, mean_pressure, mean_displacement, term):
+        vector.destroy()
+    totals = {name: old.energy[name] + parts.get(name, 0.0) for name in ENTRIES}
+    return _with_residuals(totals)
+
+
+def drop_motion(totals: Mapping[str, float], lost: float) -> dict[str, float]:
+    """Totals after kinetic energy ``lost`` is given up on a switch to a stage without inertia."""
+    return _with_residuals({**totals, "kinetic": totals["kinetic"] - lost, "dropped": totals["dropped"] + lost})
+
+
+def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
+    left = sum(totals[name] for name in STORED) - sum(totals[name] for name in WORK)
+    return {**totals, "residual": left, "residual_closed": left - totals["joint_normal"] + totals["joint_normal_closed"]}
+
+
+def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
+    """(2.27) with (2.33b): normal and elastic shear work, and the plastic one; and the closed form of the first two."""
+    weights, before, after = ops.joints.weights[:, None], old.sections, new.sections
+    traction = 0.5 * weights * (before.traction + after.traction)
+    plastic = traction * (after.inelastic - before.inelastic)
+    elastic = traction * (after.strain - before.strain) - plastic
+    stored = np.sum(ops.joints.weights * (after.stored - before.stored))
+    local = np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored])
+    normal, shear, friction, closed = ops.layout.comm.allreduce(local)
+    return {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
+
+
+def _fluid_parts(
+    ops: Operators, old: State, new: State, change: PETSc.Vec, pressure: PETSc.Vec, dt: float, storage: bool
+) -> dict[str, float]:
+    assert ops.flow is not None
+    rate = pressure.duplicate()
+
+    def volume(matrix: PETSc.Mat, motion: PETSc.Vec) -> float:
+        matrix.multTranspose(motion, rate)
+        return float(rate.dot(pressure))
+
+    pushed = volume(ops.flow.push, change)
+    parts = {
+        "viscous": 0.5 * dt * sum(state.forces.conduction.dot(pressure) for state in (old, new)),
+        "work_wells": 0.5 * dt * sum(state.forces.source.dot(pressure) for state in (old, new)),
+    }
+    if storage:
+        swept = volume(ops.flow.squeeze, change)
+        mean_velocity = 0.5 * (new.motion.velocity + old.motion.velocity)
+        parts["spurious"] = swept - pushed
+        parts["fluid_scheme"] = dt * volume(ops.flow.squeeze, mean_velocity) - swept
+        mean_velocity.destroy()
+    else:
+        parts["work_pressure"] = pushed
+    rate.destroy()
+    return parts

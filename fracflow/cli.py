@@ -1,0 +1,129 @@
+"""The command line: fracflow run, check, mesh, picture, schema."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from fracflow.errors import InputError, SolveError
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
+SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="path.to.key=value; arrays by the name of their entry")]
+Output = Annotated[Path | None, typer.Option("-o", "--output", help="run folder; by default runs/<name of the scene's folder>")]
+
+
+@app.command("run", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def run_command(context: typer.Context, scene: SceneFile, output: Output = None, set_: Overrides = None) -> None:
+    """Run a scene, alone or under mpirun; what follows -- goes to PETSc."""
+    from fracflow._petsc import MPI, PETSc
+
+    petsc_options(PETSc, context.args)
+    from fracflow import run as runner
+    from fracflow.scene import load
+
+    comm = MPI.COMM_WORLD
+    given = load(scene, set_ or [])
+    folder = output or Path("runs") / scene.resolve().parent.name
+    quiet = comm.rank > 0
+    console = Console(quiet=quiet, highlight=False)
+    total = sum(stage.steps or 0 for stage in given.stage) or None
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} steps"), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as bar:
+        task = bar.add_task(given.title or str(scene), total=total)
+        totals = runner.run(given, folder, comm, lambda stage, time, state: bar.advance(task))
+    if comm.rank == 0:
+        from fracflow.output.pictures import draw
+        from fracflow.output.tell import tell
+
+        tell(folder, console)
+        console.print(f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations")
+        if given.output.pictures:
+            for path in draw(folder):
+                console.print(f"picture: {path}", soft_wrap=True)
+
+
+@app.command()
+def check(
+    scene: SceneFile, set_: Overrides = None, as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False
+) -> None:
+    """Validate a scene; print what will be modelled and what left out."""
+    from fracflow.plan import as_records, decide
+    from fracflow.scene import load
+
+    decisions = decide(load(scene, set_ or []))
+    if as_json:
+        typer.echo(json.dumps(as_records(decisions), indent=1))
+        return
+    for decision in decisions:
+        verb = "left out" if decision.left_out else "kept"
+        typer.echo(f"{decision.part}: {verb} ({decision.criterion}: {decision.value})")
+
+
+@app.command("mesh")
+def mesh_command(scene: SceneFile, set_: Overrides = None) -> None:
+    """Mesh and split only, with a summary."""
+    from fracflow.mesh.split import summary
+    from fracflow.run_setup import read_split
+    from fracflow.scene import load
+
+    for key, value in summary(read_split(load(scene, set_ or []))).items():
+        typer.echo(f"{key}: {value}")
+
+
+@app.command()
+def picture(folder: Annotated[Path, typer.Argument(help="a run folder")]) -> None:
+    """Draw the pictures of a run again."""
+    from fracflow.output.pictures import draw
+
+    for path in draw(folder):
+        typer.echo(str(path))
+
+
+@app.command()
+def schema() -> None:
+    """Every key of a scene, as JSON schema."""
+    from fracflow.scene import Scene
+
+    typer.echo(json.dumps(Scene.json_schema(), indent=1))
+
+
+def petsc_options(petsc: object, words: list[str]) -> None:
+    """Put options such as ``-solid_pc_type cholesky`` into PETSc's database. Raises InputError for stray words."""
+    database = petsc.Options()  # type: ignore[attr-defined]
+    words = [word for word in words if word != "--"]
+    while words:
+        key = words.pop(0)
+        if not key.startswith("-"):
+            raise InputError(f"command line: {key}: not a PETSc option; they start with - and follow --")
+        is_value = bool(words) and (not words[0].startswith("-") or words[0][1:2].isdigit())
+        database.setValue(key.lstrip("-"), words.pop(0) if is_value else "")
+
+
+def main() -> None:
+    """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
+    try:
+        app(standalone_mode=True)
+    except InputError as error:
+        _stop(str(error), 2)
+    except SolveError as error:
+        _stop(str(error), 3)
+    except KeyboardInterrupt:
+        _stop("interrupted", 130)
+
+
+def _stop(message: str, code: int) -> None:
+    rank = 0
+    if "fracflow._petsc" in sys.modules:
+        from fracflow._petsc import MPI
+
+        rank = MPI.COMM_WORLD.rank
+    if rank == 0:
+        print(f"fracflow: {' '.join(message.split())}", file=sys.stderr, flush=True)
+    sys.exit(code)

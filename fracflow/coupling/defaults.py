@@ -1,0 +1,42 @@
+"""PETSc options of each solver, by prefix. The scene's [petsc] table overrides them, the command line comes last."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from fracflow._petsc import PETSc
+
+Value = str | float | int | bool
+
+DIRECT: dict[str, Value] = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+
+_SPLITS: dict[str, Value] = {
+    f"fieldsplit_{part}_{key}": value for part in ("solid", "flow") for key, value in DIRECT.items()
+}
+
+OPTIONS: dict[str, dict[str, Value]] = {
+    "monolithic": {
+        "ksp_type": "fgmres",
+        "ksp_rtol": 1e-9,
+        "ksp_max_it": 100,
+        "ksp_gmres_restart": 100,
+        "pc_type": "fieldsplit",
+        "pc_fieldsplit_type": "schur",
+        "pc_fieldsplit_schur_fact_type": "full",
+        "pc_fieldsplit_schur_precondition": "selfp",
+        **_SPLITS,
+    },
+    "whole-lu": dict(DIRECT),
+    "solid": dict(DIRECT),
+    "flow": dict(DIRECT),
+}
+"""Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""
+
+
+def set_defaults(given: Mapping[str, Value]) -> None:
+    """Put the defaults and the scene's own options into PETSc's database; those of the command line stay."""
+    database = PETSc.Options()
+    merged = {f"{prefix}_{key}": value for prefix, options in OPTIONS.items() for key, value in options.items()}
+    for key, value in {**merged, **given}.items():
+        if not database.hasName(key):
+            database.setValue(key, value)

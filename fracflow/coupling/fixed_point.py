@@ -1,0 +1,122 @@
+"""(4.5) The report's staggered cycle: the flow with the walls held, then the solid with the pressures held.
+
+An error in the pressures goes through a cycle multiplied by J_pp^-1 J_pu J_uu^-1 J_up, blocks of the joint Jacobian. Its
+spectral radius, found by power iteration before the first cycle of a step, predicts whether (4.5) converges at all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.loads import Loads
+from fracflow.assembly.operators import Operators
+from fracflow.coupling.joined_matrix import JoinedMatrix
+from fracflow.coupling.newton import Newton
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.errors import SolveError
+from fracflow.scene import Scene
+from fracflow.state import StepReport
+
+POWER_ITERATIONS = 40
+
+
+class FixedPoint:
+    """The cycle (4.5a,b) until the pressures stand still and both balances hold."""
+
+    def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
+        """Make one matrix and solver for each split. Collective."""
+        self.scene = scene
+        self.joint_matrix = JoinedMatrix(operators, loads)
+        self.solid_matrix = JoinedMatrix(operators, loads)
+        self.flow_matrix = JoinedMatrix(operators, loads)
+        self.solid = Newton(scene, self.solid_matrix, "solid", "solid")
+        self.flow = Newton(scene, self.flow_matrix, "flow", "flow")
+        self.predicted: dict[float, float] = {}
+
+    def solve(self, problem: StepProblem) -> StepReport:
+        """Cycle until converged. Raises SolveError with the predicted and measured factor, on every rank. Collective."""
+        accuracy = self.scene.accuracy
+        newton = krylov = fills = 0
+        factor = self._prediction(problem)
+        changes: list[float] = []
+        problem.branch = problem.state.sections.past
+        for cycle in range(1, accuracy.max_cycles + 1):
+            before = problem.pressure.copy()
+            try:
+                reports = [self.flow.solve(problem), self.solid.solve(problem)]
+            except SolveError as error:
+                before.destroy()
+                raise SolveError(self._diverged(problem, factor, changes) + f" (in cycle {cycle}: {error})") from error
+            newton += sum(r.newton for r in reports)
+            krylov += sum(r.krylov for r in reports)
+            fills += sum(r.fills for r in reports)
+            before.axpy(-1.0, problem.pressure)
+            changes.append(before.norm(PETSc.NormType.INFINITY))
+            before.destroy()
+            size = max(problem.pressure.norm(PETSc.NormType.INFINITY), 1e-300)
+            if changes[-1] <= accuracy.pressure * size and problem.residual.flow <= np.sqrt(accuracy.residual):
+                residual = problem.residual
+                return StepReport(newton, krylov, cycle, fills, residual.solid, residual.flow)
+            growing = len(changes) > 3 and changes[-1] > changes[-2] > changes[-3]
+            if growing or not np.isfinite(changes[-1]):
+                raise SolveError(self._diverged(problem, factor, changes))
+        raise SolveError(self._diverged(problem, factor, changes))
+
+    def _diverged(self, problem: StepProblem, factor: float, changes: list[float]) -> str:
+        ratios = [b / a for a, b in zip(changes[:-1], changes[1:], strict=True) if a > 0.0]
+        measured = f"{ratios[-1]:.3g} measured" if ratios else "none measured"
+        verdict = "diverges" if factor >= 1.0 else f"did not converge in {len(changes)} cycles"
+        return (
+            f'time {problem.time:.6g}: coupling = "fixed-point" {verdict}: the error of the pressures is multiplied by'
+            f" {factor:.3g} a cycle (predicted; {measured}), it must be below 1: set method.coupling"
+            ' = "monolithic"; a smaller time_step does not help'
+        )
+
+    def _prediction(self, problem: StepProblem) -> float:
+        """Spectral radius of one cycle, linearised where the step starts; once for each alpha_1. Collective."""
+        if problem.alphas.a1 in self.predicted:
+            return self.predicted[problem.alphas.a1]
+        problem.evaluate()
+        self.joint_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale())
+        splits = self.joint_matrix.layout.index_sets()
+        blocks = [[self.joint_matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
+        factor = spectral_radius(blocks)
+        for thing in [*splits, *blocks[0], *blocks[1]]:
+            thing.destroy()
+        self.predicted[problem.alphas.a1] = factor
+        return factor
+
+    def destroy(self) -> None:
+        """Free matrices and solvers. Collective."""
+        for thing in (self.solid, self.flow, self.joint_matrix, self.solid_matrix, self.flow_matrix):
+            thing.destroy()
+
+
+def spectral_radius(blocks: list[list[PETSc.Mat]]) -> float:
+    """Largest factor of J_pp^-1 J_pu J_uu^-1 J_up, by power iteration. Collective."""
+    solvers = []
+    for i in range(2):
+        solver = PETSc.KSP().create(comm=blocks[i][i].getComm())
+        solver.setOperators(blocks[i][i])
+        solver.setOptionsPrefix("solid_" if i == 0 else "flow_")
+        solver.setFromOptions()
+        solvers.append(solver)
+    pressure, rate = blocks[1][1].createVecs()
+    wall, force = blocks[0][0].createVecs()
+    first = pressure.getOwnershipRange()[0]
+    pressure.setArray(1.0 + 0.1 * np.cos(1.0 + first + np.arange(pressure.getLocalSize())))
+    radius = 0.0
+    for _ in range(POWER_ITERATIONS):
+        size = pressure.norm()
+        if size == 0.0:
+            break
+        pressure.scale(1.0 / size)
+        blocks[0][1].mult(pressure, force)
+        solvers[0].solve(force, wall)
+        blocks[1][0].mult(wall, rate)
+        solvers[1].solve(rate, pressure)
+        radius = pressure.norm()
+    for thing in (*solvers, pressure, rate, wall, force):
+        thing.destroy()
+    return float(radius)

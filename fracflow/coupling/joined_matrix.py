@@ -1,0 +1,160 @@
+"""The Jacobian of a step over all unknowns: one sparse matrix on a fixed pattern, refilled when a tangent has changed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.flow import Conduction
+from fracflow.assembly.joints import section_groups
+from fracflow.assembly.layout import Rows, add_blocks, create_matrix, local_rows
+from fracflow.assembly.loads import Loads
+from fracflow.assembly.operators import Operators
+from fracflow.elements import flow as flow_element
+from fracflow.mesh.blocks import owner_of, petsc_ints
+from fracflow.mesh.data import Floats, Ints
+from fracflow.stepping import Alphas
+
+PARTS = ("solid", "flow")
+
+
+class JoinedMatrix:
+    """Matrix [[A, -B], [alpha_1 B_F' + dK_F p/du, K_F]] in scaled unknowns, rows of what is held replaced by 1.
+
+    ``only`` leaves one of the two splits free, "solid" or "flow"; None both.
+    """
+
+    def __init__(self, operators: Operators, loads: Loads) -> None:
+        """Find the pattern and place the constant operators on it. Collective."""
+        self.operators, self.layout = operators, operators.layout
+        ops, layout = operators, operators.layout
+        jump = ops.joints.jump.transposeMatMult(ops.joints.jump)
+        parts = {
+            "stiffness": self._place(local_rows(ops.stiffness), "solid", "solid"),
+            "mass": self._place(local_rows(ops.mass), "solid", "solid"),
+            "jump": self._place(local_rows(jump), "solid", "solid"),
+        }
+        jump.destroy()
+        if ops.flow is not None:
+            squeeze, pattern = ops.flow.squeeze.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
+            network = self._network_pattern()
+            parts |= {
+                "push": self._place(local_rows(ops.flow.push), "solid", "flow"),
+                "squeeze": self._place(local_rows(squeeze), "flow", "solid"),
+                "feedback": self._place(local_rows(pattern), "flow", "solid"),
+                "network": self._place(local_rows(network), "flow", "flow"),
+            }
+            for matrix in (squeeze, pattern, network):
+                matrix.destroy()
+        self.rows_here = layout.solid_count + layout.flow_count
+        diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
+        keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
+        union = np.unique(np.concatenate([diagonal, *keys.values()]))
+        self._row, self._col = union // layout.total, union % layout.total
+        self._diagonal = np.searchsorted(union, diagonal)
+        self._constant = {}
+        for name in ("stiffness", "mass", "push", "squeeze"):
+            if name in parts:
+                self._constant[name] = np.zeros(len(union))
+                self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
+        self._indptr = petsc_ints(np.searchsorted(self._row, np.arange(self.rows_here + 1)))
+        local = (self.rows_here, layout.total)
+        csr = (self._indptr, petsc_ints(self._col), np.zeros(len(union)))
+        self.matrix = PETSc.Mat().createAIJ((local, local), csr=csr, comm=layout.comm)
+        self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
+        self._prepare_blocks()
+        self._filled: tuple[object, ...] | None = None
+        self.fills = 0
+
+    def _place(self, rows: Rows, row_part: str, col_part: str) -> Rows:
+        layout = self.layout
+        offset = 0 if row_part == "solid" else layout.solid_count
+        number = layout.solid_numbers if col_part == "solid" else layout.flow_numbers
+        return Rows(rows.rows + offset, number(rows.cols), rows.values)
+
+    def _network_pattern(self) -> PETSc.Mat:
+        size = (self.layout.flow_count, int(self.layout.flow_starts[-1]))
+        matrix = create_matrix((size, size), 8, self.layout.comm)
+        flow = self.operators.blocks.joints.flow
+        add_blocks(matrix, flow, flow, np.ones((len(flow), 2, 2)))
+        matrix.assemble()
+        return matrix
+
+    def _prepare_blocks(self) -> None:
+        ops, layout = self.operators, self.layout
+        self._sections = [layout.solid_numbers(group.unknowns) for group in ops.joints.groups]
+        self._ends: list[tuple[Ints, Ints, Floats]] = []
+        if ops.flow is not None:
+            self._flow_nodes = layout.flow_numbers(ops.blocks.joints.flow)
+            for group in section_groups(ops.flow.opening, 1):
+                self._ends.append((group.sections, layout.solid_numbers(group.unknowns), group.jump[:, 0]))
+
+    def _is_held(self, numbers: Ints, only: str | None) -> np.ndarray:
+        held = np.isin(numbers, self.fixed)
+        if only is not None:
+            starts = self.layout.solid_starts + self.layout.flow_starts
+            rank = owner_of(starts, numbers)
+            is_solid = numbers - starts[rank] < np.diff(self.layout.solid_starts)[rank]
+            held |= is_solid if only == "flow" else ~is_solid
+        return held
+
+    def _free(self, numbers: Ints, only: str | None) -> Ints:
+        return np.where(self._is_held(numbers, only), -1, numbers)
+
+    def fill(
+        self,
+        alphas: Alphas,
+        moduli: Floats,
+        conduction: Conduction | None,
+        flow_scale: float,
+        only: str | None = None,
+    ) -> bool:
+        """Refill where anything differs from the last time; tell whether it did. Collective."""
+        now = (alphas, flow_scale, only)
+        arrays = [moduli] + ([] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure])
+        if conduction is not None and only == "solid":
+            arrays = [moduli]
+        same = (
+            self._filled is not None
+            and self._filled[:3] == now
+            and all(np.array_equal(a, b) for a, b in zip(arrays, self._filled[3:], strict=True))
+        )
+        if self.layout.comm.allreduce(same, op=MPI.LAND):
+            return False
+        self._filled = (*now, *[a.copy() for a in arrays])
+        self._refill(alphas, moduli, conduction, flow_scale, only)
+        self.fills += 1
+        return True
+
+    def _refill(
+        self, alphas: Alphas, moduli: Floats, conduction: Conduction | None, flow_scale: float, only: str | None
+    ) -> None:
+        ops, scales, matrix = self.operators, self.operators.scales, self.matrix
+        solid_solid = scales.displacement / scales.force
+        data = solid_solid * (self._constant["stiffness"] + alphas.a0 * self._constant["mass"])
+        if ops.flow is not None:
+            data -= scales.pressure / scales.force * self._constant["push"]
+            data += scales.displacement / flow_scale * alphas.a1 * self._constant["squeeze"]
+        data[self._is_held(self._col, only) | self._is_held(self._row + self.layout.start, only)] = 0.0
+        held = self._is_held(self.layout.start + np.arange(self.rows_here), only)
+        data[self._diagonal[held]] = 1.0
+        matrix.setValuesCSR(self._indptr, petsc_ints(self._col), data)
+        matrix.assemble()
+        for numbers, (_, values) in zip(self._sections, ops.joints.tangent(moduli), strict=True):
+            free = self._free(numbers, only)
+            add_blocks(matrix, free, free, solid_solid * values)
+        if ops.flow is not None and conduction is not None:
+            flow_flow = scales.pressure / flow_scale
+            nodes = self._free(self._flow_nodes, only)
+            add_blocks(matrix, nodes, nodes, flow_flow * flow_element.conductivity(conduction.conductance))
+            slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
+            for ends, unknowns, normal in self._ends:
+                joint, end = ends // 2, ends % 2
+                values = slope[joint, :, end][:, :, None] * normal[:, None, :]
+                factor = scales.displacement / flow_scale
+                add_blocks(matrix, nodes[joint], self._free(unknowns, only), factor * values)
+        matrix.assemble()
+
+    def destroy(self) -> None:
+        """Free the matrix. Collective."""
+        self.matrix.destroy()

@@ -1,0 +1,39 @@
+"""Both balances solved together: FGMRES with PCFIELDSPLIT over the solid and flow splits, or LU of the whole matrix."""
+
+from __future__ import annotations
+
+from fracflow.assembly.loads import Loads
+from fracflow.assembly.operators import Operators
+from fracflow.coupling.joined_matrix import JoinedMatrix
+from fracflow.coupling.newton import Newton
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.scene import Scene
+from fracflow.state import StepReport
+
+
+class Monolithic:
+    """Newton's method over displacements and pressures; a dry scene has the solid alone."""
+
+    prefix = "monolithic"
+
+    def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
+        """Make matrix and solver, kept for the whole run. Collective."""
+        self.matrix = JoinedMatrix(operators, loads)
+        self.newton = Newton(scene, self.matrix, self.prefix if operators.flow is not None else "solid")
+
+    def solve(self, problem: StepProblem) -> StepReport:
+        """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
+        report = self.newton.solve(problem)
+        residual = problem.residual
+        return StepReport(report.newton, report.krylov, 1, report.fills, residual.solid, residual.flow)
+
+    def destroy(self) -> None:
+        """Free matrix and solver. Collective."""
+        self.newton.destroy()
+        self.matrix.destroy()
+
+
+class WholeLU(Monolithic):
+    """The same with LU of the whole matrix."""
+
+    prefix = "whole-lu"

@@ -1,0 +1,188 @@
+"""(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
+
+solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p - R = 0
+flow   B_F' v + K_F(u) p - Q = 0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.flow import Conduction
+from fracflow.assembly.loads import Loads
+from fracflow.assembly.operators import Operators
+from fracflow.errors import SolveError
+from fracflow.state import Forces, Motion, Past, Sections, State
+from fracflow.stepping import Alphas, acceleration, velocity
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Sizes of what is out of balance: largest entry over the largest of the terms that should balance, and (4.9a).
+
+    solid, flow      largest entry, relative
+    out_of_balance   Euclidean norm of the solid balance [force per thickness]
+    """
+
+    solid: float
+    flow: float
+    out_of_balance: float
+
+
+class StepProblem:
+    """One step from ``state``: what is given, and the balances at a trial. Writes nothing into the state."""
+
+    def __init__(
+        self,
+        operators: Operators,
+        loads: Loads,
+        state: State,
+        alphas: Alphas,
+        time: float,
+        controls: Mapping[str, float],
+    ) -> None:
+        """Sample loads and wells at the end of the step. Collective."""
+        self.operators, self.loads, self.state = operators, loads, state
+        self.alphas, self.time, self.controls = alphas, time, controls
+        layout = operators.layout
+        self.load, self.source = layout.solid_vector(), layout.flow_vector()
+        loads.force(time, controls, self.load)
+        loads.source(time, controls, self.source)
+        self.displacement = state.motion.displacement.copy()
+        self.pressure = state.pressure.copy()
+        loads.impose(time, self.displacement, self.pressure)
+        self.branch: Past = state.sections.past
+        self.sections: Sections = state.sections
+        self.conduction: Conduction | None = None
+        self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
+        self.residual = Residual(np.inf, np.inf, np.inf)
+
+    def evaluate(self) -> None:
+        """Balances at the present trial, every section with its status in ``branch``. Collective."""
+        ops, u, p = self.operators, self.displacement, self.pressure
+        strain = ops.joints.strain(u)
+        self.sections = ops.joints.respond(strain, self.branch, hold=True)
+        solid, terms = self.solid_balance, [self.load.norm(PETSc.NormType.INFINITY)]
+        solid.set(0.0)
+        term = solid.duplicate()
+
+        def add(scale: float) -> None:
+            terms.append(term.norm(PETSc.NormType.INFINITY))
+            solid.axpy(scale, term)
+
+        motion = acceleration(self.alphas, u, self.state.motion)
+        ops.mass.mult(motion, term)
+        add(1.0)
+        ops.stiffness.mult(u, term)
+        add(1.0)
+        ops.prestress.copy(term)
+        add(1.0)
+        term.set(0.0)
+        ops.joints.force(self.sections.traction, term)
+        add(1.0)
+        flow_terms = [1e-300]
+        if ops.flow is not None:
+            ops.flow.push.mult(p, term)
+            add(-1.0)
+            flow_terms = self._flow_balance()
+        solid.axpy(-1.0, self.load)
+        motion.destroy()
+        term.destroy()
+        self._hold()
+        self._measure(max(terms), max(flow_terms))
+
+    def _flow_balance(self) -> list[float]:
+        flow, network = self.flow_balance, self.operators.flow
+        assert network is not None
+        speed = velocity(self.alphas, self.displacement, self.state.motion)
+        network.squeeze.multTranspose(speed, flow)
+        terms = [flow.norm(PETSc.NormType.INFINITY), self.source.norm(PETSc.NormType.INFINITY)]
+        self.conduction = network.conduct(self.displacement, self.pressure)
+        network.outflow(self.conduction, flow)
+        flow.axpy(-1.0, self.source)
+        speed.destroy()
+        # what an element carries at full pressure: the size of the terms whose difference is its flow
+        through = np.abs(self.conduction.conductance[:, None] * self.conduction.pressure).max(initial=0.0)
+        return [*terms, self.operators.layout.comm.allreduce(float(through), op=MPI.MAX)]
+
+    def _hold(self) -> None:
+        for vector, parts in ((self.solid_balance, self.loads.supports), (self.flow_balance, self.loads.pressures)):
+            local = vector.getArray()
+            for part in parts:
+                local[part.numbers] = 0.0
+
+    def _measure(self, solid_terms: float, flow_terms: float) -> None:
+        scales = self.operators.scales
+        solid = self.solid_balance.norm(PETSc.NormType.INFINITY) / max(solid_terms, scales.force)
+        flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / flow_terms if self.operators.flow is not None else 0.0
+        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2))
+        if not np.isfinite(solid + flow):
+            raise SolveError(f"time {self.time:.6g}: the joint laws gave no finite traction (a joint closed beyond its aperture)")
+
+    def flow_scale(self) -> float:
+        """Size of a volume rate, by which rows of the flow are divided. Collective."""
+        if self.conduction is None:
+            return 1.0
+        scales, comm = self.operators.scales, self.operators.layout.comm
+        largest = comm.allreduce(float(self.conduction.conductance.max(initial=0.0)), op=MPI.MAX)
+        scale = max(self.alphas.a1 * scales.length * scales.displacement, largest * scales.pressure)
+        return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
+
+    def change_statuses(self) -> np.ndarray:
+        """Give every section that has left its status the next one; tell which (s,) of this rank did."""
+        joints = self.operators.joints
+        reached = joints.respond(self.sections.strain, self.branch).past
+        changed = np.zeros(len(self.sections.strain), dtype=bool)
+        for group, old, new in zip(joints.laws, self.branch, reached, strict=True):
+            for name in group.law.status:
+                differs = (np.sign(old[name]) != np.sign(new[name])).reshape(len(group.sections), -1).any(axis=1)
+                changed[group.sections] |= differs
+        self.branch = joints.follow(self.state.sections.past, reached)
+        return changed
+
+    def accept(self, energy: Mapping[str, float]) -> State:
+        """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
+        u, p = self.displacement, self.pressure
+        motion = Motion(
+            u.copy(),
+            velocity(self.alphas, u, self.state.motion),
+            acceleration(self.alphas, u, self.state.motion),
+        )
+        return State(self.time, motion, p.copy(), self.sections, self.forces(motion), dict(self.controls), energy)
+
+    def forces(self, motion: Motion) -> Forces:
+        """Terms of both balances with the reactions of what is held. Collective."""
+        ops = self.operators
+        support, term = ops.layout.solid_vector(), ops.layout.solid_vector()
+        ops.mass.mult(motion.acceleration, support)
+        ops.stiffness.multAdd(motion.displacement, support, support)
+        support.axpy(1.0, ops.prestress)
+        ops.joints.force(self.sections.traction, support)
+        support.axpy(-1.0, self.load)
+        conduction, source = ops.layout.flow_vector(), self.source.copy()
+        if ops.flow is not None:
+            ops.flow.push.mult(self.pressure, term)
+            support.axpy(-1.0, term)
+            assert self.conduction is not None
+            ops.flow.outflow(self.conduction, conduction)
+            drawn = ops.layout.flow_vector()
+            ops.flow.squeeze.multTranspose(motion.velocity, drawn)
+            drawn.axpy(1.0, conduction)
+            for part in self.loads.pressures:
+                source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
+            drawn.destroy()
+        held = np.zeros(ops.layout.solid_count, dtype=bool)
+        for part in self.loads.supports:
+            held[part.numbers] = True
+        support.getArray()[~held] = 0.0
+        term.destroy()
+        return Forces(self.load.copy(), support, conduction, source)
+
+    def destroy(self) -> None:
+        """Free the vectors of the trial."""
+        for vector in (self.load, self.source, self.displacement, self.pressure, self.solid_balance, self.flow_balance):
+            vector.destroy()

@@ -1,0 +1,45 @@
+"""The end of a run in words: the energy books and what slipped."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from fracflow.output.events import read_events
+from fracflow.output.history import read_attributes, read_history
+
+BOOKS = (
+    "kinetic", "rock_strain", "joint_normal", "joint_shear", "friction", "viscous", "scheme", "spurious", "dropped",
+    "work_boundaries", "work_wells", "work_pressure", "residual", "residual_closed",
+)  # fmt: skip
+MOST_EVENTS = 20
+
+
+def tell(folder: Path, console: Console) -> None:
+    """Print books and events of a run folder."""
+    history = read_history(folder / "history.h5")
+    units = read_attributes(folder / "history.h5")["units"]
+    units = json.loads(units) if isinstance(units, str) else units
+    title = f"Energy books [{units['force']} {units['length']} per {units['length']} of thickness]"
+    table = Table("entry", "at the end", "largest", title=title)
+    for name in BOOKS:
+        values = history[f"energy/{name}"]
+        table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
+    console.print(table)
+    events = read_events(folder / "events.csv")
+    if not events:
+        console.print("nothing slipped or opened")
+        return
+    slips = Table("what", "fracture", "node", "probe", "from", "to", "slip", title="What slipped and when")
+    for event in events[:MOST_EVENTS]:
+        end = "" if event["end"] is None else f"{event['end']:.6g}"
+        slips.add_row(
+            event["kind"], event["fracture"], str(event["node"]), event["probe"], f"{event['start']:.6g}", end, f"{event['slip']:.4e}"
+        )
+    console.print(slips)
+    if len(events) > MOST_EVENTS:
+        console.print(f"and {len(events) - MOST_EVENTS} more in {folder / 'events.csv'}")

@@ -1,0 +1,201 @@
+"""From a scene to operators and the state at rest: everything before the first step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.energy import empty_books
+from fracflow.assembly.loads import Loads, Prescribed, assemble_loads
+from fracflow.assembly.operators import Operators, assemble
+from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.mesh.distribute import distribute
+from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place
+from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh, read_traces_csv
+from fracflow.mesh.split import split
+from fracflow.scene import Scene
+from fracflow.state import Forces, Motion, State
+from fracflow.tables import FractureEnd
+
+EQUILIBRIUM = 1e-9  # of the natural force of a joint
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where the scene's names sit: flow nodes of wells, places of probes, split nodes of points, dead components."""
+
+    wells: Mapping[str, int]
+    probes: Mapping[str, FracturePlace | RockPlace]
+    points: Mapping[str, Ints]
+    closed: Ints
+
+
+@dataclass(frozen=True)
+class Model:
+    """A scene made ready: ``mesh`` is on rank 0 only. ``steady_loads`` also hold the pressure of closed, dry components."""
+
+    scene: Scene
+    mesh: SplitMesh | None
+    placed: Placed
+    operators: Operators
+    loads: Loads
+    steady_loads: Loads
+
+
+def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
+    """Do ``work`` on rank 0; an InputError there is raised on every rank. Collective."""
+    result, message = None, None
+    if comm.rank == 0:
+        try:
+            result = work()
+        except InputError as error:
+            message = str(error)
+    message = comm.bcast(message, root=0)
+    if message is not None:
+        raise InputError(message)
+    return result
+
+
+def read_split(scene: Scene) -> SplitMesh:
+    """Read or build the mesh and split it. Raises InputError."""
+    names = [name for name in scene.fracture if name != "default"]
+    if scene.mesh_path is not None:
+        raw = read_mesh(scene.mesh_path, [*names, *(["default"] if "default" in scene.fracture else [])])
+    else:
+        geometry = scene.geometry
+        assert geometry is not None
+        traces = [(f.name, np.array(f.points, dtype=float)) for f in geometry.fracture]
+        if scene.fractures_path is not None:
+            traces += read_traces_csv(scene.fractures_path)
+        raw = build_mesh(
+            GeometrySpec(
+                np.array(geometry.domain, dtype=float), tuple(traces), geometry.size, geometry.size_at_fractures, geometry.cells
+            )
+        )
+    mesh = split(raw)
+    scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
+    return mesh
+
+
+def place(scene: Scene, mesh: SplitMesh) -> Placed:
+    """Find wells, probes and points on the mesh. Raises InputError."""
+
+    def at(where: object) -> object:
+        return (where.fracture, where.end) if isinstance(where, FractureEnd) else where
+
+    wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
+    probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
+    points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
+    return Placed(wells, probes, points, closed_components(scene, mesh, wells))
+
+
+def closed_components(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> Ints:
+    """Flow nodes of hydraulic components without a prescribed pressure and without wells.
+
+    Raises InputError where a steady stage would have to pump into a component that nothing drains.
+    """
+    count = len(mesh.flow_origin)
+    if not scene.has_flow or not count:
+        return np.zeros(0, dtype=np.int64)
+    links = sparse.coo_matrix((np.ones(len(mesh.joint_flow)), tuple(mesh.joint_flow.T)), shape=(count, count))
+    label = connected_components(links, directed=False)[1]
+    drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
+    pumped = {int(label[wells[w.name]]): w.name for w in scene.well if w.pressure is None}
+    if any(stage.kind == "steady" for stage in scene.stage):
+        for component, name in pumped.items():
+            if component not in drained:
+                inside = np.unique(mesh.joint_fracture[label[mesh.joint_flow[:, 0]] == component])
+                fractures = ", ".join(mesh.fractures[i] for i in inside)
+                raise InputError(
+                    f"well.{name}: a steady stage pumps into {fractures}, which no [[well]] with a pressure drains:"
+                    ' give one, or use kind = "quasi-static", whose walls store the fluid'
+                )
+    dry = np.setdiff1d(np.arange(label.max() + 1), [*drained, *pumped])
+    return np.flatnonzero(np.isin(label, dry))
+
+
+def prepare(scene: Scene, comm: MPI.Comm) -> Model:
+    """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective."""
+    mesh = on_root(comm, lambda: read_split(scene))
+    placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
+    assert placed is not None
+    blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid])
+    operators = assemble(blocks, scene)
+    wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
+    numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
+    loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
+    return Model(scene, mesh, placed, operators, loads, _steady_loads(scene, operators, loads, placed.closed))
+
+
+def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:
+    """PETSc numbers of flow nodes given by their original numbers. Collective."""
+    own = blocks.flow.starts[blocks.comm.rank] + np.arange(len(blocks.flow.ids))
+    parts = blocks.comm.allgather([(i, own[blocks.flow.ids == i][0]) for i in np.intersect1d(ids, blocks.flow.ids)])
+    known = {int(i): int(n) for part in parts for i, n in part}
+    return np.array([known[int(i)] for i in ids], dtype=np.int64)
+
+
+def _steady_loads(scene: Scene, operators: Operators, loads: Loads, closed: Ints) -> Loads:
+    if not len(closed) or scene.fluid is None:
+        return loads
+    initial, blocks = scene.fluid.initial_pressure, operators.blocks
+    local = np.flatnonzero(np.isin(blocks.flow.ids, closed))
+    numbers = np.concatenate(blocks.comm.allgather(blocks.flow.starts[blocks.comm.rank] + local))
+    held = Prescribed(local, lambda time: initial)
+    fixed = np.union1d(loads.fixed_flow, operators.layout.flow_numbers(numbers))
+    return replace(loads, pressures=(*loads.pressures, held), fixed_flow=fixed)
+
+
+def rest(model: Model) -> State:
+    """The initial state: at rest, at the initial pressure. Raises InputError where it is out of balance. Collective."""
+    ops, scene = model.operators, model.scene
+    layout = ops.layout
+    motion = Motion(layout.solid_vector(), layout.solid_vector(), layout.solid_vector())
+    pressure = layout.flow_vector()
+    pressure.set(scene.fluid.initial_pressure if scene.fluid is not None else 0.0)
+    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest())
+    refuse_imbalance(model, sections.traction, pressure)
+    forces = Forces(layout.solid_vector(), layout.solid_vector(), layout.flow_vector(), layout.flow_vector())
+    controls = {name: control.initial for name, control in scene.control.items()}
+    return State(0.0, motion, pressure, sections, forces, controls, empty_books())
+
+
+def refuse_imbalance(model: Model, traction: np.ndarray, pressure: PETSc.Vec) -> None:
+    """Raise InputError, on every rank, naming sides and fractures where the initial stress is not carried. Collective."""
+    ops = model.operators
+    balance, term = ops.prestress.copy(), ops.layout.solid_vector()
+    ops.joints.force(traction, balance)
+    model.loads.initial_force(term)
+    balance.axpy(-1.0, term)
+    if ops.flow is not None:
+        ops.flow.push.mult(pressure, term)
+        balance.axpy(-1.0, term)
+    local = balance.getArray()
+    for part in model.loads.supports:
+        local[part.numbers] = 0.0
+    block, starts = ops.blocks.solid, ops.blocks.solid.unknown_starts[ops.blocks.comm.rank]
+    bad = np.flatnonzero(np.abs(local) > EQUILIBRIUM * ops.scales.force)
+    nodes = np.flatnonzero(np.isin(block.unknown[: block.owned] - starts, bad).any(axis=1))
+    sides = {block.sides[s] for s in block.side_of[np.isin(block.side_facets, nodes).any(axis=1)]}
+    faces = np.concatenate([ops.blocks.joints.bottom, ops.blocks.joints.top], axis=1)
+    cut = {ops.blocks.joints.fractures[f] for f in ops.blocks.joints.fracture[np.isin(faces, nodes).any(axis=1)]}
+    count = ops.blocks.comm.allreduce(len(bad))
+    names = sorted(set().union(*ops.blocks.comm.allgather(sides | cut)))
+    balance.destroy()
+    term.destroy()
+    if count:
+        raise InputError(
+            f"initial state: out of balance at {count} unknowns, at {', '.join(names) or 'nodes inside the rock'}: a side that"
+            ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
+            " initial tractions must be those of initial_stress and fluid.initial_pressure"
+        )
