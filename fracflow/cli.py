@@ -116,6 +116,20 @@ def main() -> None:
         _stop(str(error), 3)
     except KeyboardInterrupt:
         _stop("interrupted", 130)
+    except Exception:
+        _abort()
+
+
+def _abort() -> None:
+    """A fault of ours on one rank must not leave the others waiting: show it and end them all."""
+    import traceback
+
+    from fracflow._petsc import MPI
+
+    traceback.print_exc()
+    if MPI.COMM_WORLD.size > 1:
+        MPI.COMM_WORLD.Abort(1)
+    sys.exit(1)
 
 
 def _stop(message: str, code: int) -> None:

@@ -134,8 +134,9 @@ def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PET
     ends_of = [np.flatnonzero([not np.isclose(abs(xi), 1.0) or xi == end for end in (-1.0, 1.0)]) for xi in points]
     for point, ends in enumerate(ends_of):
         first = start + (np.arange(len(block.ids)) * len(points) + point) * dim
-        cols = faces[:, :, ends].reshape(len(block.ids), -1)
-        values = shape[:, point][:, :, :, ends].reshape(len(block.ids), dim, -1)
+        width = 2 * len(ends) * dim
+        cols = faces[:, :, ends].reshape(len(block.ids), width)
+        values = shape[:, point][:, :, :, ends].reshape(len(block.ids), dim, width)
         add_blocks(matrix, first[:, None] + np.arange(dim), cols, values)
     matrix.assemble()
     if expand is None:

@@ -19,6 +19,7 @@ from fracflow.scene import Scene
 from fracflow.state import StepReport
 
 POWER_ITERATIONS = 40
+SINGULAR = 1e12  # a factor that only a singular flow matrix makes
 
 
 class FixedPoint:
@@ -39,6 +40,12 @@ class FixedPoint:
         accuracy = self.scene.accuracy
         newton = krylov = fills = 0
         factor = self._prediction(problem)
+        if not np.isfinite(factor):
+            raise SolveError(
+                f'time {problem.time:.6g}: coupling = "fixed-point" cannot work here: part of the network has no prescribed'
+                ' pressure, so its flow has no solution while the walls are held: set method.coupling = "monolithic",'
+                " or give a [[well]] with a pressure"
+            )
         changes: list[float] = []
         problem.branch = problem.state.sections.past
         for cycle in range(1, accuracy.max_cycles + 1):
@@ -55,7 +62,7 @@ class FixedPoint:
             changes.append(before.norm(PETSc.NormType.INFINITY))
             before.destroy()
             size = max(problem.pressure.norm(PETSc.NormType.INFINITY), 1e-300)
-            if changes[-1] <= accuracy.pressure * size and problem.residual.flow <= np.sqrt(accuracy.residual):
+            if changes[-1] <= accuracy.pressure * size and problem.residual.flow <= accuracy.residual:
                 residual = problem.residual
                 return StepReport(newton, krylov, cycle, fills, residual.solid, residual.flow)
             growing = len(changes) > 3 and changes[-1] > changes[-2] > changes[-3]
@@ -117,6 +124,9 @@ def spectral_radius(blocks: list[list[PETSc.Mat]]) -> float:
         blocks[1][0].mult(wall, rate)
         solvers[1].solve(rate, pressure)
         radius = pressure.norm()
+        if radius > SINGULAR or not np.isfinite(radius):
+            radius = np.inf
+            break
     for thing in (*solvers, pressure, rate, wall, force):
         thing.destroy()
     return float(radius)

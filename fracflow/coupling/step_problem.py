@@ -139,8 +139,8 @@ class StepProblem:
         changed = np.zeros(len(self.sections.strain), dtype=bool)
         for group, old, new in zip(joints.laws, self.branch, reached, strict=True):
             for name in group.law.status:
-                differs = (np.sign(old[name]) != np.sign(new[name])).reshape(len(group.sections), -1).any(axis=1)
-                changed[group.sections] |= differs
+                differs = np.sign(old[name]) != np.sign(new[name])
+                changed[group.sections] |= differs if differs.ndim == 1 else differs.any(axis=1)
         self.branch = joints.follow(self.state.sections.past, reached)
         return changed
 

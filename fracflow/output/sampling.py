@@ -47,7 +47,7 @@ def joint_ends(operators: Operators, state: State, flow_depth: float) -> Floats:
         sections.strain[:, 0], sections.strain[:, -1], rate[:, 0], sections.traction[:, 0], sections.traction[:, -1],
         sections.inelastic[:, 0], sections.is_sliding, sections.is_open, sections.utilisation, sections.margin,
     ]  # fmt: skip
-    table = np.stack(columns, axis=-1).astype(float).reshape(count, points, -1)[:, at_end]
+    table = np.stack(columns, axis=-1).astype(float).reshape(count, points, len(columns))[:, at_end]
     fluid = np.full((count, 2, 3), np.nan)
     if operators.flow is not None:
         network = operators.flow.conduct(state.motion.displacement, state.pressure)

@@ -1,0 +1,99 @@
+"""(4.8) The joint Jacobian against differences of the residual, on a network with a crossing, a T and an arc."""
+
+import numpy as np
+import pytest
+from fracflow._petsc import MPI
+from fracflow.coupling.joined_matrix import JoinedMatrix
+from fracflow.coupling.newton import Newton
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.run_setup import prepare, rest
+from fracflow.scene import load
+from fracflow.stepping import Newmark, Steady
+
+
+@pytest.mark.parametrize("model", ["default", "report"])
+@pytest.mark.parametrize("stepper", [Steady(), Newmark()], ids=["steady", "newmark"])
+def test_jacobian_is_the_derivative(stepper, model):
+    overrides = [f"model={model}", "method.tangent=consistent"]
+    scene = load("meshes/crossings/scene.toml", overrides)
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state = rest(prepared)
+    problem = StepProblem(prepared.operators, prepared.loads, state, stepper.alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    matrix = JoinedMatrix(prepared.operators, prepared.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    layout = matrix.layout
+    point, step, plus, minus, product = (layout.joined_vector() for _ in range(5))
+    random = np.random.default_rng(7 + layout.comm.rank)
+    # displacements around a tenth of f_n0/k_n0 and pressures around a tenth of f_n0; what is held stays
+    newton._pack(problem)
+    newton.unknowns.copy(point)
+    point.setArray(point.getArray() + 1e-1 * random.standard_normal(point.getLocalSize()))
+    newton._unpack(point)
+    newton._pack(problem)
+    newton.unknowns.copy(point)
+    local = random.standard_normal(step.getLocalSize())
+    here = layout.start + np.arange(step.getLocalSize())
+    local[np.isin(here, matrix.fixed)] = 0.0
+    step.setArray(local)
+    newton._function(newton.snes, point, product)
+    newton._jacobian(newton.snes, point, matrix.matrix, matrix.matrix)
+    matrix.matrix.mult(step, product)
+    h = 1e-6
+    newton._function(newton.snes, point + h * step, plus)
+    newton._function(newton.snes, point - h * step, minus)
+    difference = (plus - minus) * (0.5 / h)
+    assert product.norm() > 0.0
+    middle = layout.solid_count
+    for part in (slice(None, middle), slice(middle, None)):
+        wrong = np.abs(difference.getArray()[part] - product.getArray()[part]).max(initial=0.0)
+        size = layout.comm.allreduce(np.abs(product.getArray()[part]).max(initial=0.0), op=MPI.MAX)
+        assert layout.comm.allreduce(wrong, op=MPI.MAX) <= 2e-7 * size
+    newton.destroy()
+    matrix.destroy()
+    problem.destroy()
+
+
+def test_flow_volume_balance():
+    """(3.18) Summed over the network, the walls' volume rate is the length integral of the opening rate, to round-off."""
+    scene = load("meshes/crossings/scene.toml")
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    ops = prepared.operators
+    assert ops.flow is not None
+    speed, rates = ops.layout.solid_vector(), ops.layout.flow_vector()
+    speed.setArray(np.random.default_rng(3 + ops.layout.comm.rank).standard_normal(speed.getLocalSize()))
+    ops.flow.squeeze.multTranspose(speed, rates)
+    ends = ops.flow.opening.createVecLeft()
+    ops.flow.opening.mult(speed, ends)
+    walls = (ends.getArray().reshape(-1, 2).sum(axis=1) * ops.flow.length / 2).sum()
+    assert np.isclose(rates.sum(), ops.layout.comm.allreduce(walls), rtol=1e-12)
+    pressure, out = ops.layout.flow_vector(), ops.layout.flow_vector()
+    pressure.setArray(np.random.default_rng(4 + ops.layout.comm.rank).standard_normal(pressure.getLocalSize()))
+    conduction = ops.flow.conduct(speed * 0.0, pressure)
+    ops.flow.outflow(conduction, out)
+    size = ops.layout.comm.allreduce(np.abs(out.getArray()).sum())
+    assert abs(out.sum()) <= 1e-13 * size  # what leaves one node enters another
+
+
+def test_default_pair_is_a_transpose_and_the_reports_is_not():
+    """Design: one matrix in both; the report's (2.37) with (3.16) are not transposes of one another."""
+    for model, same in (("default", True), ("report", False)):
+        ops = prepare(load("meshes/crossings/scene.toml", [f"model={model}"]), MPI.COMM_WORLD).operators
+        assert ops.flow is not None
+        apart = ops.flow.push.copy()
+        apart.axpy(-1.0, ops.flow.squeeze, ops.flow.push.__class__.Structure.DIFFERENT)
+        assert (apart.norm() == 0.0) is same
+
+
+def test_rigid_motion_opens_nothing():
+    """Translation and (linearised) rotation of the whole body: no joint strain, no force of the rock."""
+    ops = prepare(load("meshes/crossings/scene.toml"), MPI.COMM_WORLD).operators
+    block = ops.blocks.solid
+    points = block.points[: block.owned]
+    for motion in (np.tile([1.0, 0.0], (len(points), 1)), np.tile([0.0, 1.0], (len(points), 1)), points[:, ::-1] * [-1, 1]):
+        u, force = ops.layout.solid_vector(), ops.layout.solid_vector()
+        u.setArray(motion.ravel())
+        assert np.abs(ops.joints.strain(u)).max(initial=0.0) <= 1e-12 * np.abs(motion).max(initial=1.0) * 100
+        ops.stiffness.mult(u, force)
+        diagonal = ops.stiffness.getDiagonal().max()[1]
+        assert force.norm(3) <= 1e-12 * diagonal * 200

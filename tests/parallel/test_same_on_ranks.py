@@ -1,0 +1,66 @@
+"""1, 2 and 3 ranks: the same events in the same order, histories equal to 1e-10 of each field's natural size."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from fracflow.output import read_events, read_history
+
+CRACK = ("slip", "plastic_slip", "opening", "displacement", "displacement_bottom")
+SCENES = {  # natural sizes f_n0/k_n0 and f_n0
+    "report_5_2": (1.0, 1.0),
+    "report_5_3": (1.7e-3, 1.7e5),
+    "report_5_5": (1.7e-3, 1.7e5),
+    "crossings": (9e6 / 50e9, 9e6),
+}
+UNSETTLED = 1e-9
+KEPT = (
+    "PATH", "HOME", "PETSC_DIR", "PYTHONPATH", "PYTHONNOUSERSITE", "OMP_NUM_THREADS", "MPLBACKEND", "OMPI_ALLOW_RUN_AS_ROOT",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe",
+)  # fmt: skip
+
+
+def _run(scene, ranks, folder):
+    command = [sys.executable, "-m", "fracflow", "run", f"meshes/{scene}/scene.toml", "-o", str(folder)]
+    mpirun = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
+    clean = {k: v for k, v in os.environ.items() if k in KEPT}  # MPI, initialised here, has put more there
+    done = subprocess.run([*mpirun, *command], capture_output=True, text=True, env=clean, timeout=300, stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, done.stderr
+    return read_history(folder / "history.h5"), read_events(folder / "events.csv")
+
+
+def _compared(name):
+    skip = ("residual", "newton", "krylov", "factorisations", "coupling", "slip_margin")
+    return not any(word in name for word in skip)
+
+
+def _settled(history):
+    """Rows before the first decision nearer to its threshold than arithmetic settles."""
+    close = np.flatnonzero(history["step/slip_margin"] < UNSETTLED)
+    return close[0] if len(close) else len(history["time"])
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("scene", SCENES)
+def test_ranks_agree(scene, tmp_path):
+    length, stress = SCENES[scene]
+    one, events = _run(scene, 1, tmp_path / "1")
+    assert events, "the scene slips"
+    for ranks in (2, 3):
+        many, same = _run(scene, ranks, tmp_path / str(ranks))
+        rows = min(_settled(one), _settled(many))
+        assert rows > 0.5 * len(one["time"]), f"the first {rows} rows alone are settled"
+        until = one["time"][rows - 1]
+        order = [[(e["kind"], e["fracture"], e["node"], e["start"]) for e in log if e["start"] <= until] for log in (events, same)]
+        assert order[0] == order[1]
+        natural = {**dict.fromkeys(CRACK, length), "shear_traction": stress, "normal_traction": stress}
+        sizes = dict(natural)
+        names = [name for name in one if _compared(name)]
+        kind = {n: "energy" if n.startswith("energy/") else n.rsplit("/", 1)[-1] for n in names}
+        for name in names:
+            sizes[kind[name]] = max(sizes.get(kind[name], 0.0), np.nanmax(np.abs(one[name])))
+        for name in names:
+            apart = np.nanmax(np.abs(one[name][:rows] - many[name][:rows]), initial=0.0)
+            assert apart <= 1e-10 * sizes[kind[name]], (scene, ranks, name, apart, sizes[kind[name]])
