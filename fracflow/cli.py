@@ -15,8 +15,12 @@ from fracflow.errors import InputError, SolveError
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", help="path.to.key=value; arrays by the name of their entry")]
-Output = Annotated[Path | None, typer.Option("-o", "--output", help="run folder; by default runs/<name of the scene's folder>")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", help="path.to.key=value; arrays by the name of their entry")
+]
+Output = Annotated[
+    Path | None, typer.Option("-o", "--output", help="run folder; by default runs/<name of the scene's folder>")
+]
 
 
 @app.command("run", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -34,7 +38,12 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     quiet = comm.rank > 0
     console = Console(quiet=quiet, highlight=False)
     total = sum(stage.steps or 0 for stage in given.stage) or None
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} steps"), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed} steps"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as bar:
         task = bar.add_task(given.title or str(scene), total=total)
         totals = runner.run(given, folder, comm, lambda stage, time, state: bar.advance(task))
@@ -43,7 +52,9 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
         from fracflow.output.tell import tell
 
         tell(folder, console)
-        console.print(f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations")
+        console.print(
+            f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
+        )
         if given.output.pictures:
             for path in draw(folder):
                 console.print(f"picture: {path}", soft_wrap=True)
@@ -51,7 +62,9 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
 
 @app.command()
 def check(
-    scene: SceneFile, set_: Overrides = None, as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False
+    scene: SceneFile,
+    set_: Overrides = None,
+    as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
 ) -> None:
     """Validate a scene; print what will be modelled and what left out."""
     from fracflow.plan import as_records, decide

@@ -19,7 +19,7 @@ from fracflow.mesh.locate import FracturePlace
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.plan import as_records, decide, factorisations
 from fracflow.run_setup import Model, prepare, rest
-from fracflow.run_steps import Step, Stepping, run_stage
+from fracflow.run_steps import Step, Stepping, run_stage, stepper_of
 from fracflow.scene import Scene
 from fracflow.state import State, StepReport
 
@@ -75,8 +75,18 @@ class Recorder:
             self.totals.newton += step.report.newton
             self.totals.factorisations += step.report.factorisations
 
-    def close(self) -> None:
-        """Write plan.json and close the files."""
+    def finish(self, seconds: float) -> None:
+        """Write plan.json and the last lines of the log, and close the files."""
+        totals = self.totals
+        if totals.narrowest < NARROW:
+            self.log(
+                f"smallest slip margin {totals.narrowest:.1e} at time {totals.narrow_time:.6g}:"
+                " what follows there is not settled by arithmetic"
+            )
+        self.log(
+            f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
+            f" in {seconds:.2f} s"
+        )
         if self.files is not None:
             decisions = [*decide(self.model.scene), factorisations(self.totals.newton, self.totals.factorisations)]
             self.files.folder.write_plan(as_records(decisions))
@@ -116,10 +126,14 @@ class Files:
             ),
         )
         self.count = len(flow)
-        self.rock = FieldWriter(self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)})
+        self.rock = FieldWriter(
+            self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)}
+        )
         ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
         lines = np.arange(len(ends)).reshape(-1, 2)
-        self.fractures = FieldWriter(self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)})
+        self.fractures = FieldWriter(
+            self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}
+        )
 
     def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
         """One row of history and the events up to it."""
@@ -173,38 +187,30 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
     state = rest(model)
     recorder = Recorder(model, Path(folder), comm)
     sizes = model.operators.blocks.sizes
-    recorder.log(f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s")
+    recorder.log(
+        f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
+        f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
+    )
     stepping = Stepping(model)
     step = Step(state, 0, 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0))
     recorder.record(step)
+    failure: SolveError | None = None
     try:
         for number, stage in enumerate(scene.stage):
             recorder.log(f"stage {number} ({stage.name or stage.kind}) from time {state.time:.6g}")
-            kept = state
-            state = stepping.enter(state, stepper_for(scene, number))
-            del kept
+            state = stepping.enter(state, stepper_of(scene, stage))
             for step in run_stage(stepping, state, number, recorder.log):
                 recorder.record(step)
                 if progress is not None:
                     progress(number, step.state.time, step.state)
                 state.destroy()
                 state = step.state
-    except SolveError as error:
+    except SolveError as error:  # raised on every rank: what follows stays collective
+        failure = error
         recorder.log(f"stopped: {error}")
-        raise
-    finally:
-        recorder.record(Step(state, step.stage, step.dt, step.report), last=True)
-        totals = recorder.totals
-        if totals.narrowest < NARROW:
-            recorder.log(f"smallest slip margin {totals.narrowest:.1e} at time {totals.narrow_time:.6g}: what follows there is not settled by arithmetic")
-        recorder.log(f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations in {clock.perf_counter() - began:.2f} s")
-        recorder.close()
-        stepping.destroy()
-    return totals
-
-
-def stepper_for(scene: Scene, number: int) -> Any:
-    """The stepping rule of a stage."""
-    from fracflow.run_steps import stepper_of
-
-    return stepper_of(scene, scene.stage[number])
+    recorder.record(Step(state, step.stage, step.dt, step.report), last=True)
+    recorder.finish(clock.perf_counter() - began)
+    stepping.destroy()
+    if failure is not None:
+        raise failure
+    return recorder.totals

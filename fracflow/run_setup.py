@@ -79,7 +79,11 @@ def read_split(scene: Scene) -> SplitMesh:
             traces += read_traces_csv(scene.fractures_path)
         raw = build_mesh(
             GeometrySpec(
-                np.array(geometry.domain, dtype=float), tuple(traces), geometry.size, geometry.size_at_fractures, geometry.cells
+                np.array(geometry.domain, dtype=float),
+                tuple(traces),
+                geometry.size,
+                geometry.size_at_fractures,
+                geometry.cells,
             )
         )
     mesh = split(raw)

@@ -51,11 +51,15 @@ class Stepping:
 
     def _coupling(self, loads: Loads) -> object:
         if id(loads) not in self._couplings:
-            kind = COUPLINGS[self.model.scene.method.coupling if self.model.operators.flow is not None else "monolithic"]
+            kind = COUPLINGS[
+                self.model.scene.method.coupling if self.model.operators.flow is not None else "monolithic"
+            ]
             self._couplings[id(loads)] = kind(self.model.scene, self.model.operators, loads)
         return self._couplings[id(loads)]
 
-    def step(self, state: State, stepper: Stepper, time: float, dt: float, controls: Mapping[str, float]) -> tuple[State, StepReport]:
+    def step(
+        self, state: State, stepper: Stepper, time: float, dt: float, controls: Mapping[str, float]
+    ) -> tuple[State, StepReport]:
         """One step to ``time``. Raises SolveError, on every rank; ``state`` stays as it is. Collective."""
         alphas = stepper.alphas(dt) if dt > 0.0 else Alphas()
         loads = self.model.loads if stepper.storage else self.model.steady_loads
@@ -78,13 +82,24 @@ class Stepping:
         loads = self.model.loads if stepper.storage else self.model.steady_loads
         at_rest = replace(state, motion=motion)
         problem = StepProblem(ops, loads, at_rest, Alphas(), state.time, state.controls)
-        if stepper.storage and ops.flow is not None and problem.source.norm() > 0.0 and state.forces.source.norm() == 0.0:
+        if (
+            stepper.storage
+            and ops.flow is not None
+            and problem.source.norm() > 0.0
+            and state.forces.source.norm() == 0.0
+        ):
             _initial_pressure(self.model, loads, problem)
         problem.evaluate()
         if stepper.inertia:
             _initial_acceleration(self.model, problem, motion.acceleration)
         new = State(
-            state.time, motion, problem.pressure.copy(), problem.sections, problem.forces(motion), state.controls, energy
+            state.time,
+            motion,
+            problem.pressure.copy(),
+            problem.sections,
+            problem.forces(motion),
+            state.controls,
+            energy,
         )
         problem.destroy()
         state.destroy()
@@ -138,7 +153,9 @@ def utilisation(model: Model, state: State) -> float:
     return float(model.operators.layout.comm.allreduce(here, op=MPI.MAX))
 
 
-def search_incipient(stepping: Stepping, state: State, stage: Stage, log: Callable[[str], None]) -> Iterator[tuple[State, StepReport]]:
+def search_incipient(
+    stepping: Stepping, state: State, stage: Stage, log: Callable[[str], None]
+) -> Iterator[tuple[State, StepReport]]:
     """Raise the control until max |f_s| / f_sy = 1 - tolerance; yields the elastic states on the way. Collective."""
     model, control = stepping.model, stage.control
     assert control is not None
@@ -165,7 +182,10 @@ def search_incipient(stepping: Stepping, state: State, stage: Stage, log: Callab
         state, low, increment = new, high, 2.0 * increment
         yield new, report
     else:
-        raise SolveError(f"stage {stage.name or stage.kind}: control.{control} raised to {low:.6g} and no fracture came to its strength: do its wells reach one?")
+        raise SolveError(
+            f"stage {stage.name or stage.kind}: control.{control} raised to {low:.6g} and no fracture came to its"
+            " strength: do the wells it drives reach one?"
+        )
     value = brentq(excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15) if low < high else high
     below = [v for v in tried if utilisation(model, tried[v][0]) < 1.0]
     value = min(below, key=lambda v: abs(v - value)) if below else low

@@ -53,29 +53,21 @@ class Scene(Part):
         description="report: the choices of the 1976 report; full: the plan leaves nothing out",
     )
     method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
-    petsc: dict[str, Option] = Field(
-        default_factory=dict, description="PETSc options, without the leading dash"
-    )
+    petsc: dict[str, Option] = Field(default_factory=dict, description="PETSc options, without the leading dash")
     accuracy: Accuracy = Field(default_factory=Accuracy, description="when iterations have converged")
     output: Output = Field(default_factory=Output, description="what a run writes")
     geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
     mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")
     rock: dict[str, Rock] = Field(default_factory=dict, description="rocks by name")
-    initial_stress: InitialStress | None = Field(
-        default=None, description="uniform stress before the first step"
-    )
+    initial_stress: InitialStress | None = Field(default=None, description="uniform stress before the first step")
     fracture: dict[str, Fracture] = Field(
         default_factory=dict, description='fractures by name; "default" serves those without a table'
     )
-    fluid: Fluid | None = Field(
-        default=None, description="the fluid in the fractures; without it no flow is modelled"
-    )
+    fluid: Fluid | None = Field(default=None, description="the fluid in the fractures; without it no flow is modelled")
     support: tuple[Support, ...] = Field(default=(), description="what is held or moved")
     load: tuple[Load, ...] = Field(default=(), description="tractions on sides")
     well: tuple[Well, ...] = Field(default=(), description="where fluid is pumped, or its pressure kept")
-    control: dict[str, Control] = Field(
-        default_factory=dict, description="factors that wells and loads share"
-    )
+    control: dict[str, Control] = Field(default_factory=dict, description="factors that wells and loads share")
     probe: tuple[Probe, ...] = Field(default=(), description="places whose history is written")
     stage: tuple[Stage, ...] = Field(default=(), description="the parts of the run, one after another")
 

@@ -58,15 +58,13 @@ class Load(Part):
     """[[load]] A traction on sides: as [x, y], as a pressure, or that of the initial stress."""
 
     on: Names = Field(description="names of sides: one or a list")
-    traction: Annotated[tuple[TimeTable, TimeTable] | str, TabledVector(STRESS, "initial-stress")] | None = (
-        Field(default=None, description='[t_x, t_y] in global axes [force/length**2], or "initial-stress"')
+    traction: Annotated[tuple[TimeTable, TimeTable] | str, TabledVector(STRESS, "initial-stress")] | None = Field(
+        default=None, description='[t_x, t_y] in global axes [force/length**2], or "initial-stress"'
     )
     pressure: Annotated[TimeTable, Tabled(STRESS)] | None = Field(
         default=None, description="pressure against the side, positive pushes inwards [force/length**2]"
     )
-    control: Name | None = Field(
-        default=None, description="name of the [control] whose factor multiplies the load"
-    )
+    control: Name | None = Field(default=None, description="name of the [control] whose factor multiplies the load")
 
     @model_validator(mode="after")
     def _consistent(self) -> Load:
@@ -92,9 +90,7 @@ class Well(Part):
     pressure: Annotated[TimeTable | str, Tabled(STRESS, "initial")] | None = Field(
         default=None, description='pressure kept [force/length**2], or "initial"'
     )
-    control: Name | None = Field(
-        default=None, description="name of the [control] whose factor multiplies flow_rate"
-    )
+    control: Name | None = Field(default=None, description="name of the [control] whose factor multiplies flow_rate")
 
     @model_validator(mode="after")
     def _consistent(self) -> Well:
@@ -123,9 +119,7 @@ class Probe(Part):
     at: Annotated[Place, At()] = Field(
         description='[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}'
     )
-    on: Name | None = Field(
-        default=None, description="fracture or rock that is meant, where several meet at the place"
-    )
+    on: Name | None = Field(default=None, description="fracture or rock that is meant, where several meet at the place")
     quantities: tuple[Measured, ...] | None = Field(
         default=None, description="what to write; all there is if not given"
     )
@@ -154,16 +148,12 @@ class Stage(Part):
         default=None,
         description="raise of the control each step over its value at the start of the stage [1]",
     )
-    then: Literal["hold"] | None = Field(
-        default=None, description="hold: keep the control after the first failure"
-    )
+    then: Literal["hold"] | None = Field(default=None, description="hold: keep the control after the first failure")
 
     @model_validator(mode="after")
     def _consistent(self) -> Stage:
         if self.until is not None or self.increment_per_step is not None or self.then is not None:
-            key = next(
-                key for key in ("until", "increment_per_step", "then") if getattr(self, key) is not None
-            )
+            key = next(key for key in ("until", "increment_per_step", "then") if getattr(self, key) is not None)
             if self.control is None:
                 raise fault(f"missing; {key} needs the name of a [control]", key="control")
         if self.until is not None and self.increment_per_step is not None:

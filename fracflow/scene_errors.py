@@ -71,9 +71,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         return f"missing; required: {field.description}"
     if kind == "literal_error":
         allowed = str(context["expected"]).replace("'", '"').replace(" or ", ", ")
-        close = get_close_matches(
-            str(error["input"]), [word.strip('"') for word in allowed.split(", ")], 1, 0.5
-        )
+        close = get_close_matches(str(error["input"]), [word.strip('"') for word in allowed.split(", ")], 1, 0.5)
         return f"unknown; allowed: {allowed}" + (f'; did you mean "{close[0]}"?' if close else "")
     simple = {
         "string_type": "must be a string",

@@ -71,9 +71,7 @@ class Method(Part):
         description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
     )
     mass: Literal["lumped", "consistent"] = Field(default="lumped", description="mass matrix of the rock")
-    stepper: Literal["newmark"] = Field(
-        default="newmark", description="time integrator of dynamic stages (4.1)-(4.3)"
-    )
+    stepper: Literal["newmark"] = Field(default="newmark", description="time integrator of dynamic stages (4.1)-(4.3)")
     newmark_beta: Annotated[float, Quantity(above=0.0, at_most=0.5)] = Field(
         default=0.25, description="beta of (4.1) [1]; 1/4 is the trapezoidal rule"
     )
@@ -119,9 +117,7 @@ class Accuracy(Part):
     )
     displacement: Fraction = Field(default=1e-12, description="relative change of displacement of (4.9b) [1]")
     pressure: Fraction = Field(default=1e-10, description="epsilon_F of the fixed point (4.5), relative [1]")
-    max_iterations: Count = Field(
-        default=50, description="Newton iterations of a step before it is halved or given up"
-    )
+    max_iterations: Count = Field(default=50, description="Newton iterations of a step before it is halved or given up")
     max_cycles: Count = Field(default=50, description="cycles of the fixed point (4.5) before it is given up")
 
 
@@ -139,9 +135,7 @@ class Trace(Part):
     """[[geometry.fracture]] A fracture as a polyline."""
 
     name: Name = Field(description="name that [fracture.NAME] refers to")
-    points: Annotated[Points, Polyline()] = Field(
-        description="[[x, y], ...] from its start to its end [length]"
-    )
+    points: Annotated[Points, Polyline()] = Field(description="[[x, y], ...] from its start to its end [length]")
 
 
 class Geometry(Part):
@@ -269,9 +263,7 @@ class Fluid(Part):
         default=None, description="density of the fluid [force*time**2/length**4]; 0 leaves the flow out"
     )
     initial_pressure: Stress = Field(default=0.0, description="p0, uniform [force/length**2]")
-    flow_depth: Size = Field(
-        default=1.0, description="A, depth out of the plane that flow rates refer to [length]"
-    )
+    flow_depth: Size = Field(default=1.0, description="A, depth out of the plane that flow rates refer to [length]")
 
 
 def with_preset(data: dict[str, Any]) -> dict[str, Any]:

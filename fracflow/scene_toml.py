@@ -39,9 +39,7 @@ def override(data: dict[str, Any], setting: str) -> None:
     path, equals, text = setting.partition("=")
     keys = [key.strip().strip("\"'") for key in re.findall(r'"[^"]*"|\'[^\']*\'|[^.]+', path.strip())]
     if not equals or not keys or not all(keys):
-        raise InputError(
-            f"--set {_one_line(setting)}: must be path.to.key=value, such as stage.0.time_step=0.1"
-        )
+        raise InputError(f"--set {_one_line(setting)}: must be path.to.key=value, such as stage.0.time_step=0.1")
     here: Any = data
     for depth, key in enumerate(keys[:-1]):
         here = _entry(here, key, ".".join(keys[: depth + 1]), setting)
@@ -94,9 +92,7 @@ def write_value(value: Any) -> str:
     if isinstance(value, float):
         return write_float(value)
     if isinstance(value, Mapping):
-        return (
-            "{" + ", ".join(f"{write_key(key)} = {write_value(entry)}" for key, entry in value.items()) + "}"
-        )
+        return "{" + ", ".join(f"{write_key(key)} = {write_value(entry)}" for key, entry in value.items()) + "}"
     if isinstance(value, Sequence):
         return "[" + ", ".join(write_value(entry) for entry in value) + "]"
     return str(value)
@@ -140,9 +136,5 @@ def _array_entry(entry: Mapping[str, Any], path: tuple[str, ...]) -> str:
 
 
 def _is_table(value: Any) -> bool:
-    entries = (
-        isinstance(value, list | tuple)
-        and len(value) > 0
-        and all(isinstance(part, Mapping) for part in value)
-    )
+    entries = isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(part, Mapping) for part in value)
     return isinstance(value, Mapping) or entries

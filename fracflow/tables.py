@@ -146,9 +146,7 @@ class Tabled(_Annotation):
             raise fault("the times of a step table must differ; a step needs no second row")
         return TimeTable(t, v, interpolation)
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         columns = {"type": "object", "properties": {"interpolation": {"enum": ["linear", "step"]}}}
         words = [{"const": self.word}] if self.word else []
@@ -172,9 +170,7 @@ class TabledVector(_Annotation):
         assert isinstance(x, TimeTable) and isinstance(y, TimeTable)
         return x, y
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         vector = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": self.dimension}
         return {"anyOf": [vector, {"const": self.word}]}
@@ -195,9 +191,7 @@ class Displaced(_Annotation):
             tables[part] = table
         return tables
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         parts = {"x": {"dimension": LENGTH}, "y": {"dimension": LENGTH}, "rotation": {"dimension": PLAIN}}
         return {"type": "object", "properties": parts, "additionalProperties": False}
@@ -213,19 +207,13 @@ class At(_Annotation):
             return value
         if isinstance(value, list) and len(value) == 2:
             return Quantity(LENGTH).read(value[0], info), Quantity(LENGTH).read(value[1], info)
-        if (
-            isinstance(value, dict)
-            and set(value) == {"fracture", "end"}
-            and isinstance(value["fracture"], str)
-        ):
+        if isinstance(value, dict) and set(value) == {"fracture", "end"} and isinstance(value["fracture"], str):
             if value["end"] not in ("start", "end"):
                 raise fault(f'end = "{value["end"]}" is unknown; allowed: "start", "end"')
             return FractureEnd(value["fracture"], value["end"])
         raise fault('must be [x, y], the name of a point, or {fracture = "name", end = "start" or "end"}')
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         point = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": LENGTH}
         ends = {"fracture": {"type": "string"}, "end": {"enum": ["start", "end"]}}
@@ -248,9 +236,7 @@ class Domain(_Annotation):
             return read_points(value, info)
         raise fault("must be [xmin, ymin, xmax, ymax] or at least three points [x, y]")
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         return {"type": "array", "minItems": 3, "dimension": LENGTH}
 
@@ -268,9 +254,7 @@ class Polyline(_Annotation):
             raise fault("two points in a row are the same")
         return points
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         return {"type": "array", "minItems": 2, "dimension": LENGTH}
 

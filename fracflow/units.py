@@ -91,9 +91,7 @@ class UnitSystem:
         if unit is None:
             raise ValueError(f"a string needs a unit; must be {fits}")
         try:
-            factor = (
-                _registry().Quantity(1.0, _registry().parse_units(unit)).to(self.unit(dimension)).magnitude
-            )
+            factor = _registry().Quantity(1.0, _registry().parse_units(unit)).to(self.unit(dimension)).magnitude
         except pint.DimensionalityError:
             raise ValueError(f'"{unit}" is not a unit of {dimension}; must be {fits}') from None
         except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
@@ -161,9 +159,7 @@ class Quantity:
         """Let pydantic read the value with ``read``."""
         return core_schema.with_info_plain_validator_function(self.read)
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         return {**number_schema(self.dimension)}
 

@@ -15,7 +15,17 @@ from fracflow._petsc import PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.state import State
 
-STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "friction", "viscous", "scheme", "spurious", "dropped")
+STORED = (
+    "kinetic",
+    "rock_strain",
+    "joint_normal",
+    "joint_shear",
+    "friction",
+    "viscous",
+    "scheme",
+    "spurious",
+    "dropped",
+)
 WORK = ("work_boundaries", "work_wells", "work_pressure")
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
@@ -71,7 +81,11 @@ def drop_motion(totals: Mapping[str, float], lost: float) -> dict[str, float]:
 
 def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
     left = sum(totals[name] for name in STORED) - sum(totals[name] for name in WORK)
-    return {**totals, "residual": left, "residual_closed": left - totals["joint_normal"] + totals["joint_normal_closed"]}
+    return {
+        **totals,
+        "residual": left,
+        "residual_closed": left - totals["joint_normal"] + totals["joint_normal_closed"],
+    }
 
 
 def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:

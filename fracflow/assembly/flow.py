@@ -18,7 +18,11 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
-STORAGE = {"lumped": ("lumped", "lumped"), "consistent": ("consistent", "consistent"), "report": ("consistent", "averaging")}
+STORAGE = {
+    "lumped": ("lumped", "lumped"),
+    "consistent": ("consistent", "consistent"),
+    "report": ("consistent", "averaging"),
+}
 """Matrices of the pressure force and of the wall motion: one for both, or the report's (2.37) with (3.16)."""
 
 

@@ -125,9 +125,7 @@ def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PET
     frame, _ = joint.frame(blocks.solid.points[block.bottom])
     operators = joint.jump_operator(frame, points)
     count = len(block.ids) * len(points) * dim
-    matrix = create_matrix(
-        ((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 4 * dim, blocks.comm
-    )
+    matrix = create_matrix(((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 4 * dim, blocks.comm)
     start = matrix.getOwnershipRange()[0]
     faces = node_unknowns(blocks, np.stack([block.bottom, block.top], axis=1))  # (joint, face, end, component)
     shape = operators.reshape(len(block.ids), len(points), dim, 2, dim, dim)
@@ -199,7 +197,9 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, points: int) -> tu
                 given[field.name] = choices[field.name]
             elif field.name not in given:
                 key = "friction" if field.name == "friction_coefficient" else field.name
-                column = np.array([getattr(table, key) if table.law == name else np.nan for table in tables], dtype=float)
+                column = np.array(
+                    [getattr(table, key) if table.law == name else np.nan for table in tables], dtype=float
+                )
                 given[field.name] = column[fracture[sections]]
         groups.append(LawGroup(sections, law(**given)))
     return tuple(groups)

@@ -89,7 +89,9 @@ def local_rows(matrix: PETSc.Mat) -> Rows:
     return Rows(rows, indices.astype(np.int64), values)
 
 
-def create_matrix(layout: tuple[tuple[int, int], tuple[int, int]], row_entries: int | Ints, comm: MPI.Comm) -> PETSc.Mat:
+def create_matrix(
+    layout: tuple[tuple[int, int], tuple[int, int]], row_entries: int | Ints, comm: MPI.Comm
+) -> PETSc.Mat:
     """An empty AIJ matrix with room for ``row_entries`` on a row in each of its two parts; more is allowed."""
     entries = row_entries if isinstance(row_entries, int) else (petsc_ints(row_entries), petsc_ints(row_entries))
     matrix = PETSc.Mat().createAIJ(layout, nnz=entries, comm=comm)

@@ -15,6 +15,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Load, Scene, Support
+from fracflow.tables import TimeTable
 
 TimeFunction = Callable[[float], float]
 AXES = ("x", "y", "z")
@@ -142,7 +143,11 @@ def _supported(blocks: Blocks, support: Support, name: str, points: Mapping[str,
     turning = block.body[nodes] >= 0
     if blocks.comm.allreduce(int(turning.any())):
         raise InputError(f'support: on = "{name}": lies on a rigid rock; support the rock itself, by its name')
-    given = [part for part in support.components if part != "rotation"] if "rotation" in support.components else support.components
+    given = (
+        [part for part in support.components if part != "rotation"]
+        if "rotation" in support.components
+        else support.components
+    )
     if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
         raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
     return {part: block.unknown[nodes, AXES.index(part)] for part in given}
@@ -186,9 +191,8 @@ def assemble_loads(
         node = well_nodes[well.name]
         if well.pressure is not None:
             initial = scene.fluid.initial_pressure if scene.fluid is not None else 0.0
-            value = (lambda time, p=initial: p) if well.pressure == "initial" else well.pressure
-            assert callable(value)
-            pressures.append(Prescribed(_own(layout.flow_starts, comm.rank, np.array([node])), value))
+            table = TimeTable.constant(initial) if isinstance(well.pressure, str) else well.pressure
+            pressures.append(Prescribed(_own(layout.flow_starts, comm.rank, np.array([node])), table))
             held.append(node)
         else:
             vector = layout.flow_vector()

@@ -63,7 +63,9 @@ def natural_scales(blocks: Blocks, scene: Scene, joints: Joints, stiff: PETSc.Ma
         candidates += [abs(given.xx), abs(given.yy), abs(given.xy)]
     stress = max(comm.allgather(max(candidates)))
     diagonal = stiff.getDiagonal()
-    stiffness_scale = max(max(comm.allgather(stiffness_scale)) * length, diagonal.max()[1] if diagonal.getSize() else 0.0)
+    stiffness_scale = max(
+        max(comm.allgather(stiffness_scale)) * length, diagonal.max()[1] if diagonal.getSize() else 0.0
+    )
     diagonal.destroy()
     stress = stress if stress > 0.0 else max(stiffness_scale, 1.0) * 1e-3 / length
     force = stress * length

@@ -6,6 +6,8 @@ spectral radius, found by power iteration before the first cycle of a step, pred
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from fracflow._petsc import PETSc
@@ -71,7 +73,7 @@ class FixedPoint:
         raise SolveError(self._diverged(problem, factor, changes))
 
     def _diverged(self, problem: StepProblem, factor: float, changes: list[float]) -> str:
-        ratios = [b / a for a, b in zip(changes[:-1], changes[1:], strict=True) if a > 0.0]
+        ratios = [b / a for a, b in pairwise(changes) if a > 0.0]
         measured = f"{ratios[-1]:.3g} measured" if ratios else "none measured"
         verdict = "diverges" if factor >= 1.0 else f"did not converge in {len(changes)} cycles"
         return (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
@@ -63,7 +65,7 @@ class JoinedMatrix:
         self.matrix = PETSc.Mat().createAIJ((local, local), csr=csr, comm=layout.comm)
         self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
         self._prepare_blocks()
-        self._filled: tuple[object, ...] | None = None
+        self._filled: tuple[Any, ...] | None = None
         self.fills = 0
 
     def _place(self, rows: Rows, row_part: str, col_part: str) -> Rows:
@@ -111,7 +113,9 @@ class JoinedMatrix:
     ) -> bool:
         """Refill where anything differs from the last time; tell whether it did. Collective."""
         now = (alphas, flow_scale, only)
-        arrays = [moduli] + ([] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure])
+        arrays = [moduli] + (
+            [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]
+        )
         if conduction is not None and only == "solid":
             arrays = [moduli]
         same = (

@@ -116,9 +116,7 @@ class Newton:
     def _jacobian(self, snes: PETSc.SNES, unknowns: PETSc.Vec, jacobian: PETSc.Mat, _: PETSc.Mat) -> None:
         problem = self.problem
         assert problem is not None
-        self.matrix.fill(
-            problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale(), self.only
-        )
+        self.matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale(), self.only)
 
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         problem, layout = self.problem, self.matrix.layout

@@ -121,7 +121,9 @@ class StepProblem:
         flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / flow_terms if self.operators.flow is not None else 0.0
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2))
         if not np.isfinite(solid + flow):
-            raise SolveError(f"time {self.time:.6g}: the joint laws gave no finite traction (a joint closed beyond its aperture)")
+            raise SolveError(
+                f"time {self.time:.6g}: the joint laws gave no finite traction (a joint closed beyond its aperture)"
+            )
 
     def flow_scale(self) -> float:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""

@@ -36,9 +36,7 @@ def line_shape(xi: Floats) -> Floats:
 def _triangle(points: Floats, weights: Floats) -> Rule:
     xi, eta = points.T
     gradients = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-    return Rule(
-        weights, np.stack([1.0 - xi - eta, xi, eta], axis=-1), np.tile(gradients, (len(weights), 1, 1))
-    )
+    return Rule(weights, np.stack([1.0 - xi - eta, xi, eta], axis=-1), np.tile(gradients, (len(weights), 1, 1)))
 
 
 def _quad(points: Floats, weights: Floats) -> Rule:

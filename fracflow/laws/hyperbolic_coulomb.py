@@ -62,8 +62,7 @@ class HyperbolicCoulomb:
         At or past -d0: -inf, inf, inf, the limits of the hyperbola, so that no solver can accept the state.
         """
         k_n0, d0, f_n0 = (
-            per_section(v, len(opening))
-            for v in (self.normal_stiffness, self.aperture, self.initial_normal_traction)
+            per_section(v, len(opening)) for v in (self.normal_stiffness, self.aperture, self.initial_normal_traction)
         )
         crushed = opening <= -d0
         closing = opening < 0.0
@@ -84,7 +83,8 @@ class HyperbolicCoulomb:
         """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``past``, at most one change of status.
 
         With ``hold`` sticking sections stick and sliding ones slide whatever their trial traction is. Opening at
-        or past -d0 gives a normal traction of -inf and leaves the history as it was. ``margin`` is that of the choice made from the status in ``past``.
+        or past -d0 gives a normal traction of -inf and leaves the history as it was. ``margin`` is that of the
+        choice made from the status in ``past``.
         """
         sections, dim = strain.shape
         k_s, tan_phi, cohesion, alpha = (
@@ -106,9 +106,7 @@ class HyperbolicCoulomb:
         was_sliding = latch.any(axis=-1)
         along = np.einsum("ni,ni->n", trial, latch)
         # a section that rests while sliding must not re-stick by round-off: with alpha < 1 it would heal
-        slack = ROUND_OFF * (
-            np.where(np.isfinite(peak), peak, 0.0) + k_s * np.abs(strain[:, :-1]).sum(axis=-1)
-        )
+        slack = ROUND_OFF * (np.where(np.isfinite(peak), peak, 0.0) + k_s * np.abs(strain[:, :-1]).sum(axis=-1))
         persists = np.where(crushed, was_sliding, along >= residual - slack)
         slides = was_sliding & ~free if hold else np.where(was_sliding, persists, (size > peak) & ~crushed) & ~free
 
@@ -154,17 +152,14 @@ class HyperbolicCoulomb:
 
     def _is_open(self, opening: Floats) -> Bools:
         """Fig. 3: strictly past the opening at which f_n vanishes."""
-        k_n0, f_n0 = (
-            np.asarray(v, dtype=float) for v in (self.normal_stiffness, self.initial_normal_traction)
-        )
+        k_n0, f_n0 = (np.asarray(v, dtype=float) for v in (self.normal_stiffness, self.initial_normal_traction))
         past_contact: Bools = opening > -f_n0 / k_n0
         return past_contact
 
     def _margin(self, opening: Floats, free: Bools, excess: Floats, peak: Floats) -> Floats:
         """Distance from the threshold: shear excess over strength; if open, the gap over |f_n0|/k_n0."""
         k_n0, d0, f_n0 = (
-            per_section(v, len(opening))
-            for v in (self.normal_stiffness, self.aperture, self.initial_normal_traction)
+            per_section(v, len(opening)) for v in (self.normal_stiffness, self.aperture, self.initial_normal_traction)
         )
         limited = np.isfinite(peak)
         scale = np.maximum(np.where(limited, peak, 1.0), TINY_STRENGTH * np.maximum(np.abs(f_n0), k_n0 * d0))

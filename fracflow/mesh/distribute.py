@@ -23,7 +23,7 @@ from fracflow.mesh.partition import partition_cells
 def distribute(mesh: SplitMesh | None, comm: MPI.Comm, rigid_rocks: Collection[str] = ()) -> Blocks:
     """Send each rank its blocks. ``mesh`` is given on rank 0 and None elsewhere. Collective."""
     cell_rank = partition_cells(mesh, comm)
-    pieces = None
+    pieces: Any = None
     if mesh is not None:
         assert cell_rank is not None
         pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks)
@@ -108,7 +108,9 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         sides = np.flatnonzero(cell_rank[mesh.side_cell] == rank)
         owned = np.flatnonzero(node_owner == rank)
         corners = mesh.cells[cells]
-        touched = np.unique(np.concatenate([corners[corners >= 0], mesh.joint_bottom[joints].ravel(), mesh.joint_top[joints].ravel()]))
+        touched = np.unique(
+            np.concatenate([corners[corners >= 0], mesh.joint_bottom[joints].ravel(), mesh.joint_top[joints].ravel()])
+        )
         ghosts = touched[node_owner[touched] != rank]
         nodes = np.concatenate([owned, ghosts])
         local = np.full(len(mesh.points) + 1, -1, dtype=np.int64)  # the last entry keeps the padding at -1
@@ -148,6 +150,3 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         flow = dict(ids=flow_nodes, points=mesh.points[mesh.flow_origin[flow_nodes]], starts=flow_starts)
         pieces.append((solid, joint, flow, sizes))
     return pieces
-
-
-

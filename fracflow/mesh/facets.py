@@ -114,11 +114,7 @@ def rows_near(cells: Ints, facets: Ints, least: int) -> Ints:
     is_on = np.zeros(1 + max(cells.max(initial=-1), facets.max(initial=-1)), dtype=bool)
     is_on[facets] = True
     # Padding looks up the last node; the second factor takes it out again.
-    return (
-        np.flatnonzero(np.sum(is_on[cells] & (cells >= 0), axis=1) >= least)
-        if len(cells)
-        else np.zeros(0, np.int64)
-    )
+    return np.flatnonzero(np.sum(is_on[cells] & (cells >= 0), axis=1) >= least) if len(cells) else np.zeros(0, np.int64)
 
 
 def components(first: Ints, second: Ints, total: int) -> Ints:

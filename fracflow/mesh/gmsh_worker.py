@@ -141,9 +141,7 @@ def _fragments(domain: NDArray[Any], traces: list[NDArray[Any]]) -> tuple[list[A
     if tools:
         _, children = occ.fragment([(2, surface)], tools)
         surfaces = [tag for dim, tag in children[0] if dim == 2]
-        became = {
-            line: [tag for _, tag in found] for (_, line), found in zip(tools, children[1:], strict=True)
-        }
+        became = {line: [tag for _, tag in found] for (_, line), found in zip(tools, children[1:], strict=True)}
     occ.synchronize()
     return _sides(domain), [[became[line] for line in group] for group in lines], surfaces
 

@@ -19,9 +19,7 @@ CURVE = 1
 def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawMesh:
     """Give elements their meaning. Raises InputError, naming ``what``, if they have none."""
     if elements.others:
-        raise InputError(
-            f"{what}: has elements of type {elements.others[0]}; use linear triangles and quads only"
-        )
+        raise InputError(f"{what}: has elements of type {elements.others[0]}; use linear triangles and quads only")
     points = _plane(elements.points, what)
     cells, rock_group = _cells(elements, points, what)
     facets, facet_group = _distinct(elements, "line")
@@ -35,9 +33,7 @@ def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawM
     sides, side_of = _names(elements, facet_group[~on_fracture])
     for name in sorted(set(fractures) - set(names) - {EVERY}):
         known = ", ".join(sorted({*names, *sides})) or "none"
-        raise InputError(
-            f'{what}: no physical curve "{name}" for the fracture of that name (there are: {known})'
-        )
+        raise InputError(f'{what}: no physical curve "{name}" for the fracture of that name (there are: {known})')
 
     used = np.unique(cells[cells >= 0])
     number = np.full(len(points) + 1, -1, dtype=np.int64)  # the last one stands for padding
@@ -46,9 +42,7 @@ def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawM
     for group, rows, of in ((names, fracture_facets, fracture_of), (sides, side_facets, side_of)):
         if np.any(rows < 0):
             name = group[of[np.argmax(np.any(rows < 0, axis=1))]]
-            raise InputError(
-                f'{what}: physical curve "{name}" is not made of edges of cells; embed it in its surface'
-            )
+            raise InputError(f'{what}: physical curve "{name}" is not made of edges of cells; embed it in its surface')
     return RawMesh(
         points=points[used],
         cells=number[cells],
@@ -105,9 +99,7 @@ def _cells(elements: Elements, points: Floats, what: str) -> tuple[Ints, Ints]:
             blocks.append(np.pad(_turned(nodes, points, what), padding, constant_values=-1))
         groups.append(group)
     if not blocks:
-        raise InputError(
-            f"{what}: has no cells; it needs a surface, meshed or to be meshed, with a physical name"
-        )
+        raise InputError(f"{what}: has no cells; it needs a surface, meshed or to be meshed, with a physical name")
     return np.concatenate(blocks), np.concatenate(groups)
 
 
@@ -120,9 +112,7 @@ def _turned(cells: Ints, points: Floats, what: str) -> Ints:
     turn = np.where(is_clockwise[:, None], -turn, turn)
     if np.any(is_bad := turn.min(axis=1) <= 0):
         worst = cells[np.argmax(is_bad)]
-        raise InputError(
-            f"{what}: the cell at {spot(points, worst)} is flat, folded or not convex; mesh it better"
-        )
+        raise InputError(f"{what}: the cell at {spot(points, worst)} is flat, folded or not convex; mesh it better")
     return np.where(is_clockwise[:, None], cells[:, ::-1], cells)
 
 
@@ -133,9 +123,7 @@ def _check_names(elements: Elements, used: Ints, what: str) -> None:
             raise InputError(f"{what}: physical {kind} {elements.group_tags[group]} has no name; give it one")
 
 
-def _fracture_groups(
-    elements: Elements, cells: Ints, facets: Ints, group: Ints, fractures: Collection[str]
-) -> Ints:
+def _fracture_groups(elements: Elements, cells: Ints, facets: Ints, group: Ints, fractures: Collection[str]) -> Ints:
     """Which groups are fractures (groups,)."""
     is_fracture = np.isin(elements.group_names, list(fractures)) & (elements.group_dims == CURVE)
     if EVERY in fractures and len(facets):

@@ -80,7 +80,9 @@ def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None)
     joints, ends = np.nonzero((mesh.joint_flow == flow) & chosen[:, None])
     pair = mesh.points[mesh.joint_bottom[joints[0]]]
     if distance.min() > np.linalg.norm(pair[1] - pair[0]):
-        raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {distance.min():.3g} away; move it onto one")
+        raise InputError(
+            f"{what}: at = {point.tolist()}: the nearest fracture is {distance.min():.3g} away; move it onto one"
+        )
     nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
     return FracturePlace(flow, mesh.points[mesh.flow_origin[flow]], nodes, joints, ends)
 
@@ -100,7 +102,9 @@ def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> Fr
     if on is not None and on in mesh.fractures:
         return on_fracture(mesh, at, what, on)
     if on is not None and on not in mesh.rocks:
-        raise InputError(f'{what}: on = "{on}": neither a fracture ({", ".join(mesh.fractures)}) nor a rock ({", ".join(mesh.rocks)})')
+        raise InputError(
+            f'{what}: on = "{on}": neither a fracture ({", ".join(mesh.fractures)}) nor a rock ({", ".join(mesh.rocks)})'
+        )
     if on is None and len(mesh.flow_origin):
         point = coordinates(mesh, at, what)
         nodes = mesh.points[mesh.flow_origin]

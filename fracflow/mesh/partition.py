@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 from scipy import sparse
 
@@ -13,7 +16,7 @@ JOINT_WEIGHT = 1000  # a cut joint costs ghosts on both faces; a cut facet next 
 
 def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
     """Symmetric graph of cells (m, m): weight 1 for two cells that share a facet, JOINT_WEIGHT across a joint."""
-    count, width = mesh.cells.shape
+    count = len(mesh.cells)
     cell, corner = np.nonzero(mesh.cells >= 0)
     incidence = sparse.csr_matrix(
         (np.ones(len(cell), dtype=np.int32), (cell, mesh.cells[cell, corner])), shape=(count, len(mesh.points))
@@ -34,7 +37,7 @@ def partition_cells(mesh: SplitMesh | None, comm: MPI.Comm) -> Ints | None:
     if comm.size == 1:
         assert mesh is not None
         return np.zeros(len(mesh.cells), dtype=np.int64)
-    chunks = None
+    chunks: Any = None
     if mesh is not None:
         graph = cell_graph(mesh)
         cuts = np.linspace(0, graph.shape[0], comm.size + 1).astype(int)
@@ -45,7 +48,7 @@ def partition_cells(mesh: SplitMesh | None, comm: MPI.Comm) -> Ints | None:
                 graph.indices[graph.indptr[a] : graph.indptr[b]],
                 graph.data[graph.indptr[a] : graph.indptr[b]],
             )
-            for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+            for a, b in pairwise(cuts)
         ]
     total, indptr, indices, weights = comm.scatter(chunks, root=0)
     local = len(indptr) - 1

@@ -95,11 +95,7 @@ def side_names(domain: Floats) -> list[str]:
     steps = np.roll(domain, -1, axis=0) - domain
     extent = np.ptp(domain, axis=0)
     is_corner = np.all(np.minimum(domain - domain.min(axis=0), domain.max(axis=0) - domain) <= 1e-12 * extent)
-    if (
-        len(domain) != 4
-        or not is_corner
-        or np.any(np.count_nonzero(np.abs(steps) > 1e-12 * extent, axis=1) != 1)
-    ):
+    if len(domain) != 4 or not is_corner or np.any(np.count_nonzero(np.abs(steps) > 1e-12 * extent, axis=1) != 1):
         return [f"side{number}" for number in range(1, len(domain) + 1)]
     middle = domain + steps / 2 - (domain.min(axis=0) + extent / 2)
     places = {(0, -1): "south", (1, 0): "east", (0, 1): "north", (-1, 0): "west"}
@@ -113,16 +109,12 @@ def _check_traces(domain: Floats, traces: list[Trace], taken: Iterable[str]) -> 
     for name, points in traces:
         what = f'geometry: fracture "{name}"'
         if name in names:
-            raise InputError(
-                f"{what}: the name is taken by another fracture, a side or the rock; choose another"
-            )
+            raise InputError(f"{what}: the name is taken by another fracture, a side or the rock; choose another")
         names.add(name)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.all(np.isfinite(points)):
             raise InputError(f"{what}: points must be two or more pairs [x, y] of finite numbers")
         if np.any(is_still := np.all(points[1:] == points[:-1], axis=1)):
-            raise InputError(
-                f"{what}: two points in a row are {points[np.argmax(is_still)].tolist()}; remove one"
-            )
+            raise InputError(f"{what}: two points in a row are {points[np.argmax(is_still)].tolist()}; remove one")
         backwards = points[::-1].tobytes()
         if other := seen.get(points.tobytes()) or seen.get(backwards):
             raise InputError(f'{what}: has the points of fracture "{other}"; remove one')
@@ -161,16 +153,12 @@ def read_traces_csv(path: str | Path) -> list[Trace]:
     delimiter = max(",;\t", key=head.count)
     rows = [
         (number, [word.strip() for word in row])
-        for number, row in enumerate(
-            csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True), 1
-        )
+        for number, row in enumerate(csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True), 1)
         if any(word.strip() for word in row)
     ]
     header = tuple(word.lower() for word in rows[0][1]) if rows else ()
     if header not in LAYOUTS:
-        raise InputError(
-            f'{path}: the first line is "{head.strip()}"; it must be name,x,y or name,x1,y1,x2,y2'
-        )
+        raise InputError(f'{path}: the first line is "{head.strip()}"; it must be name,x,y or name,x1,y1,x2,y2')
     traces: dict[str, list[list[float]]] = {}
     last = None
     for number, words in rows[1:]:
@@ -179,14 +167,10 @@ def read_traces_csv(path: str | Path) -> list[Trace]:
         if not name:
             raise InputError(f"{where}: the name is empty; give each fracture one")
         if name in traces and name != last:
-            raise InputError(
-                f'{where}: "{name}" was given before; the rows of one fracture must follow each other'
-            )
+            raise InputError(f'{where}: "{name}" was given before; the rows of one fracture must follow each other')
         points = traces.setdefault(name, [])
         if len(values) == 4 and points and points[-1] != values[:2]:
-            raise InputError(
-                f'{where}: "{name}" goes on at {values[:2]}, but its last segment ended at {points[-1]}'
-            )
+            raise InputError(f'{where}: "{name}" goes on at {values[:2]}, but its last segment ended at {points[-1]}')
         points += [values] if len(values) == 2 else [values[2:]] if points else [values[:2], values[2:]]
         last = name
     for name, points in traces.items():

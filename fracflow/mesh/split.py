@@ -152,9 +152,7 @@ def _check_fractures(raw: RawMesh, half: HalfFacets, matches: Matches) -> None:
     if len(matches.crowded):
         place = spot(raw.points, half.nodes[matches.crowded[0]])
         raise InputError(f"mesh: more than two cells share the edge at {place}; cells must not overlap")
-    one_sided = (
-        "has a cell on one side only: it lies on the outer boundary, or the mesh does not conform there"
-    )
+    one_sided = "has a cell on one side only: it lies on the outer boundary, or the mesh does not conform there"
     twice = "stands twice; fractures must not overlap"
     for is_bad, what in (
         (matches.count == 0, "is no edge of the mesh"),

@@ -63,14 +63,10 @@ class EventLog:
         self.nodes = nodes
         self.rows: list[dict[str, Any]] = []
         self._plastic_slip = np.array(np.zeros(count) if plastic_slip is None else plastic_slip, dtype=float)
-        self._running = {
-            kind: _Running(np.full(count, -1), np.zeros(count), np.zeros(count)) for kind in _KINDS
-        }
+        self._running = {kind: _Running(np.full(count, -1), np.zeros(count), np.zeros(count)) for kind in _KINDS}
         self._write()
 
-    def update(
-        self, time: float, sliding: Flags, is_open: Flags, plastic_slip: Floats, slip_rate: Floats
-    ) -> bool:
+    def update(self, time: float, sliding: Flags, is_open: Flags, plastic_slip: Floats, slip_rate: Floats) -> bool:
         """Book one accepted step; returns whether an event started or ended.
 
         time          at the end of the step [time]

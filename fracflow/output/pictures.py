@@ -72,9 +72,7 @@ def _overview(run: RunData) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 7.4), layout="constrained")
-    axes = figure.subplot_mosaic(
-        [["map", "slip"], ["map", "energy"], ["map", "pressure"]], width_ratios=[1.15, 1]
-    )
+    axes = figure.subplot_mosaic([["map", "slip"], ["map", "energy"], ["map", "pressure"]], width_ratios=[1.15, 1])
     figure.suptitle(run.title, fontsize=13, fontweight="bold", x=0.01, ha="left")
     _draw_map(axes["map"], run)
     slips = {name: run.probe(name, "slip") for name in run.probes_with("slip")}

@@ -63,7 +63,8 @@ def take(operators: Operators, state: State, flow_depth: float, nodes: Ints) -> 
     blocks: Blocks = operators.blocks
     ends = blocks.gather(blocks.joints.ids, joint_ends(operators, state, flow_depth), blocks.sizes.joints)
     motions = [
-        operators.nodal(vector) for vector in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)
+        operators.nodal(vector)
+        for vector in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)
     ]
     here = np.flatnonzero(np.isin(blocks.solid.node_ids[: blocks.solid.owned], nodes))
     values = np.stack([m.getArray(readonly=True).reshape(-1, blocks.sizes.dim)[here] for m in motions], axis=1)
@@ -102,7 +103,9 @@ def probe_record(scene: Scene, places: Mapping[str, FracturePlace | RockPlace], 
         if isinstance(place, FracturePlace):
             values["displacement_bottom"] = snapshot.nodes[place.nodes[0]][0]
             ends = snapshot.ends[place.joints, place.ends].mean(axis=0)
-            skip = ("sliding", "open", "utilisation", "margin") + (() if scene.has_flow else ("pressure", "aperture", "flow_rate"))
+            skip = ("sliding", "open", "utilisation", "margin") + (
+                () if scene.has_flow else ("pressure", "aperture", "flow_rate")
+            )
             values |= {name: v for name, v in zip(COLUMNS, ends, strict=True) if name not in skip}
             if scene.has_flow and weight:
                 values["head"] = values["pressure"] / weight
@@ -114,7 +117,9 @@ def probe_record(scene: Scene, places: Mapping[str, FracturePlace | RockPlace], 
 def node_table(mesh: SplitMesh) -> tuple[Ints, Ints, Ints]:
     """Pairs (fracture, flow node), and for each joint end (joints * 2,) the pair it belongs to."""
     pairs = np.stack([np.repeat(mesh.joint_fracture, 2), mesh.joint_flow.ravel()], axis=1)
-    unique, inverse = np.unique(pairs, axis=0, return_inverse=True) if len(pairs) else (pairs, np.zeros(0, dtype=np.int64))
+    unique, inverse = (
+        np.unique(pairs, axis=0, return_inverse=True) if len(pairs) else (pairs, np.zeros(0, dtype=np.int64))
+    )
     return unique[:, 0], unique[:, 1], inverse.ravel()
 
 
@@ -141,6 +146,8 @@ def rock_stress(mesh: SplitMesh, scene: Scene, displacement: Floats) -> Floats:
             chosen = np.flatnonzero((width == k) & (mesh.cell_rock == number))
             nodes = mesh.cells[chosen, :k]
             strain = solid.strain_at_centroid(mesh.points[nodes], displacement[nodes])
-            moduli = plane_strain_stiffness(np.full(len(chosen), rock.youngs_modulus), np.full(len(chosen), rock.poissons_ratio))
+            moduli = plane_strain_stiffness(
+                np.full(len(chosen), rock.youngs_modulus), np.full(len(chosen), rock.poissons_ratio)
+            )
             stress[chosen] = solid.stress(strain, moduli, initial)
     return stress

@@ -38,7 +38,13 @@ def tell(folder: Path, console: Console) -> None:
     for event in events[:MOST_EVENTS]:
         end = "" if event["end"] is None else f"{event['end']:.6g}"
         slips.add_row(
-            event["kind"], event["fracture"], str(event["node"]), event["probe"], f"{event['start']:.6g}", end, f"{event['slip']:.4e}"
+            event["kind"],
+            event["fracture"],
+            str(event["node"]),
+            event["probe"],
+            f"{event['start']:.6g}",
+            end,
+            f"{event['slip']:.4e}",
         )
     console.print(slips)
     if len(events) > MOST_EVENTS:

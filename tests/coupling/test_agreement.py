@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fracflow._petsc import MPI
 from fracflow.coupling import COUPLINGS
 from fracflow.errors import SolveError

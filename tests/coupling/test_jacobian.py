@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fracflow._petsc import MPI
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
@@ -90,7 +91,11 @@ def test_rigid_motion_opens_nothing():
     ops = prepare(load("meshes/crossings/scene.toml"), MPI.COMM_WORLD).operators
     block = ops.blocks.solid
     points = block.points[: block.owned]
-    for motion in (np.tile([1.0, 0.0], (len(points), 1)), np.tile([0.0, 1.0], (len(points), 1)), points[:, ::-1] * [-1, 1]):
+    for motion in (
+        np.tile([1.0, 0.0], (len(points), 1)),
+        np.tile([0.0, 1.0], (len(points), 1)),
+        points[:, ::-1] * [-1, 1],
+    ):
         u, force = ops.layout.solid_vector(), ops.layout.solid_vector()
         u.setArray(motion.ravel())
         assert np.abs(ops.joints.strain(u)).max(initial=0.0) <= 1e-12 * np.abs(motion).max(initial=1.0) * 100

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from fracflow.output import read_events, read_history
 
 CRACK = ("slip", "plastic_slip", "opening", "displacement", "displacement_bottom")
@@ -26,7 +27,9 @@ def _run(scene, ranks, folder):
     command = [sys.executable, "-m", "fracflow", "run", f"meshes/{scene}/scene.toml", "-o", str(folder)]
     mpirun = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
     clean = {k: v for k, v in os.environ.items() if k in KEPT}  # MPI, initialised here, has put more there
-    done = subprocess.run([*mpirun, *command], capture_output=True, text=True, env=clean, timeout=300, stdin=subprocess.DEVNULL)
+    done = subprocess.run(
+        [*mpirun, *command], capture_output=True, text=True, env=clean, timeout=300, stdin=subprocess.DEVNULL
+    )
     assert done.returncode == 0, done.stderr
     return read_history(folder / "history.h5"), read_events(folder / "events.csv")
 
@@ -53,7 +56,10 @@ def test_ranks_agree(scene, tmp_path):
         rows = min(_settled(one), _settled(many))
         assert rows > 0.5 * len(one["time"]), f"the first {rows} rows alone are settled"
         until = one["time"][rows - 1]
-        order = [[(e["kind"], e["fracture"], e["node"], e["start"]) for e in log if e["start"] <= until] for log in (events, same)]
+        order = [
+            [(e["kind"], e["fracture"], e["node"], e["start"]) for e in log if e["start"] <= until]
+            for log in (events, same)
+        ]
         assert order[0] == order[1]
         natural = {**dict.fromkeys(CRACK, length), "shear_traction": stress, "normal_traction": stress}
         sizes = dict(natural)

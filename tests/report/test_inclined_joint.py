@@ -1,6 +1,7 @@
 """R01: an inclined joint through a compressed specimen. The stress is uniform, so any mesh is exact.
 
-Source: the plane of weakness (Jaeger 1960; Jaeger, Cook & Zimmerman, Fundamentals of Rock Mechanics), with the closure of Fig. 3 and the strength (2.12) of the report. W = 1 m, H = 2 m, joint at 60 degrees,
+Source: the plane of weakness (Jaeger, Cook & Zimmerman, Fundamentals of Rock Mechanics), with the
+closure of Fig. 3 and the strength (2.12) of the report. W = 1 m, H = 2 m, joint at 60 degrees,
 sigma_3 = 2 MPa kept on the sides; the top goes down by delta.
 """
 

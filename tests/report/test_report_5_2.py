@@ -14,7 +14,7 @@ def _free(history):
 
 
 def _centre_and_amplitude(time, displacement):
-    """Least-squares fit of a + A cos(wt) + B sin(wt), w that of the trapezoidal rule: a, amplitude, misfit."""
+    """Least-squares fit of a + A cos(wt) + B sin(wt), w of the trapezoidal rule."""
     dt = time[1] - time[0]
     omega = 2.0 / dt * np.arctan(dt / 2.0)
     basis = np.stack([np.ones_like(time), np.cos(omega * time), np.sin(omega * time)], axis=1)

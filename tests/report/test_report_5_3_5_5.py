@@ -38,8 +38,8 @@ def test_slipped_nodes_come_to_new_rest_positions(ran, scene, model):
 def test_5_5_energy_constant_after_the_pumping_is_held(ran, model):
     """E_D + E_K + dU with dU of rock and joints, the fluid's work left out: constant to 1e-6 of E_D.
 
-    The fluid does work on the walls: wells minus viscous loss, less what the report's pair (2.37), (3.16) makes
-    from nothing (``spurious``); some 1e-7 of E_D here. With it in the books the sum is constant to the residual.
+    The fluid does work on the walls: wells minus viscous loss, less what the report's pair makes from
+    nothing (``spurious``); some 1e-7 of E_D here. With it booked the sum is constant to the residual.
     """
     history = ran("report_5_5", f"model={model}").history
     energy = {key[7:]: value for key, value in history.items() if key.startswith("energy/")}
