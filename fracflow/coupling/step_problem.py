@@ -19,7 +19,6 @@ from fracflow.errors import SolveError
 from fracflow.state import Forces, Motion, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
 
-
 CANCELLATION = 1e-4
 """Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
 state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have."""
