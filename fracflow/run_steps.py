@@ -69,7 +69,7 @@ class Stepping:
             new = problem.accept(state.energy)
         finally:
             problem.destroy()
-        return replace(new, energy=book(self.model.operators, state, new, dt, stepper.storage)), report
+        return replace(new, energy=book(self.model.operators, state, new, dt, stepper.storage, stepper.inertia)), report
 
     def enter(self, state: State, stepper: Stepper) -> State:
         """(4.1e) The state as a stage takes it over: accelerations of the first instant, or motion dropped. Collective."""

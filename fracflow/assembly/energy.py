@@ -44,7 +44,7 @@ def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
     return float(energy)
 
 
-def book(operators: Operators, old: State, new: State, dt: float, storage: bool) -> dict[str, float]:
+def book(operators: Operators, old: State, new: State, dt: float, storage: bool, inertia: bool) -> dict[str, float]:
     """Totals after a step of length ``dt`` from ``old`` to ``new``. Collective.
 
     With ``storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
@@ -66,7 +66,8 @@ def book(operators: Operators, old: State, new: State, dt: float, storage: bool)
         vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
     )
     if ops.flow is not None:
-        parts |= _fluid_parts(ops, old, new, change, mean_pressure, dt, storage)
+        instants = (new,) if storage and not inertia else (old, new)  # backward Euler knows the end of a step only
+        parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_acceleration, mean_pressure, mean_displacement, term):
         vector.destroy()
@@ -101,10 +102,11 @@ def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
 
 
 def _fluid_parts(
-    ops: Operators, old: State, new: State, change: PETSc.Vec, pressure: PETSc.Vec, dt: float, storage: bool
+    ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, storage: bool
 ) -> dict[str, float]:
+    """Terms of the balance (3.20), which holds at ``instants``, times the mean pressure of the step."""
     assert ops.flow is not None
-    rate = pressure.duplicate()
+    rate, share = pressure.duplicate(), dt / len(instants)
 
     def volume(matrix: PETSc.Mat, motion: PETSc.Vec) -> float:
         matrix.multTranspose(motion, rate)
@@ -112,15 +114,14 @@ def _fluid_parts(
 
     pushed = volume(ops.flow.push, change)
     parts = {
-        "viscous": 0.5 * dt * sum(state.forces.conduction.dot(pressure) for state in (old, new)),
-        "work_wells": 0.5 * dt * sum(state.forces.source.dot(pressure) for state in (old, new)),
+        "viscous": share * sum(state.forces.conduction.dot(pressure) for state in instants),
+        "work_wells": share * sum(state.forces.source.dot(pressure) for state in instants),
     }
     if storage:
         swept = volume(ops.flow.squeeze, change)
-        mean_velocity = 0.5 * (new.motion.velocity + old.motion.velocity)
         parts["spurious"] = swept - pushed
-        parts["fluid_scheme"] = dt * volume(ops.flow.squeeze, mean_velocity) - swept
-        mean_velocity.destroy()
+        stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity) for state in instants)
+        parts["fluid_scheme"] = stored - swept
     else:
         parts["work_pressure"] = pushed
     rate.destroy()

@@ -71,18 +71,41 @@ def _save(figure: Figure, path: Path) -> Path:
 def _overview(run: RunData) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 7.4), layout="constrained")
+    figure = Figure(figsize=(12, _height(run)), layout="constrained")
     axes = figure.subplot_mosaic([["map", "slip"], ["map", "energy"], ["map", "pressure"]], width_ratios=[1.15, 1])
     figure.suptitle(run.title, fontsize=13, fontweight="bold", x=0.01, ha="left")
     _draw_map(axes["map"], run)
     slips = {name: run.probe(name, "slip") for name in run.probes_with("slip")}
-    _draw_lines(axes["slip"], run, slips, "Slip at the probes", run.label("slip", "length"))
+    _draw_lines(axes["slip"], run, slips, "Slip at the probes", "slip", "length")
     _draw_energy(axes["energy"], run)
     if not _draw_pressure_profiles(axes["pressure"], run):
         pressures = {name: run.probe(name, "pressure") for name in run.probes_with("pressure")}
-        label = run.label("pressure", "stress")
-        _draw_lines(axes["pressure"], run, pressures, "Pressure at the probes", label)
+        _draw_lines(axes["pressure"], run, pressures, "Pressure at the probes", "pressure", "stress")
     return figure
+
+
+def _height(run: RunData) -> float:
+    """Inches that a map as wide as its column needs, within what the panels beside it bear."""
+    if not run.rock:
+        return 7.4
+    wide, high = np.ptp(np.concatenate([cell.reshape(-1, 2) for cell in run.rock]), axis=0)
+    return float(np.clip(5.2 * high / max(wide, 1e-300) + 2.2, 6.2, 7.6))
+
+
+def _unit(run: RunData, word: str, kind: str, largest: float) -> tuple[float, str]:
+    """Factor and axis label: in MPa, MJ and mm where the run is in SI and its numbers call for it."""
+    if (run.units.get("length"), run.units.get("force")) != ("m", "N") or not 0.0 < largest < np.inf:
+        return 1.0, run.label(word, kind)
+    steps = {
+        "stress": ((1e6, "MPa"), (1e3, "kPa")),
+        "energy": ((1e6, "MJ/m"), (1e3, "kJ/m")),
+        "length": ((1e-1, ""), (1e-3, "mm"), (1e-6, "µm")),
+        "velocity": ((1e-1, ""), (1e-3, "mm/s")),
+    }
+    for size, unit in steps.get(kind, ()):
+        if largest >= size:
+            return (1.0 / size, f"{word} [{unit}]") if unit else (1.0, run.label(word, kind))
+    return 1.0, run.label(word, kind)
 
 
 def _draw_map(axes: Axes, run: RunData) -> None:
@@ -108,11 +131,11 @@ def _draw_map(axes: Axes, run: RunData) -> None:
             lines = LineCollection(
                 list(ends[moved]), cmap="viridis_r", linewidths=(2.0 + 6.0 * share[moved]), capstyle="round"
             )
-            lines.set_array(slip[moved])
-            lines.set_clim(0.0, top)
+            factor, label = _unit(run, "plastic slip at the end", "length", top)
+            lines.set_array(factor * slip[moved])
+            lines.set_clim(0.0, factor * top)
             axes.add_collection(lines)
-            label = run.label("plastic slip at the end", "length")
-            look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.02)
+            look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.02, panchor=False)
             bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)  # type: ignore[arg-type]
             _tidy_numbers(bar.ax)
         for name, (x, y) in fractures.label_places().items():
@@ -120,6 +143,7 @@ def _draw_map(axes: Axes, run: RunData) -> None:
     _draw_marks(axes, run)
     axes.autoscale_view()
     axes.margins(0.03)
+    axes.locator_params(axis="x", nbins=5)
     axes.set_xlabel(run.label("x", "length"))
     axes.set_ylabel(run.label("y", "length"))
 
@@ -129,17 +153,22 @@ def _draw_marks(axes: Axes, run: RunData) -> None:
     if first:
         x, y = np.array([(event["x"], event["y"]) for event in first]).T
         axes.plot(x, y, "*", ms=11, mfc="#D55E00", mec="white", mew=0.8, zorder=5, label="slipped first")
-    for places, marker, colour, label in (
-        (run.wells, "v", "#0072B2", "well"),
-        (run.probes, "o", "white", "probe"),
-    ):
+    looks = ((run.wells, "v", "#56B4E9", "well", 11), (run.probes, "o", "white", "probe", 5))
+    for places, marker, colour, label, size in looks:
         if places:
             x, y = np.array(list(places.values())).T
-            axes.plot(x, y, marker, ms=6, mfc=colour, mec=INK, mew=0.9, ls="", zorder=6, label=label)
-    for name, (x, y) in {**run.probes, **run.wells}.items():
-        _tag(axes, name, x, y, (6, 5))
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=3, handletextpad=0.3)
+            axes.plot(x, y, marker, ms=size, mfc=colour, mec=INK, mew=0.9, ls="", zorder=6, label=label)
+    names: dict[tuple[float, float], list[str]] = {}
+    for name, place in [*run.probes.items(), *run.wells.items()]:
+        there = names.setdefault(place, [])
+        there += [] if name in there else [name]
+    for (x, y), found in names.items():
+        _tag(axes, ", ".join(found), x, y, (9, 0), va="center")
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        figure = axes.get_figure()
+        assert figure is not None
+        figure.legend(handles, labels, loc="outside lower left", ncols=3, handletextpad=0.3)
 
 
 def _tag(axes: Axes, text: str, x: float, y: float, shift: tuple[float, float], **how: str) -> None:
@@ -151,7 +180,7 @@ def _tag(axes: Axes, text: str, x: float, y: float, shift: tuple[float, float], 
 
 
 def _draw_lines(
-    axes: Axes, run: RunData, lines: dict[str, np.ndarray], title: str, label: str, span: slice = slice(None)
+    axes: Axes, run: RunData, lines: dict[str, np.ndarray], title: str, word: str, kind: str, span: slice = slice(None)
 ) -> None:
     """Histories, named at their right ends; the largest ones if there are many."""
     axes.set_title(title)
@@ -163,13 +192,16 @@ def _draw_lines(
         return
     if len(shown) < len(lines):
         axes.set_title(f"{title} (the {len(shown)} that change most)")
-    for name, colour in zip(shown, COLOURS, strict=False):
-        axes.plot(x, lines[name][span], color=colour, marker="." if len(x) == 1 else "")
+    largest = max(float(np.abs(np.nan_to_num(lines[name][span])).max()) for name in shown)
+    factor, label = _unit(run, word, kind, largest)
+    drawn = {name: factor * lines[name][span] for name in shown}
+    for (_, values), colour in zip(drawn.items(), COLOURS, strict=False):
+        axes.plot(x, values, color=colour, marker="." if len(x) == 1 else "")
     axes.margins(x=0.0)
     axes.set_xlabel(x_label)
     axes.set_ylabel(label)
     _tidy_numbers(axes)
-    _name_ends(axes, [(name, float(np.nan_to_num(lines[name][span][-1]))) for name in shown])
+    _name_ends(axes, [(name, float(np.nan_to_num(values[-1]))) for name, values in drawn.items()])
 
 
 def _tidy_numbers(axes: Axes) -> None:
@@ -178,22 +210,29 @@ def _tidy_numbers(axes: Axes) -> None:
 
 
 def _name_ends(axes: Axes, ends: list[tuple[str, float]]) -> None:
-    """Name lines beside their last values, moved apart where they would lie on each other."""
+    """Name lines beside their last values, together where these coincide, else moved apart."""
     low, high = axes.get_ylim()
-    height = [(value - low) / (high - low) for _, value in ends]
-    order = np.argsort(height, kind="stable")
-    gap = min(0.1, 1.0 / max(1, len(ends)))
-    spread = np.array(height)[order]
+    heights = [(value - low) / (high - low) for _, value in ends]
+    groups: list[list[int]] = []
+    for i in sorted(range(len(ends)), key=heights.__getitem__):
+        if groups and heights[i] - heights[groups[-1][0]] < 0.01:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    gap = min(0.12, 1.0 / max(1, len(groups)))
+    spread = np.array([heights[group[0]] for group in groups])
     for i in range(1, len(spread)):
         spread[i] = max(spread[i], spread[i - 1] + gap)
     spread -= max(0.0, spread[-1] - 1.0)
     for i in range(len(spread) - 2, -1, -1):
         spread[i] = min(spread[i], spread[i + 1] - gap)
-    for i, y in zip(order, spread, strict=True):
-        line = dict(arrowstyle="-", color=COLOURS[i], lw=0.7, shrinkA=0, shrinkB=0)
+    for group, y in zip(groups, spread, strict=True):
+        colour = COLOURS[group[0]] if len(group) == 1 else INK
+        names = [ends[i][0] for i in sorted(group)]
+        line = dict(arrowstyle="-", color=colour, lw=0.7, shrinkA=0, shrinkB=0)
         axes.annotate(
-            ends[i][0], (1.0, height[i]), (1.03, y), "axes fraction", "axes fraction", arrowprops=line,
-            color=COLOURS[i], fontsize=8, va="center", annotation_clip=False,
+            ",\n".join(", ".join(names[k : k + 2]) for k in range(0, len(names), 2)), (1.0, heights[group[0]]), (1.03, y),
+            "axes fraction", "axes fraction", arrowprops=line, color=colour, fontsize=8, va="center", annotation_clip=False,
         )  # fmt: skip
 
 
@@ -210,25 +249,27 @@ def _draw_energy(axes: Axes, run: RunData) -> None:
     scale = max((np.abs(values[start:]).max() for values in changes.values()), default=0.0)
     lines = {label: v for label, v in changes.items() if np.abs(v[start:]).max() > 1e-3 * scale}
     title = "Energy since the dynamics began" if run.has_dynamics else "Energy since the start"
-    _draw_lines(axes, run, lines, title, run.label("change", "energy"), slice(start, None))
+    _draw_lines(axes, run, lines, title, "change", "energy", slice(start, None))
     if lines:
         axes.axhline(0.0, color=PALE, lw=0.8, zorder=1)
 
 
 def _draw_pressure_profiles(axes: Axes, run: RunData) -> bool:
-    """Pressure along each fracture, before the dynamics (pale) and at the end; False if there is no fluid."""
+    """Pressure along each fracture, in the first fields written (dashed) and at the end; False if there is no fluid."""
     fractures = run.fractures
     if fractures is None or not fractures.has("pressure"):
         return False
-    axes.set_title(f"Pressure along the fractures{', before (dashed) and after' * fractures.has_before}")
+    axes.set_title(f"Pressure along the fractures{', at the start (dashed) and end' * fractures.has_before}")
     profiles = fractures.profiles("pressure", _MAX_LINES)
+    largest = max((float(np.abs(after).max()) for _, _, after in profiles.values()), default=0.0)
+    factor, label = _unit(run, "pressure", "stress", largest)
     for (name, (along, before, after)), colour in zip(profiles.items(), COLOURS, strict=False):
         if before is not None:
-            axes.plot(along, before, color=colour, lw=1.0, ls=(0, (4, 2)), alpha=0.7)
-        axes.plot(along, after, color=colour)
-        _tag(axes, name, along[-1], after[-1], (4, 2), color=colour)
+            axes.plot(along, factor * before, color=colour, lw=1.0, ls=(0, (4, 2)), alpha=0.7)
+        axes.plot(along, factor * after, color=colour)
+        _tag(axes, name, along[-1], factor * after[-1], (4, 2), color=colour)
     axes.set_xlabel(run.label("distance along the fracture", "length"))
-    axes.set_ylabel(run.label("pressure", "stress"))
+    axes.set_ylabel(label)
     _tidy_numbers(axes)
     axes.margins(x=0.0)
     return True
@@ -247,7 +288,7 @@ def _probes(run: RunData) -> Figure | None:
     for axes, (key, kind) in zip(grid, shown.items(), strict=False):
         word = key.replace("_", " ")
         lines = {name: run.probe(name, key) for name in run.probes_with(key)}
-        _draw_lines(axes, run, lines, word.capitalize(), run.label(word, kind))
+        _draw_lines(axes, run, lines, word.capitalize(), word, kind)
     for axes in grid[len(shown) :]:
         axes.remove()
     return figure
