@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,17 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.stepping import Alphas
 
 PARTS = ("solid", "flow")
+
+
+@dataclass(frozen=True)
+class FreePart:
+    """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held."""
+
+    held_entries: Ints
+    held_diagonal: Ints
+    sections: tuple[Ints, ...]
+    flow_nodes: Ints
+    ends: tuple[Ints, ...]
 
 
 class JoinedMatrix:
@@ -84,6 +96,8 @@ class JoinedMatrix:
 
     def _prepare_blocks(self) -> None:
         ops, layout = self.operators, self.layout
+        self._free_parts: dict[str | None, FreePart] = {}
+        self._flow_nodes = np.zeros((0, 2), dtype=np.int64)
         self._sections = [layout.solid_numbers(group.unknowns) for group in ops.joints.groups]
         self._ends: list[tuple[Ints, Ints, Floats]] = []
         if ops.flow is not None:
@@ -100,8 +114,19 @@ class JoinedMatrix:
             held |= is_solid if only == "flow" else ~is_solid
         return held
 
-    def _free(self, numbers: Ints, only: str | None) -> Ints:
-        return np.where(self._is_held(numbers, only), -1, numbers)
+    def _find_free(self, only: str | None) -> FreePart:
+        def free(numbers: Ints) -> Ints:
+            return np.where(self._is_held(numbers, only), -1, numbers)
+
+        rows = self.layout.start + np.arange(self.rows_here)
+        held = self._is_held(rows, only)
+        return FreePart(
+            np.flatnonzero(held[self._row] | self._is_held(self._col, only)),
+            self._diagonal[held],
+            tuple(free(numbers) for numbers in self._sections),
+            free(self._flow_nodes),
+            tuple(free(numbers) for _, numbers, _ in self._ends),
+        )
 
     def fill(
         self,
@@ -139,24 +164,25 @@ class JoinedMatrix:
         if ops.flow is not None:
             data -= scales.pressure / scales.force * self._constant["push"]
             data += scales.displacement / flow_scale * alphas.a1 * self._constant["squeeze"]
-        data[self._is_held(self._col, only) | self._is_held(self._row + self.layout.start, only)] = 0.0
-        held = self._is_held(self.layout.start + np.arange(self.rows_here), only)
-        data[self._diagonal[held]] = 1.0
+        if only not in self._free_parts:
+            self._free_parts[only] = self._find_free(only)
+        free = self._free_parts[only]
+        data[free.held_entries] = 0.0
+        data[free.held_diagonal] = 1.0
         matrix.setValuesCSR(self._indptr, petsc_ints(self._col), data)
         matrix.assemble()
-        for numbers, (_, values) in zip(self._sections, ops.joints.tangent(moduli), strict=True):
-            free = self._free(numbers, only)
-            add_blocks(matrix, free, free, solid_solid * values)
+        for numbers, (_, values) in zip(free.sections, ops.joints.tangent(moduli), strict=True):
+            add_blocks(matrix, numbers, numbers, solid_solid * values)
         if ops.flow is not None and conduction is not None:
             flow_flow = scales.pressure / flow_scale
-            nodes = self._free(self._flow_nodes, only)
+            nodes = free.flow_nodes
             add_blocks(matrix, nodes, nodes, flow_flow * flow_element.conductivity(conduction.conductance))
             slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
-            for ends, unknowns, normal in self._ends:
+            for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
                 joint, end = ends // 2, ends % 2
                 values = slope[joint, :, end][:, :, None] * normal[:, None, :]
                 factor = scales.displacement / flow_scale
-                add_blocks(matrix, nodes[joint], self._free(unknowns, only), factor * values)
+                add_blocks(matrix, nodes[joint], unknowns, factor * values)
         matrix.assemble()
 
     def destroy(self) -> None:
