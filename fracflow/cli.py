@@ -37,7 +37,10 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     folder = output or Path("runs") / scene.resolve().parent.name
     quiet = comm.rank > 0
     console = Console(quiet=quiet, highlight=False)
-    total = sum(stage.steps or 0 for stage in given.stage) or None
+    total, start = 0, 0.0
+    for stage in given.stage:
+        count = stage.step_count(start) or 0
+        total, start = total + count, start + count * (stage.time_step or 0.0)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -45,7 +48,7 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as bar:
-        task = bar.add_task(given.title or str(scene), total=total)
+        task = bar.add_task(given.title or str(scene), total=total or None)
         totals = runner.run(given, folder, comm, lambda stage, time, state: bar.advance(task))
     if comm.rank == 0:
         from fracflow.output.pictures import draw
