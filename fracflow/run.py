@@ -18,12 +18,14 @@ from fracflow.errors import SolveError
 from fracflow.mesh.locate import FracturePlace
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.plan import as_records, decide, factorisations
-from fracflow.run_setup import Model, prepare, rest
+from fracflow.run_equilibrate import equilibrate
+from fracflow.run_setup import Model, prepare
+from fracflow.run_start import rest
 from fracflow.run_steps import Step, Stepping, run_stage, stepper_of
 from fracflow.scene import Scene
 from fracflow.state import State, StepReport
 
-KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2}
+KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3}
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
 
 Progress = Callable[[int, float, State], None]
@@ -199,7 +201,8 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
         for number, stage in enumerate(scene.stage):
             recorder.log(f"stage {number} ({stage.name or stage.kind}) from time {state.time:.6g}")
             state = stepping.enter(state, stepper_of(scene, stage))
-            for step in run_stage(stepping, state, number, recorder.log):
+            steps = equilibrate if stage.kind == "equilibrate" else run_stage
+            for step in steps(stepping, state, number, recorder.log):
                 recorder.record(step)
                 if progress is not None:
                     progress(number, step.state.time, step.state)

@@ -1,4 +1,4 @@
-"""From a scene to operators and the state at rest: everything before the first step."""
+"""From a scene to operators and loads: everything that stays the same during a run."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.energy import empty_books
+from fracflow._petsc import MPI
 from fracflow.assembly.loads import Loads, Prescribed, assemble_loads
 from fracflow.assembly.operators import Operators, assemble
+from fracflow.assembly.properties import initial_pressure
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints, SplitMesh
@@ -21,23 +21,22 @@ from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place
 from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh, read_traces_csv
 from fracflow.mesh.split import split
+from fracflow.mesh.ties import tied_nodes
 from fracflow.scene import Scene
-from fracflow.state import Forces, Motion, State
 from fracflow.tables import FractureEnd
-
-EQUILIBRIUM = 1e-9  # of the natural force of a joint
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class Placed:
-    """Where the scene's names sit: flow nodes of wells, places of probes, split nodes of points, dead components."""
+    """Where the scene's names sit: flow nodes of wells, places of probes, split nodes of points, dead components, ties."""
 
     wells: Mapping[str, int]
     probes: Mapping[str, FracturePlace | RockPlace]
     points: Mapping[str, Ints]
     closed: Ints
+    ties: Ints
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,21 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
     probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
-    return Placed(wells, probes, points, closed_components(scene, mesh, wells))
+    return Placed(wells, probes, points, closed_components(scene, mesh, wells), tied_components(scene, mesh))
+
+
+def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
+    """Pairs (m, 2) of node * dim + component that [[tie]] joins. Raises InputError."""
+    dim = mesh.points.shape[1]
+    rigid = np.isin(mesh.rocks, [name for name, rock in scene.rock.items() if rock.rigid])
+    on_rigid = np.unique(mesh.cells[rigid[mesh.cell_rock]])
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for tie in scene.tie:
+        nodes = tied_nodes(mesh, tie.on)
+        if np.isin(nodes, on_rigid).any():
+            raise InputError(f"tie: on = {list(tie.on)}: lies on a rigid rock, whose nodes already move as one")
+        pairs += [nodes * dim + ("x", "y").index(part) for part in tie.components]
+    return np.concatenate(pairs)
 
 
 def closed_components(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> Ints:
@@ -114,6 +127,8 @@ def closed_components(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
     links = sparse.coo_matrix((np.ones(len(mesh.joint_flow)), tuple(mesh.joint_flow.T)), shape=(count, count))
     label = connected_components(links, directed=False)[1]
     drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
+    held = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
+    drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
     pumped = {int(label[wells[w.name]]): w.name for w in scene.well if w.pressure is None}
     if any(stage.kind == "steady" for stage in scene.stage):
         for component, name in pumped.items():
@@ -133,7 +148,7 @@ def prepare(scene: Scene, comm: MPI.Comm) -> Model:
     mesh = on_root(comm, lambda: read_split(scene))
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None
-    blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid])
+    blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties)
     operators = assemble(blocks, scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
     numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
@@ -152,54 +167,10 @@ def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:
 def _steady_loads(scene: Scene, operators: Operators, loads: Loads, closed: Ints) -> Loads:
     if not len(closed) or scene.fluid is None:
         return loads
-    initial, blocks = scene.fluid.initial_pressure, operators.blocks
+    blocks = operators.blocks
     local = np.flatnonzero(np.isin(blocks.flow.ids, closed))
+    initial = initial_pressure(scene, blocks.flow.points[local])
     numbers = np.concatenate(blocks.comm.allgather(blocks.flow.starts[blocks.comm.rank] + local))
     held = Prescribed(local, lambda time: initial)
     fixed = np.union1d(loads.fixed_flow, operators.layout.flow_numbers(numbers))
     return replace(loads, pressures=(*loads.pressures, held), fixed_flow=fixed)
-
-
-def rest(model: Model) -> State:
-    """The initial state: at rest, at the initial pressure. Raises InputError where it is out of balance. Collective."""
-    ops, scene = model.operators, model.scene
-    layout = ops.layout
-    motion = Motion(layout.solid_vector(), layout.solid_vector(), layout.solid_vector())
-    pressure = layout.flow_vector()
-    pressure.set(scene.fluid.initial_pressure if scene.fluid is not None else 0.0)
-    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest())
-    refuse_imbalance(model, sections.traction, pressure)
-    forces = Forces(layout.solid_vector(), layout.solid_vector(), layout.flow_vector(), layout.flow_vector())
-    controls = {name: control.initial for name, control in scene.control.items()}
-    return State(0.0, motion, pressure, sections, forces, controls, empty_books())
-
-
-def refuse_imbalance(model: Model, traction: np.ndarray, pressure: PETSc.Vec) -> None:
-    """Raise InputError, on every rank, naming sides and fractures where the initial stress is not carried. Collective."""
-    ops = model.operators
-    balance, term = ops.prestress.copy(), ops.layout.solid_vector()
-    ops.joints.force(traction, balance)
-    model.loads.initial_force(term)
-    balance.axpy(-1.0, term)
-    if ops.flow is not None:
-        ops.flow.push.mult(pressure, term)
-        balance.axpy(-1.0, term)
-    local = balance.getArray()
-    for part in model.loads.supports:
-        local[part.numbers] = 0.0
-    block, starts = ops.blocks.solid, ops.blocks.solid.unknown_starts[ops.blocks.comm.rank]
-    bad = np.flatnonzero(np.abs(local) > EQUILIBRIUM * ops.scales.force)
-    nodes = np.flatnonzero(np.isin(block.unknown[: block.owned] - starts, bad).any(axis=1))
-    sides = {block.sides[s] for s in block.side_of[np.isin(block.side_facets, nodes).any(axis=1)]}
-    faces = np.concatenate([ops.blocks.joints.bottom, ops.blocks.joints.top], axis=1)
-    cut = {ops.blocks.joints.fractures[f] for f in ops.blocks.joints.fracture[np.isin(faces, nodes).any(axis=1)]}
-    count = ops.blocks.comm.allreduce(len(bad))
-    names = sorted(set().union(*ops.blocks.comm.allgather(sides | cut)))
-    balance.destroy()
-    term.destroy()
-    if count:
-        raise InputError(
-            f"initial state: out of balance at {count} unknowns, at {', '.join(names) or 'nodes inside the rock'}: a side that"
-            ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
-            " initial tractions must be those of initial_stress and fluid.initial_pressure"
-        )

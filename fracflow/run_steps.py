@@ -38,7 +38,7 @@ def stepper_of(scene: Scene, stage: Stage) -> Stepper:
     """The rule that a kind of stage steps by."""
     if stage.kind == "dynamic":
         return Newmark(scene.method.newmark_beta, scene.method.newmark_gamma)
-    return Steady() if stage.kind == "steady" else BackwardEuler()
+    return BackwardEuler() if stage.kind == "quasi-static" else Steady()
 
 
 class Stepping:
@@ -58,12 +58,23 @@ class Stepping:
         return self._couplings[id(loads)]
 
     def step(
-        self, state: State, stepper: Stepper, time: float, dt: float, controls: Mapping[str, float]
+        self,
+        state: State,
+        stepper: Stepper,
+        time: float,
+        dt: float,
+        controls: Mapping[str, float],
+        loads: Loads | None = None,
+        restraint: PETSc.Vec | None = None,
     ) -> tuple[State, StepReport]:
-        """One step to ``time``. Raises SolveError, on every rank; ``state`` stays as it is. Collective."""
+        """One step to ``time``, by default under the loads of the scene and no restraint.
+
+        Raises SolveError, on every rank; ``state`` stays as it is. Collective.
+        """
         alphas = stepper.alphas(dt) if dt > 0.0 else Alphas()
-        loads = self.model.loads if stepper.storage else self.model.steady_loads
-        problem = StepProblem(self.model.operators, loads, state, alphas, time, controls)
+        if loads is None:
+            loads = self.model.loads if stepper.storage else self.model.steady_loads
+        problem = StepProblem(self.model.operators, loads, state, alphas, time, controls, restraint)
         try:
             report = self._coupling(loads).solve(problem)  # type: ignore[attr-defined]
             new = problem.accept(state.energy)

@@ -16,23 +16,11 @@ from pydantic import (
 
 from fracflow import __version__
 from fracflow.errors import InputError
-from fracflow.scene_actions import Control, Load, Probe, Stage, Support, Well
+from fracflow.scene_actions import Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene_checks import check_mesh_names, contradictions
 from fracflow.scene_errors import nearest, one_line
-from fracflow.scene_tables import (
-    Accuracy,
-    Fluid,
-    Fracture,
-    Geometry,
-    InitialStress,
-    Mesh,
-    Method,
-    Option,
-    Output,
-    Part,
-    Rock,
-    with_preset,
-)
+from fracflow.scene_materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
+from fracflow.scene_tables import Accuracy, Geometry, Mesh, Method, Option, Output, Part, with_preset
 from fracflow.scene_toml import override, read_toml, write_toml, write_value
 from fracflow.units import UnitSystem, fault
 
@@ -59,13 +47,16 @@ class Scene(Part):
     geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
     mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")
     rock: dict[str, Rock] = Field(default_factory=dict, description="rocks by name")
-    initial_stress: InitialStress | None = Field(default=None, description="uniform stress before the first step")
+    initial_stress: InitialStress | None = Field(default=None, description="stress before the first step")
+    body_force: BodyForce | None = Field(default=None, description="forces on the volume of the rock")
+    initial: Initial | None = Field(default=None, description="a start away from the initial equilibrium")
     fracture: dict[str, Fracture] = Field(
         default_factory=dict, description='fractures by name; "default" serves those without a table'
     )
     fluid: Fluid | None = Field(default=None, description="the fluid in the fractures; without it no flow is modelled")
     support: tuple[Support, ...] = Field(default=(), description="what is held or moved")
     load: tuple[Load, ...] = Field(default=(), description="tractions on sides")
+    tie: tuple[Tie, ...] = Field(default=(), description="sides that move as one, or as each other")
     well: tuple[Well, ...] = Field(default=(), description="where fluid is pumped, or its pressure kept")
     control: dict[str, Control] = Field(default_factory=dict, description="factors that wells and loads share")
     probe: tuple[Probe, ...] = Field(default=(), description="places whose history is written")
@@ -144,12 +135,21 @@ class Scene(Part):
         """Whether a stage has inertia."""
         return any(stage.kind == "dynamic" for stage in self.stage)
 
+    @property
+    def equilibrates(self) -> bool:
+        """Whether the run begins by finding its own equilibrium."""
+        return bool(self.stage) and self.stage[0].kind == "equilibrate"
+
     def fracture_named(self, name: str) -> Fracture:
         """Find the table of a fracture, or the default one; raises InputError where there is neither."""
         found = self.fracture.get(name) or self.fracture.get("default")
         if found is None:
             raise InputError(f"{self.source}: fracture.{name}: missing; {nearest(name, self.fracture)}")
         return found
+
+    def is_of(self, fracture: str, table: str) -> bool:
+        """Whether [fracture.TABLE] is the table of a fracture: by its name, or as the default one."""
+        return table == fracture or (table == "default" and fracture not in self.fracture)
 
     def check_mesh_names(
         self,

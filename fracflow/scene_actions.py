@@ -17,6 +17,8 @@ Measured = Literal[
     "displacement", "velocity", "acceleration", "slip", "plastic_slip", "slip_rate", "opening", "aperture",
     "shear_traction", "normal_traction", "strength", "pressure", "head", "flow_rate", "strain", "stress",
 ]  # fmt: skip
+Entry = Annotated[TimeTable, Tabled()]
+Row = tuple[Entry, Entry]
 Names = Annotated[
     tuple[Name, ...], Field(min_length=1), BeforeValidator(lambda on: [on] if isinstance(on, str) else on)
 ]
@@ -35,12 +37,17 @@ class Support(Part):
         default=None,
         description="prescribed {x = ..., y = ...} [length]; rotation of a rigid rock in radians",
     )
+    displacement_gradient: tuple[Row, Row] | None = Field(
+        default=None,
+        description="[[du_x/dx, du_x/dy], [du_y/dx, du_y/dy]], each a number or a time table, added to displacement:"
+        " a motion affine in x and y [1]",
+    )
 
     @model_validator(mode="before")
     @classmethod
     def _follow_displacement(cls, data: Any) -> Any:
         moved = data.get("displacement") if isinstance(data, dict) else None
-        if not isinstance(moved, dict) or "components" in data:
+        if not isinstance(moved, dict) or "components" in data or "displacement_gradient" in data:
             return data
         known = [part for part in get_args(Component) if part in moved]
         return {**data, "components": known} if known else data
@@ -51,7 +58,16 @@ class Support(Part):
         if not moved <= set(self.components):
             extra = ", ".join(sorted(moved - set(self.components)))
             raise fault(f"contradicts displacement, which prescribes {extra} too", key="components")
+        if self.displacement_gradient is not None and not {"x", "y"} <= set(self.components):
+            raise fault("contradicts displacement_gradient, which prescribes x and y", key="components")
         return self
+
+
+class Tie(Part):
+    """[[tie]] One side whose nodes move alike, as under a platen, or two facing sides that move as each other."""
+
+    on: Names = Field(max_length=2, description="one side, or two that a translation brings to coincide (periodic)")
+    components: tuple[Literal["x", "y"], ...] = Field(default=("x", "y"), min_length=1, description="what is tied")
 
 
 class Load(Part):
@@ -129,14 +145,17 @@ class Stage(Part):
     """[[stage]] A part of the run."""
 
     name: Name | None = Field(default=None, description="name by which --set and the log call the stage")
-    kind: Literal["steady", "quasi-static", "dynamic"] = Field(
-        description="steady: no storage, no inertia; quasi-static: no inertia; dynamic: both"
+    kind: Literal["equilibrate", "steady", "quasi-static", "dynamic"] = Field(
+        description="equilibrate: from an initial state out of balance to rest, at the initial pressure, in no time;"
+        " steady: no storage, no inertia; quasi-static: no inertia; dynamic: both"
     )
     end: Annotated[float, Quantity(TIME)] | None = Field(
         default=None, description="time at which the stage ends [time]"
     )
     time_step: Duration | None = Field(default=None, description="time step [time]")
-    steps: Count | None = Field(default=None, description="number of steps, in place of end")
+    steps: Count | None = Field(
+        default=None, description="number of steps, in place of end; increments of a stage that equilibrates"
+    )
     until: Literal["incipient"] | None = Field(
         default=None, description="incipient: raise the control until the first section is about to slip"
     )
@@ -164,6 +183,11 @@ class Stage(Part):
         return self
 
     def _check_time(self) -> None:
+        if self.kind == "equilibrate":
+            for key in ("time_step", "end", "until", "control", "increment_per_step"):
+                if getattr(self, key) is not None:
+                    raise fault('contradicts kind = "equilibrate", which takes no time and only steps', key=key)
+            return
         if self.takes_no_time:
             for key in ("time_step", "end", "steps"):
                 if getattr(self, key) is not None:
@@ -181,7 +205,7 @@ class Stage(Part):
     @property
     def takes_no_time(self) -> bool:
         """Whether the stage only searches a steady state, at a standing clock."""
-        return self.kind == "steady" and self.until is not None
+        return self.kind == "equilibrate" or (self.kind == "steady" and self.until is not None)
 
     def step_count(self, start: float) -> int | None:
         """Count the steps of a stage that begins at ``start`` until ``end``; None where nothing bounds it."""

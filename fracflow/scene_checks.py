@@ -61,11 +61,15 @@ def _materials(scene: Scene) -> Iterator[Fault]:
     if not scene.rock:
         yield ("rock",), "missing; a scene needs [rock.NAME]"
     for name, rock in scene.rock.items():
-        if scene.has_dynamics and rock.density is None:
+        if rock.density is None and scene.has_dynamics:
             yield ("rock", name, "density"), "missing; dynamic stages need it"
+        if rock.density is None and scene.body_force is not None and scene.body_force.gravity:
+            yield ("rock", name, "density"), "missing; body_force.gravity needs it"
     for name, fracture in scene.fracture.items():
-        if scene.has_flow and fracture.aperture is None:
-            yield ("fracture", name, "aperture"), "missing; the fluid needs it"
+        if scene.has_flow and fracture.aperture is None and fracture.conductance is None:
+            yield ("fracture", name, "aperture"), "missing; the fluid needs it, or conductance"
+        if fracture.pressure is not None and not scene.has_flow:
+            yield ("fracture", name, "pressure"), "needs [fluid] with a viscosity: without it no fluid is modelled"
     if scene.fluid is None and scene.well:
         yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
 
@@ -89,6 +93,8 @@ def _actions(scene: Scene) -> Iterator[Fault]:
             yield ("load", index, "traction"), "needs the table [initial_stress]"
     clock: float | None = 0.0
     for index, stage in enumerate(scene.stage):
+        if index and stage.kind == "equilibrate":
+            yield ("stage", index, "kind"), "only the first stage can equilibrate: later states are in balance"
         if stage.takes_no_time:
             continue
         if clock is not None and stage.end is not None and stage.end <= clock:
@@ -130,9 +136,12 @@ def _used_names(
     for index, support in enumerate(scene.support):
         for name in support.on:
             yield f"support.{index}.on", name, (*sides, *points, *rocks)
-    for index, load in enumerate(scene.load):
-        for name in load.on:
-            yield f"load.{index}.on", name, sides
+    for key in ("load", "tie"):
+        for index, entry in enumerate(getattr(scene, key)):
+            for name in entry.on:
+                yield f"{key}.{index}.on", name, sides
+    for name in scene.initial.rock if scene.initial is not None else ():
+        yield "initial.rock", name, rocks
     for well in scene.well:
         yield from _place(f"well.{well.name}.at", well.at, fractures, points)
     for probe in scene.probe:

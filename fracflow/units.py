@@ -19,6 +19,10 @@ DENSITY = "force*time**2/length**4"
 WEIGHT = "force/length**3"
 VISCOSITY = "force*time/length**2"
 FLOW_RATE = "length**3/time"
+CONDUCTANCE = "length**5/(force*time)"
+VELOCITY = "length/time"
+ACCELERATION = "length/time**2"
+RATE = "1/time"
 LINE_FORCE = "force/length"
 LENGTH = "length"
 TIME = "time"
@@ -32,6 +36,10 @@ EXAMPLES = {
     VISCOSITY: "1e-3 Pa s",
     FLOW_RATE: "0.1 m^3/s",
     LINE_FORCE: "1 N/m",
+    CONDUCTANCE: "1e-12 m^5/(N s)",
+    VELOCITY: "1 mm/s",
+    ACCELERATION: "9.81 m/s^2",
+    RATE: "0.1 1/s",
     LENGTH: "1 mm",
     TIME: "10 ms",
     ANGLE: "30 deg",

@@ -2,7 +2,7 @@
 
 Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + friction + viscous + scheme + spurious + dropped
-    = work_boundaries + work_wells + work_pressure
+    = work_boundaries + work_wells + work_pressure + work_initial
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STORED = (
     "spurious",
     "dropped",
 )
-WORK = ("work_boundaries", "work_wells", "work_pressure")
+WORK = ("work_boundaries", "work_wells", "work_pressure", "work_initial")
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
 
@@ -80,6 +80,11 @@ def drop_motion(totals: Mapping[str, float], lost: float) -> dict[str, float]:
     return _with_residuals({**totals, "kinetic": totals["kinetic"] - lost, "dropped": totals["dropped"] + lost})
 
 
+def put_in(totals: Mapping[str, float]) -> dict[str, float]:
+    """Totals of a start away from rest: all that they do not account for was put in before the first step."""
+    return _with_residuals({**totals, "work_initial": totals["work_initial"] + totals["residual"]})
+
+
 def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
     left = sum(totals[name] for name in STORED) - sum(totals[name] for name in WORK)
     return {
@@ -104,18 +109,23 @@ def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
 def _fluid_parts(
     ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, storage: bool
 ) -> dict[str, float]:
-    """Terms of the balance (3.20), which holds at ``instants``, times the mean pressure of the step."""
+    """Terms of the balance (3.20), which holds at ``instants``, times the mean pressure that drives in the step.
+
+    The resting pressure is a dead load on the walls.
+    """
     assert ops.flow is not None
-    rate, share = pressure.duplicate(), dt / len(instants)
+    rate, share, driving = pressure.duplicate(), dt / len(instants), pressure - ops.flow.resting
 
     def volume(matrix: PETSc.Mat, motion: PETSc.Vec) -> float:
         matrix.multTranspose(motion, rate)
-        return float(rate.dot(pressure))
+        return float(rate.dot(driving))
 
     pushed = volume(ops.flow.push, change)
+    resting = float(rate.dot(ops.flow.resting))
     parts = {
-        "viscous": share * sum(state.forces.conduction.dot(pressure) for state in instants),
-        "work_wells": share * sum(state.forces.source.dot(pressure) for state in instants),
+        "viscous": share * sum(state.forces.conduction.dot(driving) for state in instants),
+        "work_wells": share * sum(state.forces.source.dot(driving) for state in instants),
+        "work_pressure": resting,
     }
     if storage:
         swept = volume(ops.flow.squeeze, change)
@@ -123,6 +133,7 @@ def _fluid_parts(
         stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity) for state in instants)
         parts["fluid_scheme"] = stored - swept
     else:
-        parts["work_pressure"] = pushed
+        parts["work_pressure"] += pushed
     rate.destroy()
+    driving.destroy()
     return parts

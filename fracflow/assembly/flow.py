@@ -12,6 +12,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.assembly.joints import jump_matrix
 from fracflow.assembly.layout import add_blocks, create_matrix
+from fracflow.assembly.properties import along_fractures, resting_pressure
 from fracflow.elements import flow, joint
 from fracflow.laws.cubic_flow import MEANS, conductance
 from fracflow.mesh.blocks import Blocks
@@ -28,7 +29,8 @@ STORAGE = {
 
 @dataclass(frozen=True)
 class Conduction:
-    """The network at given openings and pressures: conductances (j,), their derivatives (j, 2), end pressures (j, 2)."""
+    """The network at given openings and pressures: conductances (j,), their derivatives (j, 2), and the end pressures
+    (j, 2) that drive, above those at rest."""
 
     conductance: Floats
     slope: Floats
@@ -46,6 +48,9 @@ class Flow:
     aperture    (j, 2) initial aperture d0 at the ends [length]
     least       (j, 2) minimum hydraulic aperture, for conduction only [length]
     length      (j,) [length]
+    given       (j,) conductance times length that the scene gives in place of the cubic law; NaN where it does not
+    resting     the pressure at which the fluid is at rest, zero but for its change with depth, at the flow nodes
+    resting_end (j, 2) the same at the joint ends [stress]
     """
 
     opening: PETSc.Mat
@@ -56,6 +61,9 @@ class Flow:
     aperture: Floats
     least: Floats
     length: Floats
+    given: Floats
+    resting: PETSc.Vec
+    resting_end: Floats
     mean: str
     viscosity: float
 
@@ -64,15 +72,16 @@ class Flow:
         return self.aperture + _apply(self.opening, displacement).reshape(-1, 2)
 
     def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> Conduction:
-        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures. Collective."""
+        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
         mechanical = self.apertures(displacement)
         hydraulic = np.maximum(mechanical, self.least)
         mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
         slope = np.stack([slope_1, slope_2], axis=1) * (mechanical >= self.least)
+        cubic, is_cubic = conductance(mean, self.length, self.viscosity), np.isnan(self.given)
         return Conduction(
-            conductance(mean, self.length, self.viscosity),
-            conductance(slope, self.length[:, None], self.viscosity),
-            _apply(self.pick, pressure).reshape(-1, 2),
+            np.where(is_cubic, cubic, self.given / self.length),
+            np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
+            _apply(self.pick, pressure).reshape(-1, 2) - self.resting_end,
         )
 
     def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
@@ -127,18 +136,21 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     kinds = STORAGE[scene.method.storage]
     push = weighted(kinds[0])
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
-    tables = [scene.fracture_named(name) for name in block.fractures]
-    apertures = np.array([table.aperture for table in tables])[block.fracture]
-    least = np.array([table.minimum_hydraulic_aperture for table in tables])[block.fracture]
+    natural = np.array([-1.0, 1.0])
+    resting = PETSc.Vec().createMPI(node_layout, comm=comm)
+    resting.setArray(resting_pressure(scene, blocks.flow.points))
     return Flow(
         opening,
         pick,
         push,
         squeeze,
         push if kinds[0] == "consistent" else weighted("consistent"),
-        np.repeat(apertures[:, None], 2, axis=1),
-        np.repeat(least[:, None], 2, axis=1),
+        along_fractures(blocks, scene, "aperture", natural),
+        along_fractures(blocks, scene, "minimum_hydraulic_aperture", natural),
         length,
+        along_fractures(blocks, scene, "conductance", np.zeros(1))[:, 0],
+        resting,
+        _apply(pick, resting).reshape(-1, 2),
         scene.method.conductance,
         scene.fluid.viscosity,
     )

@@ -12,7 +12,8 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.layout import add_blocks, create_matrix
-from fracflow.assembly.solid import nodal_layout, node_unknowns, stress_tensor
+from fracflow.assembly.properties import along_fractures, initial_pressure, initial_stress, on_joints
+from fracflow.assembly.solid import nodal_layout, node_unknowns
 from fracflow.elements import joint
 from fracflow.errors import InputError
 from fracflow.laws import JOINT_LAWS
@@ -156,30 +157,28 @@ def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:
     return tuple(groups)
 
 
-def initial_tractions(blocks: Blocks, scene: Scene, points: int) -> Floats:
-    """(2.14) Initial effective tractions (s, dim): of the initial stress, plus the initial pressure; overrides after.
-
-    Raises InputError that lists the fractures under initial tension or past their strength.
-    """
-    block, dim = blocks.joints, blocks.sizes.dim
-    frame, _ = joint.frame(blocks.solid.points[block.bottom])
-    sigma = np.broadcast_to(stress_tensor(scene)[:dim, :dim], (len(block.ids), dim, dim))
-    traction = joint.traction_from_stress(frame, sigma)
-    traction[:, -1] += scene.fluid.initial_pressure if scene.fluid is not None else 0.0
-    for number, name in enumerate(block.fractures):
-        table, here = scene.fracture_named(name), block.fracture == number
-        if table.initial_normal_traction is not None:
-            traction[here, -1] = table.initial_normal_traction
-        if table.initial_shear_traction is not None:
-            traction[here, :-1] = table.initial_shear_traction
-    return np.repeat(traction, points, axis=0)
+def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
+    """(2.14) Initial effective tractions (s, dim): of the initial stress, plus the initial pressure; overrides after."""
+    block, dim, points = blocks.joints, blocks.sizes.dim, len(natural)
+    ends = blocks.solid.points[block.bottom]
+    frame, _ = joint.frame(ends)
+    place = on_joints(ends, natural).reshape(-1, dim)
+    sigma = initial_stress(scene, place)[:, :dim, :dim]
+    traction = joint.traction_from_stress(np.repeat(frame, points, axis=0), sigma)
+    traction[:, -1] += initial_pressure(scene, place)
+    normal, shear = (
+        along_fractures(blocks, scene, f"initial_{part}_traction", natural).ravel() for part in ("normal", "shear")
+    )
+    traction[:, -1] = np.where(np.isnan(normal), traction[:, -1], normal)
+    traction[:, :-1] = np.where(np.isnan(shear)[:, None], traction[:, :-1], shear[:, None])
+    return traction
 
 
-def law_groups(blocks: Blocks, scene: Scene, initial: Floats, points: int) -> tuple[LawGroup, ...]:
+def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -> tuple[LawGroup, ...]:
     """One group a law, its parameters as arrays over the sections of every fracture that names it."""
     block = blocks.joints
     tables = [scene.fracture_named(name) for name in block.fractures]
-    fracture = np.repeat(block.fracture, points)
+    fracture = np.repeat(block.fracture, len(natural))
     choices = {
         "coupled_tangent": scene.method.tangent == "consistent",
         "strength_when_open": scene.method.open_strength == "cohesion",
@@ -197,10 +196,7 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, points: int) -> tu
                 given[field.name] = choices[field.name]
             elif field.name not in given:
                 key = "friction" if field.name == "friction_coefficient" else field.name
-                column = np.array(
-                    [getattr(table, key) if table.law == name else np.nan for table in tables], dtype=float
-                )
-                given[field.name] = column[fracture[sections]]
+                given[field.name] = along_fractures(blocks, scene, key, natural).ravel()[sections]
         groups.append(LawGroup(sections, law(**given)))
     return tuple(groups)
 
@@ -221,12 +217,14 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     if bad_tension:
         raise InputError(
             f"initial state: effective normal traction is tensile on {', '.join(bad_tension)}: compress the rock"
-            " (initial_stress), lower fluid.initial_pressure, or give initial_normal_traction <= 0"
+            " (initial_stress), lower fluid.initial_pressure, give initial_normal_traction <= 0, or let a first [[stage]]"
+            ' with kind = "equilibrate" open them'
         )
     if bad_failed:
         raise InputError(
             f"initial state: initial shear traction reaches the strength of {', '.join(bad_failed)}: lower the shear"
-            " stress (initial_stress), or raise friction or cohesion"
+            " stress (initial_stress), raise friction or cohesion, or let a first [[stage]] with kind ="
+            ' "equilibrate" make them slip'
         )
 
 
@@ -235,8 +233,9 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
     xi, weight = joint.RULES[scene.method.quadrature]
     _, length = joint.frame(blocks.solid.points[blocks.joints.bottom])
     weights = joint.section_length(length, weight).ravel()
-    initial = initial_tractions(blocks, scene, len(xi))
-    groups = law_groups(blocks, scene, initial, len(xi))
-    refuse_bad_start(blocks, groups, initial, len(xi))
+    initial = initial_tractions(blocks, scene, xi)
+    groups = law_groups(blocks, scene, initial, xi)
+    if not scene.equilibrates:
+        refuse_bad_start(blocks, groups, initial, len(xi))
     jump = jump_matrix(blocks, xi, expand)
     return Joints(blocks.sizes.dim, jump, weights, initial, section_groups(jump, blocks.sizes.dim), groups)

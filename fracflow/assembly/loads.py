@@ -4,29 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.layout import Layout
-from fracflow.assembly.solid import nodal_force, stress_tensor
+from fracflow.assembly.properties import initial_pressure, initial_stress
+from fracflow.assembly.solid import body_forces, nodal_force
 from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Floats, Ints
+from fracflow.profiles import Pressures
 from fracflow.scene import Load, Scene, Support
 from fracflow.tables import TimeTable
 
 TimeFunction = Callable[[float], float]
+Values = Callable[[float], "float | Floats"]
 AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
 class Prescribed:
-    """Unknowns of this rank (local numbers) that follow a function of time."""
+    """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each."""
 
     numbers: Ints
-    value: TimeFunction
+    value: Values
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,8 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
     if load.pressure is not None:
         return [Pattern(_side_force(blocks, facets, -normal, expand), load.pressure, load.control)]
     if load.traction == "initial-stress":
-        traction = normal @ stress_tensor(scene)[:2, :2].T
+        at_nodes = initial_stress(scene, blocks.solid.points[blocks.solid.side_facets[facets]])[..., :2, :2]
+        traction = np.einsum("saij,sj->sai", at_nodes, normal)
         return [Pattern(_side_force(blocks, facets, traction, expand), lambda time: 1.0, load.control, True)]
     assert load.traction is not None and not isinstance(load.traction, str)
     patterns = []
@@ -122,14 +127,19 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
     return patterns
 
 
-def _supported(blocks: Blocks, support: Support, name: str, points: Mapping[str, Ints]) -> dict[str, Ints]:
-    """Unknowns of each supported component on a side, a rock or a point, of this rank's part. Raises InputError."""
+def _supported(
+    blocks: Blocks, support: Support, name: str, points: Mapping[str, Ints]
+) -> dict[str, tuple[Ints, Floats]]:
+    """Unknowns (n,) of each supported component on a side, a rock or a point, of this rank's part, and their places (n, dim).
+
+    Raises InputError, on every rank.
+    """
     block, dim = blocks.solid, blocks.sizes.dim
     rotation = {"rotation": dim}
     if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
         bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
         column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
-        return {part: block.body_unknown[bodies, column[part]] for part in support.components}
+        return {part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components}
     if name in block.sides:
         nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
     elif name in block.rocks:
@@ -150,12 +160,53 @@ def _supported(blocks: Blocks, support: Support, name: str, points: Mapping[str,
     )
     if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
         raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
-    return {part: block.unknown[nodes, AXES.index(part)] for part in given}
+    return {part: (block.unknown[nodes, AXES.index(part)], block.points[nodes]) for part in given}
 
 
 def _own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
     mine = np.unique(everywhere)
     return mine[owner_of(starts, mine) == rank] - starts[rank]
+
+
+def _prescribed(
+    starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[[float, Floats], Any]
+) -> tuple[Prescribed, Ints]:
+    """What this rank holds of numbers (n,) found anywhere, but for those taken before; and all that is taken now.
+
+    value  of time and of what was found with each number (n, k)
+    """
+    numbers, data = (np.concatenate(parts) for parts in zip(*comm.allgather(found), strict=True))
+    everywhere, first = np.unique(numbers, return_index=True)
+    is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
+    here = is_new & (owner_of(starts, everywhere) == comm.rank)
+    with_it = data[first[here]]
+    return Prescribed(everywhere[here] - starts[comm.rank], lambda time: value(time, with_it)), np.union1d(
+        taken, everywhere
+    )
+
+
+def _motion(support: Support, part: str) -> Callable[[float, Floats], Any]:
+    """Displacement of a supported component over time at places (n, dim)."""
+    base = (support.displacement or {}).get(part, lambda time: 0.0)
+    if support.displacement_gradient is None or part not in AXES:
+        return lambda time, place: base(time)
+    row = support.displacement_gradient[AXES.index(part)]
+    return lambda time, place: base(time) + place @ np.array([entry(time) for entry in row])
+
+
+def _swapped(pressure: Pressures) -> Callable[[float, Floats], Any]:
+    return lambda time, along: pressure(along, time)
+
+
+def _well_pressure(
+    blocks: Blocks, scene: Scene, layout: Layout, node: int, given: TimeTable | str, held: Ints
+) -> tuple[Prescribed, Ints]:
+    """The pressure kept at a well; "initial" is p0 there."""
+    local = _own(layout.flow_starts, blocks.comm.rank, np.array([node]))
+    if isinstance(given, TimeTable):
+        return Prescribed(local, given), np.union1d(held, [node])
+    initial = initial_pressure(scene, blocks.flow.points[local])
+    return Prescribed(local, lambda time: initial), np.union1d(held, [node])
 
 
 def assemble_loads(
@@ -173,38 +224,43 @@ def assemble_loads(
     Collective. Raises InputError, on every rank, for names the mesh does not have.
     """
     comm, starts = blocks.comm, blocks.solid.unknown_starts
-    supports: list[Prescribed] = []
-    taken = np.zeros(0, dtype=np.int64)
+    taken = blocks.solid.unused
+    supports = [Prescribed(_own(starts, comm.rank, taken), lambda time: 0.0)]
     for support in scene.support:
-        for name in [support.on] if isinstance(support.on, str) else support.on:
-            for part, numbers in _supported(blocks, support, name, points).items():
-                everywhere = np.unique(np.concatenate(comm.allgather(numbers)))
-                value = (support.displacement or {}).get(part, lambda time: 0.0)
-                new = np.setdiff1d(everywhere, taken)  # where two supports meet, the first one holds
-                taken = np.union1d(taken, new)
-                supports.append(Prescribed(_own(starts, comm.rank, new), value))
+        for name in support.on:
+            for part, found in _supported(blocks, support, name, points).items():
+                here, taken = _prescribed(starts, comm, found, taken, _motion(support, part))
+                supports.append(here)
     forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
+    if scene.body_force is not None:
+        forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
 
-    pressures, wells, held = [], [], []
+    pressures, wells = [], []
+    held = np.zeros(0, dtype=np.int64)
     depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
     for well in scene.well if scene.has_flow else ():
         node = well_nodes[well.name]
         if well.pressure is not None:
-            initial = scene.fluid.initial_pressure if scene.fluid is not None else 0.0
-            table = TimeTable.constant(initial) if isinstance(well.pressure, str) else well.pressure
-            pressures.append(Prescribed(_own(layout.flow_starts, comm.rank, np.array([node])), table))
-            held.append(node)
+            here, held = _well_pressure(blocks, scene, layout, node, well.pressure, held)
+            pressures.append(here)
         else:
             vector = layout.flow_vector()
             vector.setValue(node, 1.0 / depth if comm.rank == 0 else 0.0, addv=PETSc.InsertMode.ADD)
             vector.assemble()
             assert well.flow_rate is not None
             wells.append(Pattern(vector, well.flow_rate, well.control))
+    for name, table in scene.fracture.items() if scene.has_flow else ():
+        if table.pressure is not None:
+            chosen = np.flatnonzero([scene.is_of(fracture, name) for fracture in blocks.joints.fractures])
+            ends = np.isin(blocks.joints.fracture, chosen)
+            found = (blocks.joints.flow[ends].ravel(), blocks.joints.along[ends].ravel())
+            here, held = _prescribed(layout.flow_starts, comm, found, held, _swapped(table.pressure))
+            pressures.append(here)
     return Loads(
         tuple(supports),
         tuple(forces),
         tuple(pressures),
         tuple(wells),
         layout.solid_numbers(taken.astype(np.int64)),
-        layout.flow_numbers(np.unique(np.array(held, dtype=np.int64))),
+        layout.flow_numbers(held),
     )

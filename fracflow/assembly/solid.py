@@ -8,6 +8,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.layout import add_blocks, create_matrix
+from fracflow.assembly.properties import body_force, initial_stress
 from fracflow.elements import solid
 from fracflow.laws.elastic import plane_strain_stiffness
 from fracflow.mesh.blocks import Blocks
@@ -41,12 +42,12 @@ def unknown_layout(blocks: Blocks) -> tuple[int, int]:
 
 
 def expansion(blocks: Blocks) -> PETSc.Mat | None:
-    """Nodal displacements from the unknowns, u = E q: a rigid body moves by translations and one rotation.
+    """Nodal displacements from the unknowns, u = E q: a rigid body moves by translations and a rotation, tied nodes as one.
 
-    None where no rock is rigid: then both are the same vector. The caller destroys it. Collective.
+    None where no rock is rigid and nothing tied: then both are the same vector. The caller destroys it. Collective.
     """
     block, dim = blocks.solid, blocks.sizes.dim
-    if not len(block.body_rock):
+    if not len(block.body_rock) and not len(block.unused):
         return None
     matrix = create_matrix((nodal_layout(blocks), unknown_layout(blocks)), dim + 1, blocks.comm)
     own = np.arange(block.owned)
@@ -151,22 +152,25 @@ def nodal_force(blocks: Blocks, nodes: Ints, force: Floats, expand: PETSc.Mat | 
     return reduced
 
 
-def stress_tensor(scene: Scene) -> Floats:
-    """Initial stress (3, 3) [stress], tension positive; zero where the scene names none."""
-    given = scene.initial_stress
-    if given is None:
-        return np.zeros((3, 3))
-    return np.array([[given.xx, given.xy, 0.0], [given.xy, given.yy, 0.0], [0.0, 0.0, given.zz]])
-
-
 def initial_stress_force(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Vec:
     """F_s(sigma_0) of (4.4b) on the unknowns [force per thickness]. The caller destroys it. Collective."""
-    sigma = stress_tensor(scene)
-    voigt = np.array([sigma[0, 0], sigma[1, 1], sigma[0, 1]])
     nodes_all, forces = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     cells = deformable(blocks, scene)
     for _, nodes in by_shape(blocks.solid.cells[cells]):
-        stress = np.broadcast_to(voigt, (len(nodes), 3))
+        points = blocks.solid.points[nodes]
+        sigma = initial_stress(scene, solid.stiffness_points(points))
+        voigt = np.stack([sigma[..., 0, 0], sigma[..., 1, 1], sigma[..., 0, 1]], axis=-1)
         nodes_all.append(nodes.ravel())
-        forces.append(solid.initial_stress_force(blocks.solid.points[nodes], stress).reshape(-1, 2))
+        forces.append(solid.initial_stress_force(points, voigt).reshape(-1, 2))
+    return nodal_force(blocks, np.concatenate(nodes_all), np.concatenate(forces), expand)
+
+
+def body_forces(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Vec:
+    """Nodal forces of [body_force] on the unknowns [force per thickness]. The caller destroys it. Collective."""
+    each = np.array([body_force(scene, name) for name in blocks.solid.rocks])
+    nodes_all, forces = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
+    for cells, nodes in by_shape(blocks.solid.cells):
+        nodes_all.append(nodes.ravel())
+        force = each[blocks.solid.cell_rock[cells]]
+        forces.append(solid.body_force(blocks.solid.points[nodes], force).reshape(-1, 2))
     return nodal_force(blocks, np.concatenate(nodes_all), np.concatenate(forces), expand)

@@ -48,13 +48,16 @@ class StepProblem:
         alphas: Alphas,
         time: float,
         controls: Mapping[str, float],
+        restraint: PETSc.Vec | None = None,
     ) -> None:
-        """Sample loads and wells at the end of the step. Collective."""
+        """Sample loads and wells at the end of the step; ``restraint`` is a force beside them. Collective."""
         self.operators, self.loads, self.state = operators, loads, state
         self.alphas, self.time, self.controls = alphas, time, controls
         layout = operators.layout
         self.load, self.source = layout.solid_vector(), layout.flow_vector()
         loads.force(time, controls, self.load)
+        if restraint is not None:
+            self.load.axpy(1.0, restraint)
         loads.source(time, controls, self.source)
         self.displacement = state.motion.displacement.copy()
         self.pressure = state.pressure.copy()

@@ -70,10 +70,21 @@ def body_force(points: Floats, force: Floats, numbers: Ints | None = None) -> Fl
     return result
 
 
+def stiffness_points(points: Floats) -> Floats:
+    """Places (n, q, 2) of the points by which the stiffness of cells with nodes (n, k, 2) is integrated."""
+    rule = rule_for(STIFFNESS_RULES, points.shape[1])
+    result: Floats = np.einsum("qk,nkd->nqd", rule.values, points)
+    return result
+
+
 def initial_stress_force(points: Floats, stress: Floats, numbers: Ints | None = None) -> Floats:
-    """(4.4b) F_s(sigma_0) = int B' sigma_0: internal nodal forces (n, 2k) of a stress (n, 3), xx, yy, xy."""
+    """(4.4b) F_s(sigma_0) = int B' sigma_0: internal nodal forces (n, 2k) of a stress xx, yy, xy.
+
+    stress (n, 3), constant in each cell, or (n, q, 3) at its ``stiffness_points`` [stress].
+    """
     operator, weight = _strain_operator(points, rule_for(STIFFNESS_RULES, points.shape[1]), numbers)
-    result: Floats = np.einsum("nq,nqij,ni->nj", weight, operator, stress)
+    at_points = np.broadcast_to(stress[:, None], (*weight.shape, 3)) if stress.ndim == 2 else stress
+    result: Floats = np.einsum("nq,nqij,nqi->nj", weight, operator, at_points)
     return result
 
 

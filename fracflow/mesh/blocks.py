@@ -26,7 +26,8 @@ class SolidBlock:
     side_facets   (s, dim)  local nodes of the named boundary facets of this rank's cells
     side_of       (s,)      index into ``sides``
     side_cell     (s,)      local cell a side facet belongs to
-    unknown       (n, dim)  PETSc number of the unknown of a deformable node; -1 on a rigid body
+    unknown       (n, dim)  PETSc number of the unknown of a deformable node, shared where nodes are tied; -1 on a rigid body
+    unused        (t,)      numbers that no node has because it is tied to another, of all ranks, ascending
     body          (n,)      rigid body a node belongs to, -1 for none
     body_unknown  (b, r)    unknowns of each rigid body: dim translations, then the rotation
     body_center   (b, dim)  the point a body turns about [length]
@@ -49,6 +50,7 @@ class SolidBlock:
     side_cell: Ints
     sides: tuple[str, ...]
     unknown: Ints
+    unused: Ints
     body: Ints
     body_unknown: Ints
     body_center: Floats
@@ -68,6 +70,7 @@ class JointBlock:
     flow      (j, dim)  PETSc numbers of the flow nodes
     flow_ids  (j, dim)  their numbers in the split mesh
     fracture  (j,)      index into ``fractures``
+    along     (j, dim)  distance of each end from the start of its fracture [length]
     """
 
     ids: Ints
@@ -77,6 +80,7 @@ class JointBlock:
     flow_ids: Ints
     fracture: Ints
     fractures: tuple[str, ...]
+    along: Floats
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ class SplitMesh:
     joint_cells    (f, 2)    cell below, cell above
     joint_flow     (f, dim)  flow nodes: one per raw fracture node, shared at junctions
     joint_fracture (f,)      index into ``fractures``
+    joint_along    (f, dim)  distance of each end from the start of its fracture [length]
     flow_origin    (q,)      raw node of each flow node
     side_facets    (s, dim)  nodes of named boundary facets
     side_cell      (s,)      the cell a side facet belongs to
@@ -68,6 +69,7 @@ class SplitMesh:
     joint_cells: Ints
     joint_flow: Ints
     joint_fracture: Ints
+    joint_along: Floats
     fractures: tuple[str, ...]
     flow_origin: Ints
     side_facets: Ints

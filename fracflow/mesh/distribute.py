@@ -18,15 +18,21 @@ from fracflow._petsc import MPI
 from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBlock
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.mesh.partition import partition_cells
+from fracflow.mesh.ties import representatives
 
 
-def distribute(mesh: SplitMesh | None, comm: MPI.Comm, rigid_rocks: Collection[str] = ()) -> Blocks:
-    """Send each rank its blocks. ``mesh`` is given on rank 0 and None elsewhere. Collective."""
+def distribute(
+    mesh: SplitMesh | None, comm: MPI.Comm, rigid_rocks: Collection[str] = (), ties: Ints | None = None
+) -> Blocks:
+    """Send each rank its blocks. ``mesh`` is given on rank 0 and None elsewhere. Collective.
+
+    ties  (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
+    """
     cell_rank = partition_cells(mesh, comm)
     pieces: Any = None
     if mesh is not None:
         assert cell_rank is not None
-        pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks)
+        pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks, np.zeros((0, 2), np.int64) if ties is None else ties)
     solid, joints, flow, sizes = comm.scatter(pieces, root=0)
     return Blocks(comm, SolidBlock(**solid), JointBlock(**joints), FlowBlock(**flow), Sizes(**sizes))
 
@@ -66,7 +72,7 @@ def _renumber(owner: Ints, size: int, width: Ints | None = None) -> tuple[Ints, 
     return first, np.concatenate([[0], np.cumsum(counts)])
 
 
-def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection[str]) -> list[Any]:
+def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection[str], ties: Ints) -> list[Any]:
     dim = mesh.points.shape[1]
     cell, corner = np.nonzero(mesh.cells >= 0)
     node_owner = _lowest_rank(cell_rank[cell], mesh.cells[cell, corner], len(mesh.points), size)
@@ -92,6 +98,11 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
     unknown = first[: len(body), None] + np.arange(dim)
     unknown[body >= 0] = -1
     body_unknown = first[len(body) :, None] + np.arange(dim + rotations)
+    unused = np.zeros(0, dtype=np.int64)
+    if len(ties):
+        leader = representatives(ties, unknown.size)
+        unused = np.sort(unknown.ravel()[leader != np.arange(unknown.size)])
+        unknown = unknown.ravel()[leader].reshape(unknown.shape)
 
     sizes = dict(
         dim=dim,
@@ -129,6 +140,7 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
             side_cell=np.searchsorted(cells, mesh.side_cell[sides]),
             sides=mesh.sides,
             unknown=unknown[nodes],
+            unused=unused,
             body=body[nodes],
             body_unknown=body_unknown,
             body_center=center,
@@ -146,6 +158,7 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
             flow_ids=mesh.joint_flow[joints],
             fracture=mesh.joint_fracture[joints],
             fractures=mesh.fractures,
+            along=mesh.joint_along[joints],
         )
         flow = dict(ids=flow_nodes, points=mesh.points[mesh.flow_origin[flow_nodes]], starts=flow_starts)
         pieces.append((solid, joint, flow, sizes))

@@ -97,8 +97,15 @@ def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> Rock
     return RockPlace(node, mesh.points[node])
 
 
+def _distance_to_fractures(mesh: SplitMesh, point: Floats) -> float:
+    start, end = mesh.points[mesh.joint_bottom].swapaxes(0, 1)
+    step = end - start
+    along = np.clip(np.sum((point - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
+    return float(np.linalg.norm(start + along[:, None] * step - point, axis=1).min())
+
+
 def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> FracturePlace | RockPlace:
-    """A probe sits on a fracture if ``on`` names one, or if a fracture node is exactly there; else in the rock."""
+    """A probe sits on a fracture if ``on`` names one, or if it lies on one; else in the rock."""
     if on is not None and on in mesh.fractures:
         return on_fracture(mesh, at, what, on)
     if on is not None and on not in mesh.rocks:
@@ -106,9 +113,7 @@ def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> Fr
             f'{what}: on = "{on}": neither a fracture ({", ".join(mesh.fractures)}) nor a rock ({", ".join(mesh.rocks)})'
         )
     if on is None and len(mesh.flow_origin):
-        point = coordinates(mesh, at, what)
-        nodes = mesh.points[mesh.flow_origin]
         extent = np.ptp(mesh.points, axis=0).max()
-        if np.linalg.norm(nodes - point, axis=1).min() <= 1e-9 * extent:
+        if _distance_to_fractures(mesh, coordinates(mesh, at, what)) <= 1e-9 * extent:
             return on_fracture(mesh, at, what)
     return in_rock(mesh, at, what, on)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.mesh.along import arc_length
 from fracflow.mesh.data import Floats, Ints, RawMesh, SplitMesh
 from fracflow.mesh.facets import HalfFacets, Matches, components, half_facets, match, rows_near, spot
 
@@ -42,6 +43,7 @@ def split(raw: RawMesh) -> SplitMesh:
         joint_cells=rows[half.cell[np.stack([bottom, top], axis=1)]],
         joint_flow=joint_flow.reshape(facets.shape),
         joint_fracture=raw.fracture_of,
+        joint_along=arc_length(raw.points, facets, raw.fracture_of),
         fractures=raw.fractures,
         flow_origin=flow_origin,
         side_facets=side_facets,

@@ -51,7 +51,7 @@ def joint_ends(operators: Operators, state: State, flow_depth: float) -> Floats:
     fluid = np.full((count, 2, 3), np.nan)
     if operators.flow is not None:
         network = operators.flow.conduct(state.motion.displacement, state.pressure)
-        fluid[:, :, 0] = network.pressure
+        fluid[:, :, 0] = network.pressure + operators.flow.resting_end
         fluid[:, :, 1] = operators.flow.apertures(state.motion.displacement)
         through = network.conductance * (network.pressure[:, 0] - network.pressure[:, 1])
         fluid[:, :, 2] = through[:, None] * flow_depth

@@ -14,7 +14,7 @@ from fracflow.output.history import read_attributes, read_history
 
 BOOKS = (
     "kinetic", "rock_strain", "joint_normal", "joint_shear", "friction", "viscous", "scheme", "spurious", "dropped",
-    "work_boundaries", "work_wells", "work_pressure", "residual", "residual_closed",
+    "work_boundaries", "work_wells", "work_pressure", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
 MOST_EVENTS = 20
 

@@ -7,7 +7,8 @@ from fracflow._petsc import MPI
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.run_setup import prepare, rest
+from fracflow.run_setup import prepare
+from fracflow.run_start import rest
 from fracflow.scene import load
 from fracflow.stepping import Newmark, Steady
 

@@ -1,0 +1,61 @@
+"""The stage that finds equilibrium: fractures past their strength slip, what nothing holds gives way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.loads import Loads, Prescribed
+from fracflow.assembly.properties import initial_pressure
+from fracflow.run_setup import Model
+from fracflow.run_start import imbalance
+from fracflow.run_steps import Step, Stepping
+from fracflow.state import State
+from fracflow.stepping import Steady
+
+
+def equilibrate(stepping: Stepping, state: State, number: int, log: Callable[[str], None]) -> Iterator[Step]:
+    """Let go of the initial state in equal increments, the fluid kept at its initial pressure. Collective.
+
+    The force that held the state out of balance is taken away; what it does meanwhile is booked as work of boundaries.
+    Raises SolveError where no equilibrium is found. The caller owns the states.
+    """
+    model = stepping.model
+    stage = model.scene.stage[number]
+    loads, count = _resting_fluid(model), stage.steps or 1
+    held_back = imbalance(model, state.sections.traction, state.pressure)
+    state.forces.load.axpy(1.0, held_back)
+    for n in range(1, count + 1):
+        restraint = held_back.copy()
+        restraint.scale(1.0 - n / count)
+        try:
+            new, report = stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
+        finally:
+            restraint.destroy()
+        state = new
+        yield Step(new, number, 0.0, report)
+    held_back.destroy()
+    log(f"equilibrium: {_summary(model, state)}")
+
+
+def _resting_fluid(model: Model) -> Loads:
+    """The scene's loads with every pressure kept at its initial value."""
+    ops, loads = model.operators, model.loads
+    if ops.flow is None:
+        return loads
+    points = ops.blocks.flow.points
+    initial = initial_pressure(model.scene, points)
+    kept = Prescribed(np.arange(len(points)), lambda time: initial)
+    everywhere = ops.layout.flow_numbers(np.arange(ops.layout.flow_starts[-1]))
+    return replace(loads, pressures=(kept,), fixed_flow=everywhere)
+
+
+def _summary(model: Model, state: State) -> str:
+    comm, sections = model.operators.layout.comm, state.sections
+    slid = comm.allreduce(int(np.any(sections.inelastic != 0.0, axis=1).sum()))
+    opened = comm.allreduce(int(sections.is_open.sum()))
+    farthest = state.motion.displacement.norm(PETSc.NormType.INFINITY)
+    return f"{slid} sections slid, {opened} are open, largest displacement {farthest:.3g}"

@@ -1,0 +1,153 @@
+"""The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.energy import book, empty_books, put_in
+from fracflow.assembly.operators import Operators
+from fracflow.assembly.properties import initial_pressure
+from fracflow.assembly.solid import nodal_force
+from fracflow.errors import InputError
+from fracflow.mesh.data import Floats
+from fracflow.run_setup import Model
+from fracflow.scene_materials import InitialMotion
+from fracflow.state import Forces, Motion, State
+
+EQUILIBRIUM = 1e-9  # of the natural force of a joint
+
+
+def rest(model: Model) -> State:
+    """The state before the first step. Raises InputError, on every rank, where it is out of balance. Collective.
+
+    Fractures past their strength carry their initial tractions all the same: only a scene with a stage
+    ``equilibrate`` comes here with any.
+    """
+    ops, scene = model.operators, model.scene
+    layout = ops.layout
+    motion = Motion(layout.solid_vector(), layout.solid_vector(), layout.solid_vector())
+    pressure = layout.flow_vector()
+    if ops.flow is not None:
+        pressure.setArray(initial_pressure(scene, ops.blocks.flow.points))
+    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest(), hold=True)
+    if not scene.equilibrates:
+        _settle(model, sections.traction, pressure)
+    forces = Forces(layout.solid_vector(), layout.solid_vector(), layout.flow_vector(), layout.flow_vector())
+    controls = {name: control.initial for name, control in scene.control.items()}
+    state = State(0.0, motion, pressure, sections, forces, controls, empty_books())
+    return state if scene.initial is None else _moved(model, state)
+
+
+def _moved(model: Model, state: State) -> State:
+    """The start that [initial] describes; what it holds more than the state at rest is booked as put in. Collective."""
+    ops, initial = model.operators, model.scene.initial
+    assert initial is not None
+    motion = Motion(ops.layout.solid_vector(), ops.layout.solid_vector(), ops.layout.solid_vector())
+    _spread(model, "displacement", motion.displacement)
+    _spread(model, "velocity", motion.velocity)
+    pressure = state.pressure.copy()
+    if initial.pressure is not None:
+        pressure.set(initial.pressure)
+    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest())
+    new = replace(state, motion=motion, pressure=pressure, sections=sections)
+    energy = put_in(book(ops, state, new, 0.0, storage=False, inertia=True))
+    state.motion.destroy()
+    state.pressure.destroy()
+    return replace(new, energy=energy)
+
+
+def _spread(model: Model, key: str, result: PETSc.Vec) -> None:
+    """Write a displacement or velocity that is affine in each rock into the unknowns."""
+    ops, initial = model.operators, model.scene.initial
+    assert initial is not None
+    block, dim = ops.blocks.solid, ops.blocks.sizes.dim
+    first, last = result.getOwnershipRange()
+    local = result.getArray()
+
+    def write(numbers: np.ndarray, values: Floats) -> None:
+        here = (numbers >= first) & (numbers < last)
+        local[numbers[here] - first] = values[here]
+
+    for number, name in enumerate(block.rocks):
+        given = initial.rock.get(name, initial)
+        nodes = np.unique(block.cells[block.cell_rock == number])
+        nodes = nodes[(nodes >= 0)]
+        nodes = nodes[block.body[nodes] < 0]
+        write(block.unknown[nodes], _affine(given, key, block.points[nodes]))
+        bodies = np.flatnonzero(block.body_rock == number)
+        write(block.body_unknown[bodies, :dim], _affine(given, key, block.body_center[bodies]))
+        gradient = np.array(getattr(given, f"{key}_gradient") or np.zeros((dim, dim)))
+        spin = 0.5 * (gradient[1, 0] - gradient[0, 1])
+        write(block.body_unknown[bodies, dim], np.full(len(bodies), spin))
+
+
+def _affine(given: InitialMotion, key: str, points: Floats) -> Floats:
+    base, gradient = getattr(given, key), getattr(given, f"{key}_gradient")
+    value = np.zeros(points.shape) if base is None else np.broadcast_to(np.array(base), points.shape)
+    return np.asarray(value if gradient is None else value + points @ np.array(gradient).T)
+
+
+def imbalance(model: Model, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
+    """Inner less outer forces of the initial state on the unknowns, zero where held. The caller destroys it. Collective."""
+    ops = model.operators
+    balance, term = ops.prestress.copy(), ops.layout.solid_vector()
+    ops.joints.force(traction, balance)
+    model.loads.initial_force(term)
+    balance.axpy(-1.0, term)
+    if ops.flow is not None:
+        ops.flow.push.mult(pressure, term)
+        balance.axpy(-1.0, term)
+    local = balance.getArray()
+    for part in model.loads.supports:
+        local[part.numbers] = 0.0
+    term.destroy()
+    return balance
+
+
+def _settle(model: Model, traction: Floats, pressure: PETSc.Vec) -> None:
+    """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by. Collective.
+
+    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
+    differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start.
+    """
+    ops = model.operators
+    balance, allowed = imbalance(model, traction, pressure), _slack(model)
+    bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
+    count = ops.blocks.comm.allreduce(int(bad.sum()))
+    names = _names_at(ops, np.flatnonzero(bad))
+    if not count and allowed.norm() > 0.0:
+        ops.prestress.axpy(-1.0, balance)
+    balance.destroy()
+    allowed.destroy()
+    if count:
+        raise InputError(
+            f"initial state: out of balance at {count} unknowns, at {', '.join(names) or 'nodes inside the rock'}: a side that"
+            ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
+            " initial tractions must be those of initial_stress and fluid.initial_pressure; a [body_force] must balance the"
+            ' gradient of initial_stress; or let a first [[stage]] with kind = "equilibrate" find the state that is'
+        )
+
+
+def _slack(model: Model) -> PETSc.Vec:
+    """What the integration rules may differ by on each unknown: gradient times the square of a joint's length. Collective."""
+    ops, given, fluid = model.operators, model.scene.initial_stress, model.scene.fluid
+    steepest = 0.0 if given is None else max(abs(v) for v in given.gradient.model_dump().values())
+    steepest += 0.0 if fluid is None else abs(fluid.pressure_gradient)
+    joints, points = ops.blocks.joints, ops.blocks.solid.points
+    length = np.linalg.norm(points[joints.bottom[:, 1]] - points[joints.bottom[:, 0]], axis=1)
+    faces = np.concatenate([joints.bottom, joints.top], axis=1)
+    share = np.broadcast_to((steepest * length**2)[:, None, None], (*faces.shape, ops.blocks.sizes.dim))
+    return nodal_force(ops.blocks, faces, share.copy(), ops.expand)
+
+
+def _names_at(ops: Operators, bad: np.ndarray) -> list[str]:
+    """Sides and fractures at which the given unknowns of this rank lie, of all ranks. Collective."""
+    block, starts = ops.blocks.solid, ops.blocks.solid.unknown_starts[ops.blocks.comm.rank]
+    nodes = np.flatnonzero(np.isin(block.unknown[: block.owned] - starts, bad).any(axis=1))
+    sides = {block.sides[s] for s in block.side_of[np.isin(block.side_facets, nodes).any(axis=1)]}
+    faces = np.concatenate([ops.blocks.joints.bottom, ops.blocks.joints.top], axis=1)
+    cut = {ops.blocks.joints.fractures[f] for f in ops.blocks.joints.fracture[np.isin(faces, nodes).any(axis=1)]}
+    return sorted(set().union(*ops.blocks.comm.allgather(sides | cut)))
