@@ -94,15 +94,17 @@ def pytest_runtest_teardown(item):
 
 
 def pytest_sessionfinish(session, exitstatus):
+    session.config.all_passed = exitstatus == 0
     if SIZE > 1:
         meet(PATIENCE, "at the end of the suite")
-        if RANK == 0 and exitstatus == 0:
-            shutil.rmtree(session.config.shared_root, ignore_errors=True)
 
 
 def pytest_unconfigure(config):
     if SIZE > 1:
         meet(PATIENCE, "after the suite")  # mpirun ends all when one exits, and rank 0 has yet to print
+        # only now: at the end of its session each rank's pytest tidies its own folders in there
+        if RANK == 0 and getattr(config, "all_passed", False):
+            shutil.rmtree(config.shared_root, ignore_errors=True)
 
 
 @pytest.fixture

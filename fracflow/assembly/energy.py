@@ -82,7 +82,8 @@ def drop_motion(totals: Mapping[str, float], lost: float) -> dict[str, float]:
 
 def put_in(totals: Mapping[str, float]) -> dict[str, float]:
     """Totals of a start away from rest: all that they do not account for was put in before the first step."""
-    return _with_residuals({**totals, "work_initial": totals["work_initial"] + totals["residual"]})
+    held = _with_residuals({**totals, "scheme": 0.0})
+    return _with_residuals({**held, "work_initial": held["residual"]})
 
 
 def _with_residuals(totals: dict[str, float]) -> dict[str, float]:

@@ -93,7 +93,7 @@ class StepProblem:
         term.set(0.0)
         ops.joints.force(self.sections.traction, term)
         add(1.0)
-        flow_terms = [1e-300]
+        flow_terms = [0.0]
         if ops.flow is not None:
             ops.flow.push.mult(p, term)
             add(-1.0)
@@ -130,7 +130,7 @@ class StepProblem:
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         scales = self.operators.scales
         solid = self.solid_balance.norm(PETSc.NormType.INFINITY) / max(solid_terms, scales.force)
-        flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / flow_terms if self.operators.flow is not None else 0.0
+        flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / max(flow_terms, 1e-300) if self.operators.flow is not None else 0.0
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2))
         if not np.isfinite(solid + flow):
             raise SolveError(
