@@ -31,12 +31,17 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     petsc_options(PETSc, context.args)
     from fracflow import run as runner
     from fracflow.scene import load
+    from fracflow.scene_advice import advice
 
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [])
-    folder = output or Path("runs") / scene.resolve().parent.name
+    folder = output or Path("runs") / default_name(scene)
     quiet = comm.rank > 0
     console = Console(quiet=quiet, highlight=False)
+    for line in advice(given):
+        console.print(f"note: {line}", soft_wrap=True)
+    if (folder / "history.h5").exists():
+        console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True)
     total, start = 0, 0.0
     for stage in given.stage:
         count = stage.step_count(start) or 0
@@ -49,18 +54,31 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     )
     with Progress(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as bar:
         task = bar.add_task(given.title or str(scene), total=total or None)
-        totals = runner.run(given, folder, comm, lambda stage, time, state: bar.advance(task))
+        failure = None
+        try:
+            totals = runner.run(given, folder, comm, lambda stage, time, state: bar.advance(task))
+        except SolveError as error:
+            failure = error
     if comm.rank == 0:
-        from fracflow.output.pictures import draw
-        from fracflow.output.tell import tell
+        show(folder, console, given.output.pictures)
+    if failure is not None:
+        raise SolveError(f"{failure}; what was reached is in {folder}")
+    console.print(f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations")
 
-        tell(folder, console)
-        console.print(
-            f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
-        )
-        if given.output.pictures:
-            for path in draw(folder):
-                console.print(f"picture: {path}", soft_wrap=True)
+
+def default_name(scene: Path) -> str:
+    """Name of a run's folder: that of the scene, or of its folder where the file is called scene.toml."""
+    return scene.stem if scene.stem != "scene" else scene.resolve().parent.name
+
+
+def show(folder: Path, console: Console, pictures: bool) -> None:
+    """Tell what a run folder holds, and draw it."""
+    from fracflow.output.pictures import draw
+    from fracflow.output.tell import tell
+
+    tell(folder, console)
+    for path in draw(folder) if pictures else ():
+        console.print(f"picture: {path}", soft_wrap=True)
 
 
 @app.command()
@@ -69,17 +87,24 @@ def check(
     set_: Overrides = None,
     as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
 ) -> None:
-    """Validate a scene; print what will be modelled and what left out."""
+    """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
     from fracflow.plan import as_records, decide
+    from fracflow.run_check import sizes
     from fracflow.scene import load
+    from fracflow.scene_advice import advice
 
-    decisions = decide(load(scene, set_ or []))
+    given = load(scene, set_ or [])
+    found, decisions, notes = sizes(given), decide(given), advice(given)
     if as_json:
-        typer.echo(json.dumps(as_records(decisions), indent=1))
+        typer.echo(json.dumps({"sizes": found, "plan": as_records(decisions), "notes": notes}, indent=1))
         return
+    for key, value in found.items():
+        typer.echo(f"{key}: {value}")
     for decision in decisions:
         verb = "left out" if decision.left_out else "kept"
         typer.echo(f"{decision.part}: {verb} ({decision.criterion}: {decision.value})")
+    for note in notes:
+        typer.echo(f"note: {note}")
 
 
 @app.command("mesh")

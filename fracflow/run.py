@@ -193,6 +193,8 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
+    for line in model.placed.notes:
+        recorder.log(line)
     stepping = Stepping(model)
     step = Step(state, 0, 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0))
     recorder.record(step)

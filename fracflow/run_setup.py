@@ -16,27 +16,28 @@ from fracflow.assembly.operators import Operators, assemble
 from fracflow.assembly.properties import initial_pressure
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place
 from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh, read_traces_csv
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
 from fracflow.scene import Scene
-from fracflow.tables import FractureEnd
+from fracflow.tables import FractureEnd, Place
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class Placed:
-    """Where the scene's names sit: flow nodes of wells, places of probes, split nodes of points, dead components, ties."""
+    """Where the scene's names sit: flow nodes of wells, places of probes, split nodes of points, dead components, ties; and what to tell."""
 
     wells: Mapping[str, int]
     probes: Mapping[str, FracturePlace | RockPlace]
     points: Mapping[str, Ints]
     closed: Ints
     ties: Ints
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,28 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
     probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
-    return Placed(wells, probes, points, closed_components(scene, mesh, wells), tied_components(scene, mesh))
+    spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
+    spots |= {f"probe.{name}": found.point for name, found in probes.items()}
+    asked = {f"{kind}.{entry.name}": entry.at for kind in ("well", "probe") for entry in getattr(scene, kind)}
+    return Placed(
+        wells,
+        probes,
+        points,
+        closed_components(scene, mesh, wells),
+        tied_components(scene, mesh),
+        tuple(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(asked[name], spot)),
+    )
+
+
+def is_moved(asked: Place, spot: Floats) -> bool:
+    """Whether a place given by coordinates is not where its node is."""
+    return isinstance(asked, tuple) and not np.allclose(asked, spot, rtol=1e-9, atol=1e-9)
+
+
+def moved(name: str, asked: Place, spot: Floats) -> str:
+    """Say where a well or probe sits, and how far from where it was asked."""
+    away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot))
+    return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
 
 
 def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:

@@ -20,7 +20,17 @@ from fracflow.scene_actions import Control, Load, Probe, Stage, Support, Tie, We
 from fracflow.scene_checks import check_mesh_names, contradictions
 from fracflow.scene_errors import nearest, one_line
 from fracflow.scene_materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
-from fracflow.scene_tables import Accuracy, Geometry, Mesh, Method, Option, Output, Part, with_preset
+from fracflow.scene_tables import (
+    Accuracy,
+    Geometry,
+    Mesh,
+    Method,
+    Option,
+    Output,
+    Part,
+    with_default_fracture,
+    with_preset,
+)
 from fracflow.scene_toml import override, read_toml, write_toml, write_value
 from fracflow.units import UnitSystem, fault
 
@@ -67,7 +77,7 @@ class Scene(Part):
     @model_validator(mode="before")
     @classmethod
     def _resolve_method(cls, data: Any) -> Any:
-        return with_preset(data) if isinstance(data, dict) else data
+        return with_default_fracture(with_preset(data)) if isinstance(data, dict) else data
 
     @model_validator(mode="after")
     def _agree(self) -> Scene:

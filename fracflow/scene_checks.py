@@ -17,6 +17,8 @@ Fault = tuple[tuple[int | str, ...], str]
 
 def contradictions(scene: Scene) -> Iterator[Fault]:
     """List what contradicts, is missing or unknown between tables: (path of the key, what is wrong)."""
+    if not scene.stage:
+        yield ("stage",), "missing; a run needs at least one [[stage]]"
     yield from _geometry(scene)
     yield from _materials(scene)
     yield from _controls(scene)

@@ -113,7 +113,7 @@ class Initial(InitialMotion):
 
 
 class Fracture(Part):
-    """[fracture.NAME] Joint law and aperture of a fracture; NAME "default" serves all without a table."""
+    """[fracture.NAME] Joint law and aperture of a fracture; "default" serves all, and fills what a table leaves open."""
 
     law: Literal["hyperbolic-coulomb", "linear"] = Field(
         default="hyperbolic-coulomb",

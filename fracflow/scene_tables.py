@@ -158,3 +158,22 @@ def with_preset(data: dict[str, Any]) -> dict[str, Any]:
     preset = Method.PRESETS.get(str(data.get("model", "default")), {})
     method = data.get("method", {})
     return {**data, "method": {**preset, **method}} if isinstance(method, dict) else data
+
+
+ALTERNATIVES = (("friction_angle_deg", "friction_coefficient"),)
+
+
+def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
+    """Fill the keys that a fracture's own table leaves open from [fracture.default]."""
+    tables = data.get("fracture")
+    default = tables.get("default") if isinstance(tables, dict) else None
+    if not isinstance(tables, dict) or not isinstance(default, dict):
+        return data
+
+    def filled(table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        shut = {key for pair in ALTERNATIVES if set(pair) & set(table) for key in pair}
+        return {key: value for key, value in default.items() if key not in shut} | table
+
+    return {**data, "fracture": {name: filled(table) for name, table in tables.items()}}

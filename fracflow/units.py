@@ -87,6 +87,10 @@ class UnitSystem:
         names = {"length": self.length, "force": self.force, "time": self.time, "angle": "degree"}
         return re.sub("[a-z]+", lambda word: names[word.group()], dimension)
 
+    def to_si(self, dimension: str) -> float:
+        """Factor that brings a number of this system to SI."""
+        return float(_registry().Quantity(1.0, self.unit(dimension)).to_base_units().magnitude)
+
     def convert(self, text: str, dimension: str) -> float:
         """Turn ``"30 GPa"`` into a number of this system; raises ValueError that says what fits."""
         fits = what_fits(dimension, self)

@@ -29,8 +29,7 @@ STORAGE = {
 
 @dataclass(frozen=True)
 class Conduction:
-    """The network at given openings and pressures: conductances (j,), their derivatives (j, 2), and the end pressures
-    (j, 2) that drive, above those at rest."""
+    """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2)."""
 
     conductance: Floats
     slope: Floats

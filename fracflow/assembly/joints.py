@@ -171,6 +171,8 @@ def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     )
     traction[:, -1] = np.where(np.isnan(normal), traction[:, -1], normal)
     traction[:, :-1] = np.where(np.isnan(shear)[:, None], traction[:, :-1], shear[:, None])
+    if scene.equilibrates:
+        traction[traction[:, -1] > 0.0] = 0.0  # a joint carries no tension: it starts open, and what pulled lets go
     return traction
 
 
@@ -207,7 +209,7 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     tension, failed = set(), set()
     scale = float(np.abs(initial).max(initial=0.0))
     tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
-    for group in groups:
+    for group in () if blocks.comm.allreduce(len(tension)) else groups:
         dim = initial.shape[1]
         answer = group.law.respond(np.zeros((len(group.sections), dim)), group.law.rest(len(group.sections), dim))
         failed.update(fracture[group.sections[answer.is_sliding | (answer.utilisation >= 1.0)]].tolist())
@@ -217,8 +219,8 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     if bad_tension:
         raise InputError(
             f"initial state: effective normal traction is tensile on {', '.join(bad_tension)}: compress the rock"
-            " (initial_stress), lower fluid.initial_pressure, give initial_normal_traction <= 0, or let a first [[stage]]"
-            ' with kind = "equilibrate" open them'
+            " (initial_stress; compression is negative), lower fluid.initial_pressure, give initial_normal_traction <= 0,"
+            ' or let a first [[stage]] with kind = "equilibrate" open them'
         )
     if bad_failed:
         raise InputError(

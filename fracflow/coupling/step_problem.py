@@ -22,6 +22,7 @@ from fracflow.stepping import Alphas, acceleration, velocity
 CANCELLATION = 1e-4
 """Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
 state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have."""
+TINY = 1e-300  # a network at rest has no terms
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class StepProblem:
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         scales = self.operators.scales
         solid = self.solid_balance.norm(PETSc.NormType.INFINITY) / max(solid_terms, scales.force)
-        flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / max(flow_terms, 1e-300) if self.operators.flow is not None else 0.0
+        flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / max(flow_terms, TINY)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2))
         if not np.isfinite(solid + flow):
             raise SolveError(

@@ -172,7 +172,7 @@ class HyperbolicCoulomb:
 def _minus_log(x: Floats) -> Floats:
     """Closed form x - log(1 + x), by its series where it would cancel; x (n,) in (-1, 0]."""
     series = x**2 * (0.5 - x * (1.0 / 3.0 - x * (0.25 - x * (0.2 - x / 6.0))))
-    result: Floats = np.where(np.abs(x) < 1e-3, series, x - np.log1p(x))
+    result: Floats = np.where(np.abs(x) < 1e-3, series, x - np.log1p(np.where(x > -1.0, x, 0.0)))
     return result
 
 

@@ -124,6 +124,8 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
 
 
 def _opened(path: str | Path) -> h5py.File:
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; name the folder of a run")
     try:
         # After a kill the file is still marked as being written: only a SWMR reader is let in.
         return h5py.File(path, "r", libver="latest", swmr=True)

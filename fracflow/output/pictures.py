@@ -76,11 +76,11 @@ def _overview(run: RunData) -> Figure:
     figure.suptitle(run.title, fontsize=13, fontweight="bold", x=0.01, ha="left")
     _draw_map(axes["map"], run)
     slips = {name: run.probe(name, "slip") for name in run.probes_with("slip")}
-    _draw_lines(axes["slip"], run, slips, "Slip at the probes", "slip", "length")
+    _draw_lines(axes["slip"], run, slips, "Slip at the probes", "slip", "length", run.settled)
     _draw_energy(axes["energy"], run)
     if not _draw_pressure_profiles(axes["pressure"], run):
         pressures = {name: run.probe(name, "pressure") for name in run.probes_with("pressure")}
-        _draw_lines(axes["pressure"], run, pressures, "Pressure at the probes", "pressure", "stress")
+        _draw_lines(axes["pressure"], run, pressures, "Pressure at the probes", "pressure", "stress", run.settled)
     return figure
 
 
@@ -152,7 +152,7 @@ def _draw_marks(axes: Axes, run: RunData) -> None:
     first = run.first_events()
     if first:
         x, y = np.array([(event["x"], event["y"]) for event in first]).T
-        axes.plot(x, y, "*", ms=11, mfc="#D55E00", mec="white", mew=0.8, zorder=5, label="slipped first")
+        axes.plot(x, y, "*", ms=11, mfc="#D55E00", mec="white", mew=0.8, zorder=6.5, label="slipped first")
     looks = ((run.wells, "v", "#56B4E9", "well", 11), (run.probes, "o", "white", "probe", 5))
     for places, marker, colour, label, size in looks:
         if places:
@@ -185,7 +185,7 @@ def _draw_lines(
     """Histories, named at their right ends; the largest ones if there are many."""
     axes.set_title(title)
     x, x_label = run.axis(span)
-    ranked = sorted(lines, key=lambda name: -np.ptp(np.nan_to_num(lines[name])))[:_MAX_LINES]
+    ranked = sorted(lines, key=lambda name: -np.ptp(np.nan_to_num(lines[name][span])))[:_MAX_LINES]
     shown = [name for name in lines if name in ranked]
     if not shown or len(x) == 0:
         _say_nothing(axes)
@@ -288,7 +288,7 @@ def _probes(run: RunData) -> Figure | None:
     for axes, (key, kind) in zip(grid, shown.items(), strict=False):
         word = key.replace("_", " ")
         lines = {name: run.probe(name, key) for name in run.probes_with(key)}
-        _draw_lines(axes, run, lines, word.capitalize(), word, kind)
+        _draw_lines(axes, run, lines, word.capitalize(), word, kind, run.settled)
     for axes in grid[len(shown) :]:
         axes.remove()
     return figure

@@ -133,6 +133,12 @@ class RunData:
     start: int
     has_dynamics: bool
 
+    @property
+    def settled(self) -> slice:
+        """The steps from the last one at the time the run began: a search that takes no time comes before it."""
+        time = self.history["time"]
+        return slice(int(np.flatnonzero(time == time[0])[-1]) if np.ptp(time) > 0.0 else 0, None)
+
     def label(self, word: str, kind: str) -> str:
         """Axis label with the run's unit of a kind: length, time, stress, velocity, energy or flow rate."""
         length, force, time = (self.units.get(key, "") for key in ("length", "force", "time"))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from fracflow.output.events import read_events
@@ -24,8 +25,9 @@ def tell(folder: Path, console: Console) -> None:
     history = read_history(folder / "history.h5")
     units = read_attributes(folder / "history.h5")["units"]
     units = json.loads(units) if isinstance(units, str) else units
-    title = f"Energy books [{units['force']} {units['length']} per {units['length']} of thickness]"
-    table = Table("entry", "at the end", "largest", title=title)
+    length, time, force = (units[key] for key in ("length", "time", "force"))
+    title = "Energy books" + (f" [{force} {length} per {length} of thickness]" if length else "")
+    table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
     for name in BOOKS:
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
@@ -34,7 +36,9 @@ def tell(folder: Path, console: Console) -> None:
     if not events:
         console.print("nothing slipped or opened")
         return
-    slips = Table("what", "fracture", "node", "probe", "from", "to", "slip", title="What slipped and when")
+    heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
+    slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")
+    slips.title = "What slipped and when"
     for event in events[:MOST_EVENTS]:
         end = "" if event["end"] is None else f"{event['end']:.6g}"
         slips.add_row(

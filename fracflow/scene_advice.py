@@ -1,0 +1,41 @@
+"""Values that are allowed but unusual: a unit may have been forgotten."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from fracflow.profiles import Profile
+from fracflow.scene import Scene
+from fracflow.units import DENSITY, LENGTH, STIFFNESS, STRESS, VISCOSITY
+
+# key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
+USUAL = {
+    "rock": {"youngs_modulus": (STRESS, 1e7, 1e12), "density": (DENSITY, 500.0, 1e4)},
+    "fracture": {
+        "normal_stiffness": (STIFFNESS, 1e6, 1e16),
+        "shear_stiffness": (STIFFNESS, 1e5, 1e16),
+        "aperture": (LENGTH, 1e-7, 0.1),
+    },
+    "fluid": {"viscosity": (VISCOSITY, 1e-5, 1e2), "density": (DENSITY, 0.1, 3e3)},
+}
+
+
+def advice(scene: Scene) -> list[str]:
+    """A line for each value far from what is usual; none where the units are not known."""
+    return list(_unusual(scene)) if scene.units != "none" else []
+
+
+def _unusual(scene: Scene) -> Iterator[str]:
+    tables = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
+    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]  # type: ignore[misc]
+    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []  # type: ignore[list-item]
+    for path, table, kind in tables:
+        for key, (dimension, least, most) in USUAL[kind].items():
+            value = getattr(table, key)
+            if value is None or isinstance(value, Profile) or value == 0.0:
+                continue
+            in_si = value * scene.unit_system.to_si(dimension)
+            if not least <= in_si <= most:
+                unit = scene.unit_system.unit(dimension)
+                few = "small" if in_si < least else "large"
+                yield f"{path}.{key} = {value:g} {unit} is unusually {few}: is its unit right?"
