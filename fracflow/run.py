@@ -202,7 +202,9 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
     try:
         for number, stage in enumerate(scene.stage):
             recorder.log(f"stage {number} ({stage.name or stage.kind}) from time {state.time:.6g}")
-            state = stepping.enter(state, stepper_of(scene, stage))
+            entered = stepping.enter(state, stepper_of(scene, stage))
+            state.destroy()
+            state = entered
             steps = equilibrate if stage.kind == "equilibrate" else run_stage
             for step in steps(stepping, state, number, recorder.log):
                 recorder.record(step)

@@ -26,8 +26,8 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Callable[[st
     model = stepping.model
     stage = model.scene.stage[number]
     loads, count = _resting_fluid(model), stage.steps or 1
-    held_back = imbalance(model, state.sections.traction, state.pressure)
-    state.forces.load.axpy(1.0, held_back)
+    held_back = imbalance(model, state.motion.displacement, state.sections.traction, state.pressure)
+    model.loads.release(held_back)
     for n in range(1, count + 1):
         restraint = held_back.copy()
         restraint.scale(1.0 - n / count)

@@ -30,7 +30,15 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Placed:
-    """Where the scene's names sit: flow nodes of wells, places of probes, split nodes of points, dead components, ties; and what to tell."""
+    """Where the scene's names sit on the mesh.
+
+    wells   name -> flow node
+    probes  name -> place
+    points  name -> split nodes
+    closed  flow nodes of hydraulic components without wells
+    ties    (m, 2) pairs of node * dim + component that move alike
+    notes   what the log should tell
+    """
 
     wells: Mapping[str, int]
     probes: Mapping[str, FracturePlace | RockPlace]

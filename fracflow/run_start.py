@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.energy import book, empty_books, put_in
+from fracflow.assembly.energy import Scheme, book, empty_books, put_in
 from fracflow.assembly.operators import Operators
 from fracflow.assembly.properties import initial_pressure
 from fracflow.assembly.solid import nodal_force
@@ -15,7 +15,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Floats
 from fracflow.run_setup import Model
 from fracflow.scene_materials import InitialMotion
-from fracflow.state import Forces, Motion, State
+from fracflow.state import Forces, Motion, Sections, State
 
 EQUILIBRIUM = 1e-9  # of the natural force of a joint
 
@@ -34,11 +34,23 @@ def rest(model: Model) -> State:
         pressure.setArray(initial_pressure(scene, ops.blocks.flow.points))
     sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest(), hold=True)
     if not scene.equilibrates:
-        _settle(model, sections.traction, pressure)
-    forces = Forces(layout.solid_vector(), layout.solid_vector(), layout.flow_vector(), layout.flow_vector())
+        _settle(model, motion, sections.traction, pressure)
     controls = {name: control.initial for name, control in scene.control.items()}
-    state = State(0.0, motion, pressure, sections, forces, controls, empty_books())
+    state = State(0.0, motion, pressure, sections, _holding(model, motion, sections, pressure), controls, empty_books())
     return state if scene.initial is None else _moved(model, state)
+
+
+def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.Vec) -> Forces:
+    """What holds a start: reactions of the supports, and beside the loads whatever is missing to balance. Collective."""
+    layout = model.operators.layout
+    load = imbalance(model, motion.displacement, sections.traction, pressure)
+    support, initial = load.copy(), layout.solid_vector()
+    model.loads.release(load)
+    support.axpy(-1.0, load)
+    model.loads.initial_force(initial)
+    load.axpy(1.0, initial)
+    initial.destroy()
+    return Forces(load, support, layout.flow_vector(), layout.flow_vector())
 
 
 def _moved(model: Model, state: State) -> State:
@@ -52,10 +64,10 @@ def _moved(model: Model, state: State) -> State:
     if initial.pressure is not None:
         pressure.set(initial.pressure)
     sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest())
-    new = replace(state, motion=motion, pressure=pressure, sections=sections)
-    energy = put_in(book(ops, state, new, 0.0, storage=False, inertia=True))
-    state.motion.destroy()
-    state.pressure.destroy()
+    forces = _holding(model, motion, sections, pressure)
+    new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
+    energy = put_in(book(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False)))
+    state.destroy()
     return replace(new, energy=energy)
 
 
@@ -90,31 +102,30 @@ def _affine(given: InitialMotion, key: str, points: Floats) -> Floats:
     return np.asarray(value if gradient is None else value + points @ np.array(gradient).T)
 
 
-def imbalance(model: Model, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
-    """Inner less outer forces of the initial state on the unknowns, zero where held. The caller destroys it. Collective."""
+def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
+    """Inner forces less the loads of the initial state, on all unknowns. The caller destroys it. Collective."""
     ops = model.operators
     balance, term = ops.prestress.copy(), ops.layout.solid_vector()
+    ops.stiffness.multAdd(displacement, balance, balance)
     ops.joints.force(traction, balance)
     model.loads.initial_force(term)
     balance.axpy(-1.0, term)
     if ops.flow is not None:
         ops.flow.push.mult(pressure, term)
         balance.axpy(-1.0, term)
-    local = balance.getArray()
-    for part in model.loads.supports:
-        local[part.numbers] = 0.0
     term.destroy()
     return balance
 
 
-def _settle(model: Model, traction: Floats, pressure: PETSc.Vec) -> None:
+def _settle(model: Model, motion: Motion, traction: Floats, pressure: PETSc.Vec) -> None:
     """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by. Collective.
 
     Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
     differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start.
     """
     ops = model.operators
-    balance, allowed = imbalance(model, traction, pressure), _slack(model)
+    balance, allowed = imbalance(model, motion.displacement, traction, pressure), _slack(model)
+    model.loads.release(balance)
     bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
     count = ops.blocks.comm.allreduce(int(bad.sum()))
     names = _names_at(ops, np.flatnonzero(bad))

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
 from scipy.optimize import brentq
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.energy import book, drop_motion, kinetic_energy
+from fracflow.assembly.energy import Scheme, book, kinetic_energy, switch
 from fracflow.assembly.loads import Loads
-from fracflow.coupling import COUPLINGS
+from fracflow.coupling import COUPLINGS, Coupling
+from fracflow.coupling.initial import initial_acceleration, initial_pressure
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.run_setup import Model
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.state import Motion, State, StepReport
-from fracflow.stepping import Alphas, BackwardEuler, Newmark, Steady, Stepper
+from fracflow.stepping import STEPPERS, Alphas, BackwardEuler, Steady, Stepper
 
 DOUBLINGS = 60
 SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
@@ -36,8 +36,10 @@ class Step:
 
 def stepper_of(scene: Scene, stage: Stage) -> Stepper:
     """The rule that a kind of stage steps by."""
+    method = scene.method
     if stage.kind == "dynamic":
-        return Newmark(scene.method.newmark_beta, scene.method.newmark_gamma)
+        stepper: Stepper = STEPPERS[method.stepper](beta=method.newmark_beta, gamma=method.newmark_gamma)
+        return stepper
     return BackwardEuler() if stage.kind == "quasi-static" else Steady()
 
 
@@ -47,9 +49,9 @@ class Stepping:
     def __init__(self, model: Model) -> None:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
-        self._couplings: dict[int, object] = {}
+        self._couplings: dict[int, Coupling] = {}
 
-    def _coupling(self, loads: Loads) -> object:
+    def _coupling(self, loads: Loads) -> Coupling:
         if id(loads) not in self._couplings:
             kind = COUPLINGS[
                 self.model.scene.method.coupling if self.model.operators.flow is not None else "monolithic"
@@ -71,89 +73,50 @@ class Stepping:
 
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
-        alphas = stepper.alphas(dt) if dt > 0.0 else Alphas()
-        if loads is None:
-            loads = self.model.loads if stepper.storage else self.model.steady_loads
-        problem = StepProblem(self.model.operators, loads, state, alphas, time, controls, restraint)
+        loads, scheme = loads or self._loads(stepper), Scheme(stepper.inertia, stepper.storage, stepper.balance)
+        problem = StepProblem(self.model.operators, loads, state, stepper.alphas(dt), time, controls, restraint)
         try:
-            report = self._coupling(loads).solve(problem)  # type: ignore[attr-defined]
+            report = self._coupling(loads).solve(problem)
             new = problem.accept(state.energy)
         finally:
             problem.destroy()
-        return replace(new, energy=book(self.model.operators, state, new, dt, stepper.storage, stepper.inertia)), report
+        return replace(new, energy=book(self.model.operators, state, new, dt, scheme)), report
+
+    def _loads(self, stepper: Stepper) -> Loads:
+        return self.model.loads if stepper.storage else self.model.steady_loads
 
     def enter(self, state: State, stepper: Stepper) -> State:
-        """(4.1e) The state as a stage takes it over: accelerations of the first instant, or motion dropped. Collective."""
-        ops = self.model.operators
-        motion = Motion(state.motion.displacement.copy(), state.motion.velocity.copy(), ops.layout.solid_vector())
-        energy = dict(state.energy)
+        """A new state, as a stage takes it over. Collective.
+
+        With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
+        Without, motion is dropped and what is prescribed arrives during the first step.
+        """
+        ops, old = self.model.operators, state.motion
+        motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
         if not stepper.inertia:
-            energy = drop_motion(energy, kinetic_energy(ops, motion.velocity))
             motion.velocity.set(0.0)
-        loads = self.model.loads if stepper.storage else self.model.steady_loads
-        at_rest = replace(state, motion=motion)
-        problem = StepProblem(ops, loads, at_rest, Alphas(), state.time, state.controls)
-        if (
-            stepper.storage
-            and ops.flow is not None
-            and problem.source.norm() > 0.0
-            and state.forces.source.norm() == 0.0
-        ):
-            _initial_pressure(self.model, loads, problem)
-        problem.evaluate()
-        if stepper.inertia:
-            _initial_acceleration(self.model, problem, motion.acceleration)
-        new = State(
-            state.time,
-            motion,
-            problem.pressure.copy(),
-            problem.sections,
-            problem.forces(motion),
-            state.controls,
-            energy,
-        )
-        problem.destroy()
-        state.destroy()
-        return new
+        energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
+        if not stepper.inertia:
+            return replace(state, motion=motion, pressure=state.pressure.copy(), forces=state.forces.copy(), energy=energy)
+        loads = self._loads(stepper)
+        now = Alphas(a4=-1.0)  # no change of displacement, the velocity as it is
+        problem = StepProblem(ops, loads, replace(state, motion=motion), now, state.time, state.controls)
+        try:
+            problem.evaluate()
+            if problem.residual.flow > self.model.scene.accuracy.residual:
+                initial_pressure(self.model.scene, ops, loads, problem)
+                problem.evaluate()
+            initial_acceleration(ops, problem, motion.acceleration)
+            pressure, forces = problem.pressure.copy(), problem.forces(motion)
+            sections = problem.sections
+        finally:
+            problem.destroy()
+        return replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces, energy=energy)
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
         for coupling in self._couplings.values():
-            coupling.destroy()  # type: ignore[attr-defined]
-
-
-def _initial_pressure(model: Model, loads: Loads, problem: StepProblem) -> None:
-    """(4.1e) H_0 = K_F^-1 (Q_0 - B_F' v_0), for wells that pump from the first instant."""
-    from fracflow.coupling.joined_matrix import JoinedMatrix
-    from fracflow.coupling.newton import Newton
-
-    matrix = JoinedMatrix(model.operators, loads)
-    newton = Newton(model.scene, matrix, "flow", "flow")
-    try:
-        newton.solve(problem)
-    except SolveError as error:
-        raise SolveError(
-            f"time {problem.time:.6g}: no initial pressures: wells pump at once into fractures that nothing drains;"
-            " let flow_rate start at 0, or give a [[well]] with a pressure"
-        ) from error
-    finally:
-        newton.destroy()
-        matrix.destroy()
-
-
-def _initial_acceleration(model: Model, problem: StepProblem, acceleration: PETSc.Vec) -> None:
-    """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held."""
-    matrix, solver = model.operators.mass.copy(), PETSc.KSP().create(comm=model.operators.layout.comm)
-    start = matrix.getOwnershipRange()[0]
-    held = np.concatenate([start + part.numbers for part in problem.loads.supports] or [np.zeros(0)])
-    matrix.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
-    solver.setOperators(matrix)
-    solver.setOptionsPrefix("solid_")
-    solver.setFromOptions()
-    solver.solve(problem.solid_balance, acceleration)
-    acceleration.scale(-1.0)
-    solver.destroy()
-    matrix.destroy()
+            coupling.destroy()
 
 
 def utilisation(model: Model, state: State) -> float:
@@ -164,45 +127,82 @@ def utilisation(model: Model, state: State) -> float:
     return float(model.operators.layout.comm.allreduce(here, op=MPI.MAX))
 
 
+class _Search:
+    """How far the control may rise: states tried from one start, and how far each is from the strength sought."""
+
+    def __init__(self, stepping: Stepping, state: State, stage: Stage) -> None:
+        assert stage.control is not None
+        self.stepping, self.state, self.stage, self.control = stepping, state, stage, stage.control
+        self.tried: dict[float, tuple[State, StepReport]] = {}
+        self.failure: SolveError | None = None
+
+    def excess(self, value: float) -> float:
+        """Utilisation over what is sought, positive where there is no such state. Collective."""
+        if value not in self.tried:
+            controls = {**self.state.controls, self.control: value}
+            try:
+                self.tried[value] = self.stepping.step(self.state, Steady(), self.state.time, 0.0, controls)
+            except SolveError as error:
+                self.failure = error
+                return self.stage.tolerance
+        return min(utilisation(self.stepping.model, self.tried[value][0]), 1.0) - (1.0 - self.stage.tolerance)
+
+    def between(self, low: float, high: float) -> float:
+        """The last value in a bracket that was tried and slides nowhere. Collective."""
+        if self.excess(low) < 0.0:
+            brentq(self.excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15)
+        model = self.stepping.model
+        below = {v: u for v, (new, _) in self.tried.items() if (u := utilisation(model, new)) < 1.0}
+        best = max(below, key=lambda value: below[value], default=low)
+        if not below or below[best] < 1.0 - 2.0 * self.stage.tolerance:
+            reached = f"|f_s|/f_sy = {below[best]:.9g}" if below else "no state"
+            raise SolveError(
+                f"stage {_name(self.stage)}: the search for incipient failure ended at control.{self.control} = {best:.9g}"
+                f" with {reached}, sought 1 - {self.stage.tolerance:g}; beyond it {self.failure or 'sections slide at once'}"
+            )
+        return best
+
+    def destroy(self) -> None:
+        """Free the states that were not taken out of ``tried``."""
+        for state, _ in self.tried.values():
+            state.destroy()
+
+
+def _name(stage: Stage) -> str:
+    return stage.name or stage.kind
+
+
 def search_incipient(
     stepping: Stepping, state: State, stage: Stage, log: Callable[[str], None]
 ) -> Iterator[tuple[State, StepReport]]:
-    """Raise the control until max |f_s| / f_sy = 1 - tolerance; yields the elastic states on the way. Collective."""
+    """Raise the control until max |f_s| / f_sy = 1 - tolerance; yields the elastic states on the way.
+
+    Raises SolveError, on every rank, where no state is that near to the strength. Collective.
+    """
     model, control = stepping.model, stage.control
     assert control is not None
-    target, start = 1.0 - stage.tolerance, state.controls[control]
-    tried: dict[float, tuple[State, StepReport]] = {}
-
-    def excess(value: float) -> float:
-        try:
-            new, report = stepping.step(state, Steady(), state.time, 0.0, {**state.controls, control: value})
-        except SolveError:
-            return stage.tolerance
-        tried[value] = (new, report)
-        return min(utilisation(model, new), 1.0) - target
-
-    if utilisation(model, state) >= target:
-        log(f"stage {stage.name or stage.kind}: already at incipient failure")
+    low = state.controls[control]
+    if utilisation(model, state) >= 1.0 - stage.tolerance:
+        log(f"stage {_name(stage)}: already at incipient failure")
         return
-    increment, low = model.scene.control[control].increment, start
+    increment = model.scene.control[control].increment
     for _ in range(DOUBLINGS):
-        high = low + increment
-        if excess(high) >= 0.0:
+        search, high = _Search(stepping, state, stage), low + increment
+        if search.excess(high) >= 0.0:
             break
-        new, report = tried.pop(high)
-        state, low, increment = new, high, 2.0 * increment
-        yield new, report
+        state, report = search.tried.pop(high)
+        low, increment = high, 2.0 * increment
+        yield state, report
     else:
         raise SolveError(
-            f"stage {stage.name or stage.kind}: control.{control} raised to {low:.6g} and no fracture came to its"
+            f"stage {_name(stage)}: control.{control} raised to {low:.6g} and no fracture came to its"
             " strength: do the wells it drives reach one?"
         )
-    value = brentq(excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15) if low < high else high
-    below = [v for v in tried if utilisation(model, tried[v][0]) < 1.0]
-    value = min(below, key=lambda v: abs(v - value)) if below else low
-    best = tried.pop(value)
-    for other, _ in tried.values():
-        other.destroy()
+    try:
+        value = search.between(low, high)
+        best = search.tried.pop(value)
+    finally:
+        search.destroy()
     log(f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - utilisation(model, best[0]):.3e}")
     yield best
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from dataclasses import MISSING, fields
+from difflib import get_close_matches
+from typing import Annotated
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import AfterValidator, Field, StrictBool, model_validator
 
+from fracflow.laws import JOINT_LAWS
 from fracflow.profiles import Along, AlongInTime, Pressures, Profile
 from fracflow.scene_tables import Part, Size, Stress
 from fracflow.units import (
@@ -32,6 +35,14 @@ Position = Annotated[float, Quantity(LENGTH)]
 Number = Annotated[float, Quantity()]
 Speed = Annotated[float, Quantity(VELOCITY)]
 Rate = Annotated[float, Quantity(RATE)]
+
+
+def _known_law(name: str) -> str:
+    if name not in JOINT_LAWS:
+        allowed = ", ".join(JOINT_LAWS)
+        near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)
+        raise fault(f"unknown; allowed: {allowed}" + (f'; did you mean "{near[0]}"?' if near else ""))
+    return name
 
 
 def _along(dimension: str = "1", **limits: float) -> Along:
@@ -115,9 +126,10 @@ class Initial(InitialMotion):
 class Fracture(Part):
     """[fracture.NAME] Joint law and aperture of a fracture; "default" serves all, and fills what a table leaves open."""
 
-    law: Literal["hyperbolic-coulomb", "linear"] = Field(
+    law: Annotated[str, AfterValidator(_known_law)] = Field(
         default="hyperbolic-coulomb",
-        description="closure and friction of Figs. 3 and 4, or two linear springs",
+        description="hyperbolic-coulomb: closure and friction of Figs. 3 and 4; linear: two springs",
+        json_schema_extra={"enum": [name for name in JOINT_LAWS]},
     )
     normal_stiffness: Annotated[Property, _along(STIFFNESS, above=0.0)] = Field(
         description="k_n0, at the initial state [force/length**3]"
@@ -165,11 +177,12 @@ class Fracture(Part):
                 "contradicts friction_coefficient; give one of them",
                 key="friction_angle_deg",
             )
-        if self.law == "hyperbolic-coulomb":
-            if self.friction_angle_deg is None and self.friction_coefficient is None:
-                raise fault("missing; give it or friction_coefficient", key="friction_angle_deg")
-            if self.aperture is None:
-                raise fault("missing; the law hyperbolic-coulomb needs it", key="aperture")
+        for field in fields(JOINT_LAWS[self.law]):
+            if field.name == "friction_coefficient":
+                if self.friction_angle_deg is None and self.friction_coefficient is None:
+                    raise fault("missing; give it or friction_coefficient", key="friction_angle_deg")
+            elif field.default is MISSING and getattr(self, field.name) is None:
+                raise fault(f"missing; the law {self.law} needs it", key=field.name)
         return self
 
     @property

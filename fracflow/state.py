@@ -60,6 +60,10 @@ class Forces:
     conduction: PETSc.Vec
     source: PETSc.Vec
 
+    def copy(self) -> Forces:
+        """The same in vectors of its own."""
+        return Forces(self.load.copy(), self.support.copy(), self.conduction.copy(), self.source.copy())
+
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
         for vector in (self.load, self.support, self.conduction, self.source):

@@ -8,6 +8,7 @@ kinetic + rock_strain + joint_normal + joint_shear + friction + viscous + scheme
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,11 +45,20 @@ def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
     return float(energy)
 
 
-def book(operators: Operators, old: State, new: State, dt: float, storage: bool, inertia: bool) -> dict[str, float]:
-    """Totals after a step of length ``dt`` from ``old`` to ``new``. Collective.
+@dataclass(frozen=True)
+class Scheme:
+    """What the books must know of a stepper; meanings as in ``stepping.Stepper``."""
 
-    With ``storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
-    (``work_pressure``).
+    inertia: bool = True
+    storage: bool = True
+    balance: str = "both"
+
+
+def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
+    """Totals after a step of length ``dt`` from ``old`` to ``new``.
+
+    With ``scheme.storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
+    (``work_pressure``). Collective.
     """
     ops = operators
     change = new.motion.displacement - old.motion.displacement
@@ -56,9 +66,13 @@ def book(operators: Operators, old: State, new: State, dt: float, storage: bool,
     mean_pressure = 0.5 * (new.pressure + old.pressure)
     term = change.duplicate()
     parts = _joint_parts(ops, old, new)
-    parts["kinetic"] = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
     ops.mass.mult(mean_acceleration, term)
-    parts["scheme"] = term.dot(change) - parts["kinetic"]
+    of_inertia, parts["scheme"] = term.dot(change), 0.0
+    if scheme.inertia:
+        parts["kinetic"] = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
+        parts["scheme"] = of_inertia - parts["kinetic"]
+    else:
+        parts["dropped"] = of_inertia  # of a stage before, let go in the first step
     mean_displacement = 0.5 * (new.motion.displacement + old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
@@ -66,8 +80,8 @@ def book(operators: Operators, old: State, new: State, dt: float, storage: bool,
         vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
     )
     if ops.flow is not None:
-        instants = (new,) if storage and not inertia else (old, new)  # backward Euler knows the end of a step only
-        parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, storage)
+        instants = (new,) if scheme.balance == "end" else (old, new)
+        parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_acceleration, mean_pressure, mean_displacement, term):
         vector.destroy()
@@ -75,9 +89,10 @@ def book(operators: Operators, old: State, new: State, dt: float, storage: bool,
     return _with_residuals(totals)
 
 
-def drop_motion(totals: Mapping[str, float], lost: float) -> dict[str, float]:
-    """Totals after kinetic energy ``lost`` is given up on a switch to a stage without inertia."""
-    return _with_residuals({**totals, "kinetic": totals["kinetic"] - lost, "dropped": totals["dropped"] + lost})
+def switch(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
+    """Totals where a stage begins with another kinetic energy than the last one ended with: the rest is dropped."""
+    lost = totals["kinetic"] - kinetic
+    return _with_residuals({**totals, "kinetic": kinetic, "dropped": totals["dropped"] + lost})
 
 
 def put_in(totals: Mapping[str, float]) -> dict[str, float]:

@@ -66,6 +66,12 @@ class Loads:
         """``result`` = Q(t) of (3.20), per unit thickness."""
         _sum(self.wells, time, controls, result)
 
+    def release(self, vector: PETSc.Vec) -> None:
+        """Set a vector on the solid unknowns to zero where supports hold."""
+        local = vector.getArray()
+        for part in self.supports:
+            local[part.numbers] = 0.0
+
     def impose(self, time: float, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write the prescribed values into both vectors."""
         for vector, parts in ((displacement, self.supports), (pressure, self.pressures)):

@@ -10,7 +10,7 @@ from fracflow._petsc import PETSc
 from fracflow.assembly.flow import Flow, assemble_flow
 from fracflow.assembly.joints import Joints, assemble_joints
 from fracflow.assembly.layout import Layout, layout_of
-from fracflow.assembly.properties import initial_stress
+from fracflow.assembly.properties import along_fractures, initial_stress
 from fracflow.assembly.solid import expansion, initial_stress_force, mass, stiffness
 from fracflow.mesh.blocks import Blocks
 from fracflow.scene import Scene
@@ -55,10 +55,7 @@ def natural_scales(blocks: Blocks, scene: Scene, joints: Joints, stiff: PETSc.Ma
     total, count = comm.allreduce(joints.weights.sum()), comm.allreduce(len(joints.weights))
     length = float(total / count) if count else 1.0
     candidates = [float(np.abs(joints.initial).max(initial=0.0))]
-    stiffness_scale = 0.0
-    for group in joints.laws:
-        law = group.law
-        stiffness_scale = max(stiffness_scale, float(np.max(law.normal_stiffness, initial=0.0)))
+    stiffness_scale = float(along_fractures(blocks, scene, "normal_stiffness", np.array([-1.0, 1.0])).max(initial=0.0))
     candidates.append(float(np.abs(initial_stress(scene, blocks.solid.points)[..., :2, :2]).max(initial=0.0)))
     stress = max(comm.allgather(max(candidates)))
     diagonal = stiff.getDiagonal()

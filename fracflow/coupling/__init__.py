@@ -1,6 +1,28 @@
 """Solving the balances of rock and fluid of one step together."""
 
+from typing import Protocol
+
+from fracflow.assembly.loads import Loads
+from fracflow.assembly.operators import Operators
 from fracflow.coupling.fixed_point import FixedPoint
 from fracflow.coupling.monolithic import Monolithic, WholeLU
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.scene import Scene
+from fracflow.state import StepReport
 
-COUPLINGS = {"monolithic": Monolithic, "fixed-point": FixedPoint, "whole-lu": WholeLU}
+
+class Coupling(Protocol):
+    """A way to bring both balances of a step into equilibrium; it keeps its solvers from step to step."""
+
+    def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None: ...
+
+    def solve(self, problem: StepProblem) -> StepReport:
+        """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
+
+    def destroy(self) -> None:
+        """Free matrices and solvers. Collective."""
+
+
+COUPLINGS: dict[str, type[Coupling]] = {"monolithic": Monolithic, "fixed-point": FixedPoint, "whole-lu": WholeLU}
+
+__all__ = ["COUPLINGS", "Coupling"]

@@ -29,14 +29,25 @@ OPTIONS: dict[str, dict[str, Value]] = {
     "whole-lu": dict(DIRECT),
     "solid": dict(DIRECT),
     "flow": dict(DIRECT),
+    "mass": dict(DIRECT),
 }
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""
 
 
+_ours: set[str] = set()
+
+
 def set_defaults(given: Mapping[str, Value]) -> None:
-    """Put the defaults and the scene's own options into PETSc's database; those of the command line stay."""
+    """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
+
+    What an earlier scene of this process had put there goes.
+    """
     database = PETSc.Options()
+    for key in _ours:
+        database.delValue(key)
+    _ours.clear()
     merged = {f"{prefix}_{key}": value for prefix, options in OPTIONS.items() for key, value in options.items()}
     for key, value in {**merged, **given}.items():
         if not database.hasName(key):
             database.setValue(key, value)
+            _ours.add(key)

@@ -30,7 +30,7 @@ class FixedPoint:
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make one matrix and solver for each split. Collective."""
         self.scene = scene
-        self.joint_matrix = JoinedMatrix(operators, loads)
+        self.whole_matrix = JoinedMatrix(operators, loads)
         self.solid_matrix = JoinedMatrix(operators, loads)
         self.flow_matrix = JoinedMatrix(operators, loads)
         self.solid = Newton(scene, self.solid_matrix, "solid", "solid")
@@ -49,8 +49,8 @@ class FixedPoint:
                 " or give a [[well]] with a pressure"
             )
         changes: list[float] = []
-        problem.branch = problem.state.sections.past
         for cycle in range(1, accuracy.max_cycles + 1):
+            problem.branch = problem.state.sections.past  # no section slips for a pressure that was on its way
             before = problem.pressure.copy()
             try:
                 reports = [self.flow.solve(problem), self.solid.solve(problem)]
@@ -75,11 +75,16 @@ class FixedPoint:
     def _diverged(self, problem: StepProblem, factor: float, changes: list[float]) -> str:
         ratios = [b / a for a, b in pairwise(changes) if a > 0.0]
         measured = f"{ratios[-1]:.3g} measured" if ratios else "none measured"
-        verdict = "diverges" if factor >= 1.0 else f"did not converge in {len(changes)} cycles"
+        at = f'time {problem.time:.6g}: coupling = "fixed-point"'
+        what = f"the error of the pressures is multiplied by {factor:.3g} a cycle (predicted; {measured})"
+        if factor >= 1.0:
+            return (
+                f'{at} diverges: {what}, it must be below 1: set method.coupling = "monolithic"; a smaller time_step'
+                " does not help"
+            )
         return (
-            f'time {problem.time:.6g}: coupling = "fixed-point" {verdict}: the error of the pressures is multiplied by'
-            f" {factor:.3g} a cycle (predicted; {measured}), it must be below 1: set method.coupling"
-            ' = "monolithic"; a smaller time_step does not help'
+            f'{at} did not converge in {len(changes)} cycles: {what}: raise accuracy.max_cycles, or set method.coupling'
+            ' = "monolithic"'
         )
 
     def _prediction(self, problem: StepProblem) -> float:
@@ -87,9 +92,9 @@ class FixedPoint:
         if problem.alphas.a1 in self.predicted:
             return self.predicted[problem.alphas.a1]
         problem.evaluate()
-        self.joint_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale())
-        splits = self.joint_matrix.layout.index_sets()
-        blocks = [[self.joint_matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
+        self.whole_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale())
+        splits = self.whole_matrix.layout.index_sets()
+        blocks = [[self.whole_matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
         factor = spectral_radius(blocks)
         for thing in [*splits, *blocks[0], *blocks[1]]:
             thing.destroy()
@@ -98,7 +103,7 @@ class FixedPoint:
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""
-        for thing in (self.solid, self.flow, self.joint_matrix, self.solid_matrix, self.flow_matrix):
+        for thing in (self.solid, self.flow, self.whole_matrix, self.solid_matrix, self.flow_matrix):
             thing.destroy()
 
 

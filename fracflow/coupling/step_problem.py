@@ -51,7 +51,7 @@ class StepProblem:
         controls: Mapping[str, float],
         restraint: PETSc.Vec | None = None,
     ) -> None:
-        """Sample loads and wells at the end of the step; ``restraint`` is a force beside them. Collective."""
+        """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective."""
         self.operators, self.loads, self.state = operators, loads, state
         self.alphas, self.time, self.controls = alphas, time, controls
         layout = operators.layout
@@ -153,9 +153,8 @@ class StepProblem:
         reached = joints.respond(self.sections.strain, self.branch).past
         changed = np.zeros(len(self.sections.strain), dtype=bool)
         for group, old, new in zip(joints.laws, self.branch, reached, strict=True):
-            for name in group.law.status:
-                differs = np.sign(old[name]) != np.sign(new[name])
-                changed[group.sections] |= differs if differs.ndim == 1 else differs.any(axis=1)
+            if group.law.status:
+                changed[group.sections] = group.law.has_changed(old, new)
         self.branch = joints.follow(self.state.sections.past, reached)
         return changed
 

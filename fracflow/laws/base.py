@@ -56,6 +56,10 @@ class JointLaw(Protocol):
         """Response to the total strain (n, dim) after ``past``: at most one change of status a section, none with ``hold``."""
         ...
 
+    def has_changed(self, old: Past, new: Past) -> Bools:
+        """Whether each section (n,) has another status in ``new`` than in ``old``."""
+        ...
+
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
         """Largest fraction (n,) of the increment (n, dim) that may be taken; inf where there is no limit."""
         ...

@@ -144,6 +144,12 @@ class HyperbolicCoulomb:
             past=new_past,
         )
 
+    def has_changed(self, old: Past, new: Past) -> Bools:
+        """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
+        same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
+        changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
+        return changed
+
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
         """Fraction to the boundary: a section may use 0.9 of the gap eps_n + d0 that is left."""
         gap = np.maximum(strain[:, -1] + per_section(self.aperture, len(strain)), 0.0)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import Floats, JointResponse, Kind, Parameter, Past, per_section, per_tangent, rest_history
+from .base import Bools, Floats, JointResponse, Kind, Parameter, Past, per_section, per_tangent, rest_history
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,10 @@ class Linear:
             margin=np.full(sections, np.inf),
             past={},
         )
+
+    def has_changed(self, old: Past, new: Past) -> Bools:
+        """Never."""
+        return np.zeros(len(next(iter(new.values()), ())), dtype=bool)
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
         """No limit."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 from ..errors import InputError
+
+Balance = Literal["both", "end"]
 
 
 @dataclass(frozen=True)
@@ -42,11 +44,13 @@ class Stepper(Protocol):
     order    order of accuracy in the time step; 0 where time does not enter
     inertia  the mass matrix takes part
     storage  wall velocities take part in the balance of fluid
+    balance  where in a step the fluid's balance is known to hold: at both its ends, or only at its end
     """
 
     order: ClassVar[int]
     inertia: ClassVar[bool]
     storage: ClassVar[bool]
+    balance: ClassVar[Balance]
 
     def alphas(self, time_step: float) -> Alphas:
         """Coefficients of a step of that length."""
@@ -85,6 +89,7 @@ class Newmark:
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = True
     storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be stepped implicitly."""
@@ -113,6 +118,7 @@ class Steady:
     order: ClassVar[int] = 0
     inertia: ClassVar[bool] = False
     storage: ClassVar[bool] = False
+    balance: ClassVar[Balance] = "end"
 
     def alphas(self, time_step: float) -> Alphas:
         """All zero, whatever the time step."""
@@ -126,6 +132,7 @@ class BackwardEuler:
     order: ClassVar[int] = 1
     inertia: ClassVar[bool] = False
     storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "end"
 
     def alphas(self, time_step: float) -> Alphas:
         """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""

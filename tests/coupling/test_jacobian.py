@@ -10,11 +10,11 @@ from fracflow.coupling.step_problem import StepProblem
 from fracflow.run_setup import prepare
 from fracflow.run_start import rest
 from fracflow.scene import load
-from fracflow.stepping import Newmark, Steady
+from fracflow.stepping import BackwardEuler, Newmark, Steady
 
 
 @pytest.mark.parametrize("model", ["default", "report"])
-@pytest.mark.parametrize("stepper", [Steady(), Newmark()], ids=["steady", "newmark"])
+@pytest.mark.parametrize("stepper", [Steady(), BackwardEuler(), Newmark()], ids=["steady", "backward-euler", "newmark"])
 def test_jacobian_is_the_derivative(stepper, model):
     overrides = [f"model={model}", "method.tangent=consistent"]
     scene = load("meshes/crossings/scene.toml", overrides)

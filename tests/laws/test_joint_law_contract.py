@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from fracflow.laws import JOINT_LAWS
+from fracflow.scene_materials import Fracture
 
 SECTIONS = 40
 SAMPLES = {
@@ -209,3 +212,17 @@ def test_hold_keeps_every_status(law, dim):
         held = law.respond(back, slid, hold=True)
         assert held.is_sliding.all()
         assert held.traction[0, 0] > 0.0
+
+
+def test_turning_while_sliding_is_no_change_of_status():
+    """In three dimensions a slide may turn across an axis; only its reversal, its end and its begin are changes."""
+    law = JOINT_LAWS["hyperbolic-coulomb"](**SAMPLES["hyperbolic-coulomb"])
+    old = {"sliding": np.array([[1.0, 1e-9], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])}
+    new = {"sliding": np.array([[1.0, -1e-9], [-1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])}
+    assert law.has_changed(old, new).tolist() == [False, True, True, True]
+
+
+@pytest.mark.parametrize("name", JOINT_LAWS)
+def test_every_parameter_of_a_law_is_a_key_of_the_scene(name):
+    keys = set(Fracture.model_fields) | {"coupled_tangent", "strength_when_open"}  # the last two are [method]'s
+    assert {field.name for field in fields(JOINT_LAWS[name])} <= keys

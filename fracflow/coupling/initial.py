@@ -1,0 +1,45 @@
+"""(4.1e) Pressures and accelerations of the first instant of a stage."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.loads import Loads
+from fracflow.assembly.operators import Operators
+from fracflow.coupling.joined_matrix import JoinedMatrix
+from fracflow.coupling.newton import Newton
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.errors import SolveError
+from fracflow.scene import Scene
+
+
+def initial_pressure(scene: Scene, operators: Operators, loads: Loads, problem: StepProblem) -> None:
+    """(4.1e) H_0 = K_F^-1 (Q_0 - B_F' v_0), for wells that pump from the first instant. Raises SolveError. Collective."""
+    matrix = JoinedMatrix(operators, loads)
+    newton = Newton(scene, matrix, "flow", "flow")
+    try:
+        newton.solve(problem)
+    except SolveError as error:
+        raise SolveError(
+            f"time {problem.time:.6g}: no initial pressures: wells pump at once into fractures that nothing drains;"
+            " let flow_rate start at 0, or give a [[well]] with a pressure"
+        ) from error
+    finally:
+        newton.destroy()
+        matrix.destroy()
+
+
+def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
+    """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective."""
+    matrix, solver = operators.mass.copy(), PETSc.KSP().create(comm=operators.layout.comm)
+    start = matrix.getOwnershipRange()[0]
+    held = np.concatenate([start + part.numbers for part in problem.loads.supports] or [np.zeros(0)])
+    matrix.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
+    solver.setOperators(matrix)
+    solver.setOptionsPrefix("mass_")
+    solver.setFromOptions()
+    solver.solve(problem.solid_balance, acceleration)
+    acceleration.scale(-1.0)
+    solver.destroy()
+    matrix.destroy()
