@@ -1,17 +1,24 @@
-"""The command line: fracflow run, check, mesh, picture, schema."""
+"""The command line: fracflow run, resume, check, mesh, picture, schema."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fracflow.errors import InputError, SolveError
+from fracflow.errors import InputError, Interrupted, SolveError
+
+if TYPE_CHECKING:
+    from fracflow._petsc import MPI
+    from fracflow.run import Progress as Tick
+    from fracflow.run_record import Totals
+    from fracflow.scene import Scene
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
@@ -36,14 +43,34 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [])
     folder = output or Path("runs") / default_name(scene)
-    quiet = comm.rank > 0
-    console = Console(quiet=quiet, highlight=False)
+    console = Console(quiet=comm.rank > 0, highlight=False)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True)
     if (folder / "history.h5").exists():
         console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True)
+    watched(given, folder, console, comm, lambda tick: runner.run(given, folder, comm, tick))
+
+
+@app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argument(help="a run folder")]) -> None:
+    """Go on with a run that was stopped, on any number of ranks; what follows -- goes to PETSc."""
+    from fracflow._petsc import MPI, PETSc
+
+    petsc_options(PETSc, context.args)
+    from fracflow import run as runner
+    from fracflow.scene import load
+
+    comm = MPI.COMM_WORLD
+    if not (folder / "scene.toml").is_file():
+        raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
+    console = Console(quiet=comm.rank > 0, highlight=False)
+    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: runner.resume(folder, comm, tick))
+
+
+def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: Callable[[Tick], Totals]) -> None:
+    """Do a job with its progress in sight, then tell and draw what it left. Raises what the job raises."""
     total, start = 0, 0.0
-    for stage in given.stage:
+    for stage in scene.stage:
         count = stage.step_count(start) or 0
         total, start = total + count, start + count * (stage.time_step or 0.0)
     columns = (
@@ -52,18 +79,22 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
         TextColumn("{task.completed} steps"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as bar:
-        task = bar.add_task(given.title or str(scene), total=total or None)
-        failure = None
+    totals, failure = None, None
+    with Progress(*columns, console=Console(stderr=True, quiet=comm.rank > 0), transient=True) as bar:
+        task = bar.add_task(scene.title or str(folder), total=total or None)
         try:
-            totals = runner.run(given, folder, comm, lambda stage, time, state: bar.advance(task))
+            totals = job(lambda stage, time, state: bar.advance(task))
         except SolveError as error:
             failure = error
+        except Interrupted as error:
+            raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
     if comm.rank == 0:
-        show(folder, console, given.output.pictures)
+        show(folder, console, scene.output.pictures)
     if failure is not None:
         raise SolveError(f"{failure}; what was reached is in {folder}")
-    console.print(f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations")
+    if totals is not None:
+        counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
+        console.print(counts)
 
 
 def default_name(scene: Path) -> str:
@@ -155,8 +186,10 @@ def main() -> None:
         _stop(str(error), 2)
     except SolveError as error:
         _stop(str(error), 3)
+    except Interrupted as error:
+        _stop(str(error), 130)
     except KeyboardInterrupt:
-        _stop("interrupted", 130)
+        _stop("interrupted before the first step", 130)
     except Exception:
         _abort()
 

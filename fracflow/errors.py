@@ -7,3 +7,7 @@ class InputError(Exception):
 
 class SolveError(Exception):
     """The equations of a step could not be solved: exit code 3, the last good state is on disk."""
+
+
+class Interrupted(Exception):
+    """The run was asked to stop; its state is saved. Exit code 130."""

@@ -12,17 +12,21 @@ from fracflow.assembly.loads import Loads, Prescribed
 from fracflow.assembly.properties import initial_pressure
 from fracflow.run_setup import Model
 from fracflow.run_start import imbalance
-from fracflow.run_steps import Step, Stepping
+from fracflow.run_steps import DONE, Progress, Step, Stepping
 from fracflow.state import State
 from fracflow.stepping import Steady
 
 
-def equilibrate(stepping: Stepping, state: State, number: int, log: Callable[[str], None]) -> Iterator[Step]:
+def equilibrate(
+    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
+) -> Iterator[Step]:
     """Let go of the initial state in equal increments, the fluid kept at its initial pressure. Collective.
 
     The force that held the state out of balance is taken away; what it does meanwhile is booked as work of boundaries.
     Raises SolveError where no equilibrium is found. The caller owns the states.
     """
+    if "done" in progress:
+        return
     model = stepping.model
     stage = model.scene.stage[number]
     loads, count = _resting_fluid(model), stage.steps or 1
@@ -36,7 +40,7 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Callable[[st
         finally:
             restraint.destroy()
         state = new
-        yield Step(new, number, 0.0, report)
+        yield Step(new, number, 0.0, report, DONE if n == count else None)
     held_back.destroy()
     log(f"equilibrium: {_summary(model, state)}")
 

@@ -117,13 +117,14 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         points,
         closed_components(scene, mesh, wells),
         tied_components(scene, mesh),
-        tuple(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(asked[name], spot)),
+        tuple(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
     )
 
 
-def is_moved(asked: Place, spot: Floats) -> bool:
+def is_moved(mesh: SplitMesh, asked: Place, spot: Floats) -> bool:
     """Whether a place given by coordinates is not where its node is."""
-    return isinstance(asked, tuple) and not np.allclose(asked, spot, rtol=1e-9, atol=1e-9)
+    near = 1e-6 * float(np.ptp(mesh.points, axis=0).max())
+    return isinstance(asked, tuple) and float(np.linalg.norm(np.asarray(asked) - spot)) > near
 
 
 def moved(name: str, asked: Place, spot: Floats) -> str:
@@ -173,12 +174,17 @@ def closed_components(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
     return np.flatnonzero(np.isin(label, dry))
 
 
-def prepare(scene: Scene, comm: MPI.Comm) -> Model:
-    """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective."""
-    mesh = on_root(comm, lambda: read_split(scene))
+def prepare(
+    scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None
+) -> Model:
+    """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
+
+    saved, cell_rank  mesh and partition of an earlier run, on rank 0
+    """
+    mesh = on_root(comm, lambda: saved or read_split(scene))
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None
-    blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties)
+    blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = assemble(blocks, scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
     numbers = dict(zip(placed.wells, wells.tolist(), strict=True))

@@ -20,18 +20,24 @@ from fracflow.scene_actions import Stage
 from fracflow.state import Motion, State, StepReport
 from fracflow.stepping import STEPPERS, Alphas, BackwardEuler, Steady, Stepper
 
+Progress = Mapping[str, float]
+DONE: Progress = {"done": 1.0}
 DOUBLINGS = 60
 SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
 
 
 @dataclass(frozen=True)
 class Step:
-    """A state worth recording, the stage it belongs to, and what it cost; None for the start."""
+    """A state worth recording, the stage it belongs to, and what it cost.
+
+    progress  what the stage needs to go on from here; None where it cannot
+    """
 
     state: State
     stage: int
     dt: float
     report: StepReport
+    progress: Progress | None = None
 
 
 def stepper_of(scene: Scene, stage: Stage) -> Stepper:
@@ -153,7 +159,8 @@ class _Search:
             brentq(self.excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15)
         model = self.stepping.model
         below = {v: u for v, (new, _) in self.tried.items() if (u := utilisation(model, new)) < 1.0}
-        best = max(below, key=lambda value: below[value], default=low)
+        sought = 1.0 - self.stage.tolerance
+        best = min(below, key=lambda value: abs(below[value] - sought), default=low)
         if not below or below[best] < 1.0 - 2.0 * self.stage.tolerance:
             reached = f"|f_s|/f_sy = {below[best]:.9g}" if below else "no state"
             raise SolveError(
@@ -173,26 +180,27 @@ def _name(stage: Stage) -> str:
 
 
 def search_incipient(
-    stepping: Stepping, state: State, stage: Stage, log: Callable[[str], None]
-) -> Iterator[tuple[State, StepReport]]:
+    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
+) -> Iterator[Step]:
     """Raise the control until max |f_s| / f_sy = 1 - tolerance; yields the elastic states on the way.
 
     Raises SolveError, on every rank, where no state is that near to the strength. Collective.
     """
-    model, control = stepping.model, stage.control
+    model, stage = stepping.model, stepping.model.scene.stage[number]
+    control = stage.control
     assert control is not None
     low = state.controls[control]
     if utilisation(model, state) >= 1.0 - stage.tolerance:
         log(f"stage {_name(stage)}: already at incipient failure")
         return
-    increment = model.scene.control[control].increment
+    increment = progress.get("increment", model.scene.control[control].increment)
     for _ in range(DOUBLINGS):
         search, high = _Search(stepping, state, stage), low + increment
         if search.excess(high) >= 0.0:
             break
         state, report = search.tried.pop(high)
         low, increment = high, 2.0 * increment
-        yield state, report
+        yield Step(state, number, 0.0, report, {"increment": increment})
     else:
         raise SolveError(
             f"stage {_name(stage)}: control.{control} raised to {low:.6g} and no fracture came to its"
@@ -204,32 +212,38 @@ def search_incipient(
     finally:
         search.destroy()
     log(f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - utilisation(model, best[0]):.3e}")
-    yield best
+    yield Step(best[0], number, 0.0, best[1], DONE)
 
 
-def run_stage(stepping: Stepping, state: State, number: int, log: Callable[[str], None]) -> Iterator[Step]:
-    """All steps of a stage. The caller owns the states. Collective."""
+def run_stage(
+    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
+) -> Iterator[Step]:
+    """All steps of a stage, or those after the one with ``progress``. The caller owns the states. Collective."""
     model = stepping.model
     stage = model.scene.stage[number]
     stepper = stepper_of(model.scene, stage)
+    if "done" in progress:
+        return
     if stage.takes_no_time:
-        for new, report in search_incipient(stepping, state, stage, log):
-            yield Step(new, number, 0.0, report)
+        yield from search_incipient(stepping, state, number, log, progress)
         return
     assert stage.time_step is not None
-    start, base, held = state.time, dict(state.controls), False
+    controls, control = dict(state.controls), stage.control or ""
+    start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
+    n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
     count = stage.step_count(start)
-    n, controls = 0, dict(base)
     while count is None or n < count:
         n += 1
         if stage.control is not None and stage.increment_per_step is not None and not held:
-            controls[stage.control] = base[stage.control] * (1.0 + n * stage.increment_per_step)
+            controls[control] = base * (1.0 + n * stage.increment_per_step)
         new, report = stepping.step(state, stepper, start + n * stage.time_step, stage.time_step, controls)
         failed = utilisation(model, new) >= 1.0
         if failed and stage.then == "hold" and not held:
             held = True
-            log(f"time {new.time:.6g}: first failure; {stage.control} held at {controls[stage.control or '']:.12g}")
+            log(f"time {new.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
         state = new
-        yield Step(new, number, stage.time_step, report)
-        if stage.until == "incipient" and failed:
+        ends = stage.until == "incipient" and failed
+        there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
+        yield Step(new, number, stage.time_step, report, DONE if ends else there)
+        if ends:
             return

@@ -120,6 +120,12 @@ class Output(Part):
         default=0,
         description="write whole fields every so many steps; 0 writes the first and the last state only",
     )
+    checkpoint_every: Annotated[int, Field(strict=True, ge=0)] = Field(
+        default=0, description="save the state every so many steps; 0 leaves it to the clock, to signals and to failures"
+    )
+    checkpoint_seconds: Annotated[float, Quantity(above=0.0)] = Field(
+        default=60.0, description="save the state when so many seconds of wall clock have passed [s]"
+    )
     pictures: StrictBool = Field(default=True, description="draw pictures for the report page")
 
 

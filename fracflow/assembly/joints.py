@@ -49,6 +49,7 @@ class Joints:
     initial   (s, dim) initial effective traction, joint frame [stress]
     groups    sections by unknowns, for the tangent
     laws      sections by law
+    points    sections of a joint
     """
 
     dim: int
@@ -57,6 +58,7 @@ class Joints:
     initial: Floats
     groups: tuple[SectionGroup, ...]
     laws: tuple[LawGroup, ...]
+    points: int
 
     def rest(self) -> Past:
         """Histories of all laws at the initial state."""
@@ -240,4 +242,4 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
     if not scene.equilibrates:
         refuse_bad_start(blocks, groups, initial, len(xi))
     jump = jump_matrix(blocks, xi, expand)
-    return Joints(blocks.sizes.dim, jump, weights, initial, section_groups(jump, blocks.sizes.dim), groups)
+    return Joints(blocks.sizes.dim, jump, weights, initial, section_groups(jump, blocks.sizes.dim), groups, len(xi))

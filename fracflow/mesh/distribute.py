@@ -22,13 +22,16 @@ from fracflow.mesh.ties import representatives
 
 
 def distribute(
-    mesh: SplitMesh | None, comm: MPI.Comm, rigid_rocks: Collection[str] = (), ties: Ints | None = None
+    mesh: SplitMesh | None, comm: MPI.Comm, rigid_rocks: Collection[str] = (), ties: Ints | None = None,
+    cell_rank: Ints | None = None,
 ) -> Blocks:
     """Send each rank its blocks. ``mesh`` is given on rank 0 and None elsewhere. Collective.
 
-    ties  (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
+    ties       (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
+    cell_rank  (m,) where the cells go, on rank 0; else the partitioner says
     """
-    cell_rank = partition_cells(mesh, comm)
+    if not comm.bcast(cell_rank is not None, root=0):
+        cell_rank = partition_cells(mesh, comm)
     pieces: Any = None
     if mesh is not None:
         assert cell_rank is not None

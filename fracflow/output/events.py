@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,6 +95,23 @@ class EventLog:
 
     def close(self) -> None:
         """Write the file with the latest slip of events still under way."""
+        self._write()
+
+    def memory(self) -> dict[str, Any]:
+        """All that the log knows, as plain lists."""
+        running = {
+            kind: {name: getattr(found, name).tolist() for name in ("row", "slip_before", "peak_rate")}
+            for kind, found in self._running.items()
+        }
+        return {"rows": self.rows, "plastic_slip": self._plastic_slip.tolist(), "running": running}
+
+    def remember(self, memory: Mapping[str, Any]) -> None:
+        """Go on from what ``memory`` gave."""
+        self.rows = [dict(row) for row in memory["rows"]]
+        self._plastic_slip = np.array(memory["plastic_slip"], dtype=float)
+        for kind, found in memory["running"].items():
+            rates = (np.array(found[name], dtype=float) for name in ("slip_before", "peak_rate"))
+            self._running[kind] = _Running(np.array(found["row"], dtype=np.int64), *rates)
         self._write()
 
     def _start(self, kind: str, i: int, time: float) -> None:

@@ -15,6 +15,7 @@ from fracflow.errors import InputError
 MARKER = ".fracflow"
 _OWN_FILES = (
     "scene.toml",
+    "mesh.h5",
     "history.h5",
     "events.csv",
     "plan.json",
@@ -110,6 +111,19 @@ class RunFolder:
     def write_plan(self, plan: Any) -> Path:
         """Write the decision record of the run: ``plan.json``."""
         return self.write_json("plan.json", plan)
+
+    def log_bytes(self) -> int:
+        """Length of ``log.txt``."""
+        path = self.path / "log.txt"
+        return path.stat().st_size if path.exists() else 0
+
+    def cut_back(self, steps: int, log_bytes: int) -> None:
+        """Take away fields and lines of the log that came after so many steps and bytes."""
+        for file in (self.path / "fields").glob("*_[0-9]*.h5"):
+            if int(file.stem.rpartition("_")[2]) >= steps:
+                file.unlink()
+        if self.log_bytes() > log_bytes:
+            os.truncate(self.path / "log.txt", log_bytes)
 
     def log(self, line: str) -> None:
         """Append one line to ``log.txt``; it is on disk when this returns."""

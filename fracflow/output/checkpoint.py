@@ -1,0 +1,139 @@
+"""checkpoint.h5: a state in original order, from which a run goes on with any number of ranks."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.operators import Operators
+from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Ints
+from fracflow.state import Forces, Motion, Past, Sections, State
+
+Arrays = dict[str, NDArray[Any]]
+SOLID = {"displacement": "motion", "velocity": "motion", "acceleration": "motion", "load": "forces", "support": "forces"}
+FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
+
+
+def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
+    """Write a checkpoint aside, bring it to disk, and put it in the place of the last one. Rank 0 only."""
+    part = path.with_name(path.name + ".part")
+    with h5py.File(part, "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+        file.attrs["notes"] = json.dumps(notes, ensure_ascii=False)
+    with part.open("rb") as written:
+        os.fsync(written.fileno())
+    os.replace(part, path)
+
+
+def read_notes(path: Path) -> dict[str, Any]:
+    """What a checkpoint says beside its arrays. Raises InputError where it cannot be read."""
+    try:
+        with h5py.File(path, "r") as file:
+            notes: dict[str, Any] = json.loads(file.attrs["notes"])
+            return notes
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: is no checkpoint ({error}); start the run again with fracflow run") from error
+
+
+def read_arrays(path: Path) -> Arrays:
+    """All arrays of a checkpoint, by their names."""
+    found: Arrays = {}
+    with h5py.File(path, "r") as file:
+        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+    return found
+
+
+def gather_state(operators: Operators, state: State) -> Arrays | None:
+    """The arrays of a state in original order, and the rank of each cell, on rank 0. Collective."""
+    blocks = operators.blocks
+    places, total = _solid_places(blocks)
+    used = places >= 0
+    arrays: dict[str, NDArray[Any] | None] = {}
+    for name, part in SOLID.items():
+        local = getattr(getattr(state, part), name).getArray(readonly=True)
+        arrays[name] = blocks.gather(places[used], local[used], total)
+    for name, part in FLOW.items() if operators.flow is not None else ():
+        local = getattr(getattr(state, part) if part else state, name).getArray(readonly=True)
+        arrays[name] = blocks.gather(blocks.flow.ids, local.copy(), blocks.sizes.flow_nodes)
+    joints, points = blocks.joints.ids, operators.joints.points
+    for field in fields(Sections):
+        if field.name != "past":
+            values = getattr(state.sections, field.name)
+            rows = values.reshape(len(joints), points, *values.shape[1:])
+            arrays[f"sections/{field.name}"] = blocks.gather(joints, rows, blocks.sizes.joints)
+    for number, (group, past) in enumerate(zip(operators.joints.laws, state.sections.past, strict=True)):
+        for name, values in past.items():
+            whole = np.zeros((len(joints) * points, *values.shape[1:]))
+            whole[group.sections] = values
+            rows = whole.reshape(len(joints), points, *values.shape[1:])
+            arrays[f"past/{number}/{name}"] = blocks.gather(joints, rows, blocks.sizes.joints)
+    rank = np.full(len(blocks.solid.cell_ids), blocks.comm.rank)
+    arrays["cell_rank"] = blocks.gather(blocks.solid.cell_ids, rank, blocks.sizes.cells)
+    return None if blocks.comm.rank else {name: values for name, values in arrays.items() if values is not None}
+
+
+def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]) -> State:
+    """The state that was saved, spread over the ranks of now. Collective."""
+    blocks, layout = operators.blocks, operators.layout
+    places, _ = _solid_places(blocks)
+
+    def solid(name: str) -> PETSc.Vec:
+        vector = layout.solid_vector()
+        vector.setArray(np.where(places >= 0, arrays[name][places], 0.0))
+        return vector
+
+    def flow(name: str) -> PETSc.Vec:
+        vector = layout.flow_vector()
+        if operators.flow is not None:
+            vector.setArray(arrays[name][blocks.flow.ids])
+        return vector
+
+    def at_sections(name: str) -> NDArray[Any]:
+        values = arrays[name][blocks.joints.ids]
+        return values.reshape(-1, *values.shape[2:])
+
+    past: Past = tuple(
+        {name: at_sections(f"past/{number}/{name}")[group.sections] for name in group.law.history}
+        for number, group in enumerate(operators.joints.laws)
+    )
+    parts = {f.name: at_sections(f"sections/{f.name}") for f in fields(Sections) if f.name != "past"}
+    return State(
+        time=notes["time"],
+        motion=Motion(solid("displacement"), solid("velocity"), solid("acceleration")),
+        pressure=flow("pressure"),
+        sections=Sections(past=past, **parts),
+        forces=Forces(solid("load"), solid("support"), flow("conduction"), flow("source")),
+        controls=notes["controls"],
+        energy=notes["energy"],
+    )
+
+
+def _solid_places(blocks: Blocks) -> tuple[Ints, int]:
+    """Original number of each displacement unknown of this rank, -1 for one that no node has; and how many there are.
+
+    Unknowns of nodes count as node * dim + component, those of rigid bodies follow; tied nodes count as their lowest.
+    """
+    block, dim = blocks.solid, blocks.sizes.dim
+    start, end = block.unknown_starts[blocks.comm.rank : blocks.comm.rank + 2]
+    free = block.body < 0
+    own = (block.node_ids[free, None] * dim + np.arange(dim)).ravel()
+    of_bodies = blocks.sizes.nodes * dim + np.arange(block.body_unknown.size)
+    numbers = np.concatenate([block.unknown[free].ravel(), block.body_unknown.ravel()])
+    originals = np.concatenate([own, of_bodies])
+    here = (numbers >= start) & (numbers < end)
+    total = blocks.sizes.nodes * dim + block.body_unknown.size
+    places = np.full(end - start, total, dtype=np.int64)
+    np.minimum.at(places, numbers[here] - start, originals[here])
+    return np.where(places == total, -1, places), total

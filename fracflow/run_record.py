@@ -1,0 +1,207 @@
+"""What a run puts on record: history, events, fields, plan, log and checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fracflow import __version__
+from fracflow._petsc import MPI
+from fracflow.assembly.energy import ENTRIES
+from fracflow.mesh.locate import FracturePlace
+from fracflow.mesh.store import save_mesh
+from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
+from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
+from fracflow.plan import as_records, decide, factorisations
+from fracflow.run_setup import Model, on_root
+from fracflow.run_steps import Step
+
+KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3}
+NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
+
+
+@dataclass
+class Totals:
+    """Counts over the run."""
+
+    steps: int = 0
+    newton: int = 0
+    factorisations: int = 0
+    narrowest: float = np.inf
+    narrow_time: float = np.nan
+
+
+class Recorder:
+    """Writes the run folder on rank 0; its calls are collective, for they gather."""
+
+    def __init__(self, model: Model, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None) -> None:
+        """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
+        self.model, self.comm = model, comm
+        self.nodes = sampling.probe_nodes(model.placed.probes)
+        self.depth = model.scene.fluid.flow_depth if model.scene.fluid is not None else 1.0
+        self.totals = Totals(**notes["totals"]) if notes else Totals()
+        self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
+
+    def log(self, line: str) -> None:
+        """A line for log.txt."""
+        if self.files is not None:
+            self.files.folder.log(line)
+
+    def record(self, step: Step) -> None:
+        """Put a state on record. Collective."""
+        snapshot = sampling.take(self.model.operators, step.state, self.depth, self.nodes)
+        if self.files is not None and snapshot is not None:
+            margin = float(snapshot.column("margin").min(initial=np.inf))
+            if margin < self.totals.narrowest:
+                self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
+            self.files.append(step, snapshot, margin)
+        self._fields(step, snapshot, self._wants_fields(self.totals.steps))
+        self.totals.steps += 1
+        self.totals.newton += step.report.newton
+        self.totals.factorisations += step.report.factorisations
+
+    def last(self, step: Step) -> None:
+        """Write the fields of the state that a run ends with, unless they were. Collective."""
+        if not self._wants_fields(self.totals.steps - 1):
+            snapshot = sampling.take(self.model.operators, step.state, self.depth, self.nodes)
+            self.totals.steps -= 1
+            self._fields(step, snapshot, True)
+            self.totals.steps += 1
+
+    def _wants_fields(self, index: int) -> bool:
+        every = self.model.scene.output.fields_every
+        return index == 0 or bool(every and index % every == 0)
+
+    def _fields(self, step: Step, snapshot: sampling.Snapshot | None, wanted: bool) -> None:
+        displacement = sampling.all_displacements(self.model.operators, step.state) if wanted else None
+        if self.files is not None and snapshot is not None and displacement is not None:
+            self.files.fields(self.totals.steps, step.state.time, snapshot, displacement)
+
+    def save(self, step: Step, finished: bool = False) -> None:
+        """Write the checkpoint, if the run can go on from this step. Collective."""
+        if step.progress is None:
+            return
+        arrays = gather_state(self.model.operators, step.state)
+        if self.files is not None and arrays is not None:
+            self.files.save(step, arrays, {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size})
+
+    def finish(self, seconds: float) -> None:
+        """Write plan.json and the last lines of the log, and close the files."""
+        totals = self.totals
+        if totals.narrowest < NARROW:
+            self.log(
+                f"smallest slip margin {totals.narrowest:.1e} at time {totals.narrow_time:.6g}:"
+                " what follows there is not settled by arithmetic"
+            )
+        self.log(
+            f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
+            f" in {seconds:.2f} s"
+        )
+        if self.files is not None:
+            decisions = [*decide(self.model.scene), factorisations(self.totals.newton, self.totals.factorisations)]
+            self.files.folder.write_plan(as_records(decisions))
+            self.files.history.close()
+            self.files.events.close()
+
+
+class Files:
+    """The open files of a run folder; rank 0 only."""
+
+    def __init__(self, model: Model, folder: Path, notes: Mapping[str, Any] | None = None) -> None:
+        """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
+        assert model.mesh is not None
+        self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
+        self.folder = RunFolder(folder, resume=notes is not None)
+        if notes is None:
+            save_mesh(self.mesh, self.folder / "mesh.h5")
+            self.folder.write_text("scene.toml", model.scene.dump_toml(folder.resolve()))
+            self.folder.write_plan(as_records(decide(model.scene)))
+        else:
+            self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"])
+        system = model.scene.unit_system
+        probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
+        wells = {name: self.mesh.points[self.mesh.flow_origin[n]].tolist() for name, n in model.placed.wells.items()}
+        units = {part: str(getattr(system, part)) for part in ("length", "force", "time")}
+        about = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells, "fracflow": __version__}
+        path = self.folder / "history.h5"
+        self.history = HistoryFile(path, about) if notes is None else HistoryFile.resume(path, notes["totals"]["steps"])
+        fracture, flow, self.inverse = sampling.node_table(self.mesh)
+        points = self.mesh.points[self.mesh.flow_origin[flow]]
+        named = {p.flow: name for name, p in model.placed.probes.items() if isinstance(p, FracturePlace)}
+        self.events = EventLog(
+            self.folder / "events.csv",
+            FractureNodes(
+                [self.mesh.fractures[f] for f in fracture],
+                self.mesh.flow_origin[flow],
+                points[:, 0],
+                points[:, 1],
+                [named.get(int(n), "") for n in flow],
+            ),
+        )
+        if notes is not None:
+            self.events.remember(notes["events"])
+        self.count = len(flow)
+        resumes = notes is not None
+        self.rock = FieldWriter(
+            self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)}, resumes
+        )
+        ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
+        lines = np.arange(len(ends)).reshape(-1, 2)
+        self.fractures = FieldWriter(
+            self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
+        )
+
+    def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
+        """Write the checkpoint: the state, where the run is, and where its files are."""
+        state = step.state
+        here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
+        notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
+        memory = {"events": self.events.memory(), "fracflow": __version__}
+        write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
+
+    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
+        """One row of history and the events up to it."""
+        state, report = step.state, step.report
+        record: dict[str, Any] = {
+            "time": state.time,
+            "step/dt": step.dt,
+            "step/stage": step.stage,
+            "step/kind": KINDS[self.scene.stage[step.stage].kind],
+            "step/newton": report.newton,
+            "step/krylov": report.krylov,
+            "step/coupling": report.cycles,
+            "step/factorisations": report.factorisations,
+            "step/solid_residual": report.solid_residual,
+            "step/flow_residual": report.flow_residual,
+            "step/slipping": int(snapshot.column("sliding").sum()),
+            "step/open": int(snapshot.column("open").sum()),
+            "step/slip_margin": margin,
+        }
+        record |= {f"step/control/{name}": value for name, value in state.controls.items()}
+        record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}
+        self.history.append(record | sampling.probe_record(self.scene, self.placed.probes, snapshot))
+
+        def brought(name: str, any_of: bool = False) -> Any:
+            return sampling.at_nodes(snapshot, name, self.inverse, self.count, any_of)
+
+        self.events.update(
+            state.time,
+            brought("sliding", True).astype(bool),
+            brought("open", True).astype(bool),
+            brought("plastic_slip"),
+            brought("slip_rate"),
+        )
+
+    def fields(self, index: int, time: float, snapshot: sampling.Snapshot, displacement: Any) -> None:
+        """Fields of rock and fractures for ParaView."""
+        stress = sampling.rock_stress(self.mesh, self.scene, displacement)
+        tensor = stress[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+        self.rock.write(index, time, {"displacement": displacement}, {"stress": tensor, "rock": self.mesh.cell_rock})
+        skip = ("margin",) + (() if self.scene.has_flow else ("pressure", "aperture", "flow_rate"))
+        names = [name for name in sampling.COLUMNS if name not in skip]
+        values = {name: snapshot.column(name).ravel() for name in names}
+        self.fractures.write(index, time, values, {"fracture": self.mesh.joint_fracture})

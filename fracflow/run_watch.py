@@ -1,0 +1,63 @@
+"""Wishes that reach a run from outside: signals and the clock, agreed on by all ranks at the end of a step."""
+
+from __future__ import annotations
+
+import signal
+import time as clock
+from enum import IntEnum
+from types import FrameType
+from typing import Any
+
+from fracflow._petsc import MPI
+
+
+class Wish(IntEnum):
+    """What is wanted at the end of a step."""
+
+    GO_ON = 0
+    SAVE = 1
+    STOP = 2
+
+
+SIGNALS = {signal.SIGUSR1: Wish.SAVE, signal.SIGUSR2: Wish.STOP, signal.SIGTERM: Wish.STOP, signal.SIGINT: Wish.STOP}
+
+
+class Watch:
+    """Takes signals while a run is under way: USR1 saves, USR2, TERM and INT save and stop; a second one stops at once.
+
+    every    save every so many steps, 0 for never
+    seconds  save when so long has passed since the last time
+    """
+
+    def __init__(self, comm: MPI.Comm, every: int, seconds: float) -> None:
+        self.comm, self.every, self.seconds = comm, every, seconds
+        self._wish, self._saved = Wish.GO_ON, clock.monotonic()
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Watch:
+        try:
+            self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        except ValueError:  # not in the main thread: whoever calls keeps the signals
+            self._before = {}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._wish = max(self._wish, SIGNALS[signal.Signals(number)])
+        if self._wish is Wish.STOP:
+            for each, handler in self._before.items():
+                signal.signal(each, handler)
+
+    def wish(self, steps: int) -> Wish:
+        """What all ranks agree on after so many steps. Collective."""
+        here = self._wish
+        is_late = self.comm.rank == 0 and clock.monotonic() - self._saved >= self.seconds
+        if is_late or (self.every and steps % self.every == 0):
+            here = max(here, Wish.SAVE)
+        agreed = Wish(self.comm.allreduce(int(here), op=MPI.MAX))
+        if agreed is not Wish.GO_ON:
+            self._wish, self._saved = Wish.GO_ON, clock.monotonic()
+        return agreed
