@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fracflow.scene_tables import Count, Fraction, Name, Part
 from fracflow.tables import At, Displaced, Place, Tabled, TabledVector, TimeTable
-from fracflow.units import FLOW_RATE, STRESS, TIME, Quantity, fault
+from fracflow.units import FLOW_RATE, LINE_FORCE, STRESS, TIME, Quantity, fault
 
 Component = Literal["x", "y", "rotation"]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
@@ -19,6 +19,7 @@ Measured = Literal[
 ]  # fmt: skip
 Entry = Annotated[TimeTable, Tabled()]
 Row = tuple[Entry, Entry]
+Force = Annotated[TimeTable, Tabled(LINE_FORCE)]
 Names = Annotated[
     tuple[Name, ...], Field(min_length=1), BeforeValidator(lambda on: [on] if isinstance(on, str) else on)
 ]
@@ -71,23 +72,28 @@ class Tie(Part):
 
 
 class Load(Part):
-    """[[load]] A traction on sides: as [x, y], as a pressure, or that of the initial stress."""
+    """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; or a force on rocks."""
 
-    on: Names = Field(description="names of sides: one or a list")
+    on: Names = Field(description="names of sides, or of rocks where a force is given: one or a list")
     traction: Annotated[tuple[TimeTable, TimeTable] | str, TabledVector(STRESS, "initial-stress")] | None = Field(
         default=None, description='[t_x, t_y] in global axes [force/length**2], or "initial-stress"'
     )
     pressure: Annotated[TimeTable, Tabled(STRESS)] | None = Field(
         default=None, description="pressure against the side, positive pushes inwards [force/length**2]"
     )
+    force: tuple[Force, Force] | None = Field(
+        default=None,
+        description="[F_x, F_y] per unit thickness on each rock named, spread evenly over its area [force/length]",
+    )
     control: Name | None = Field(default=None, description="name of the [control] whose factor multiplies the load")
 
     @model_validator(mode="after")
     def _consistent(self) -> Load:
-        if self.traction is None and self.pressure is None:
-            raise fault("missing; a load needs traction or pressure", key="traction")
-        if self.traction is not None and self.pressure is not None:
-            raise fault("contradicts pressure; give one of them", key="traction")
+        given = [key for key in ("traction", "pressure", "force") if getattr(self, key) is not None]
+        if not given:
+            raise fault("missing; a load needs traction, pressure or force", key="traction")
+        if len(given) > 1:
+            raise fault(f"contradicts {given[1]}; give one of them", key=given[0])
         if self.control is not None and self.traction == "initial-stress":
             raise fault('contradicts traction = "initial-stress", which has no factor', key="control")
         return self

@@ -141,7 +141,7 @@ def _used_names(
     for key in ("load", "tie"):
         for index, entry in enumerate(getattr(scene, key)):
             for name in entry.on:
-                yield f"{key}.{index}.on", name, sides
+                yield f"{key}.{index}.on", name, rocks if getattr(entry, "force", None) is not None else sides
     for name in scene.initial.rock if scene.initial is not None else ():
         yield "initial.rock", name, rocks
     for well in scene.well:

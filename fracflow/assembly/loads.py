@@ -11,7 +11,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.layout import Layout
 from fracflow.assembly.properties import initial_pressure, initial_stress
-from fracflow.assembly.solid import body_forces, nodal_force
+from fracflow.assembly.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
@@ -110,7 +110,25 @@ def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Ma
     return nodal_force(blocks, nodes, solid.traction_force(blocks.solid.points[nodes], traction), expand)
 
 
+def _rock_area(blocks: Blocks, rock: int) -> float:
+    parts = (solid.area(blocks.solid.points[nodes]).sum() for _, nodes in by_shape(blocks.solid.cells[blocks.solid.cell_rock == rock]))
+    return float(blocks.comm.allreduce(sum(parts)))
+
+
+def _force_patterns(blocks: Blocks, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
+    patterns = []
+    for name in load.on:
+        rock = blocks.solid.rocks.index(name)
+        for axis, value in enumerate(load.force or ()):
+            each = np.zeros((len(blocks.solid.rocks), 2))
+            each[rock, axis] = 1.0 / _rock_area(blocks, rock)
+            patterns.append(Pattern(forces_in_rocks(blocks, each, expand), value, load.control))
+    return patterns
+
+
 def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
+    if load.force is not None:
+        return _force_patterns(blocks, load, expand)
     names = [load.on] if isinstance(load.on, str) else list(load.on)
     known = blocks.solid.sides
     for name in names:

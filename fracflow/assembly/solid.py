@@ -167,7 +167,11 @@ def initial_stress_force(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None)
 
 def body_forces(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Vec:
     """Nodal forces of [body_force] on the unknowns [force per thickness]. The caller destroys it. Collective."""
-    each = np.array([body_force(scene, name) for name in blocks.solid.rocks])
+    return forces_in_rocks(blocks, np.array([body_force(scene, name) for name in blocks.solid.rocks]), expand)
+
+
+def forces_in_rocks(blocks: Blocks, each: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
+    """Nodal forces of a force per area in each rock (rocks, 2) [stress/length]. The caller destroys it. Collective."""
     nodes_all, forces = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     for cells, nodes in by_shape(blocks.solid.cells):
         nodes_all.append(nodes.ravel())

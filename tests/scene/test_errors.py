@@ -52,7 +52,7 @@ CASES = {
     "load.0.traction=[1]": 'load.0.traction = [1]: must be [x, y]',
     "load.0.traction=[[0,1],2]": "must be a number in N/m**2",
     "load.0.control=pumping": "contradicts traction",
-    "load=[{on='west'}]": "load.0.traction: missing; a load needs traction or pressure",
+    "load=[{on='west'}]": "load.0.traction: missing; a load needs traction, pressure or force",
     "support.0.on=[]": "support.0.on = []: must not be empty",
     "support.0.components=['z']": 'allowed: "x", "y", "rotation"',
     "support.0={on='west',components=['x'],displacement={y=1}}": 'support.0.components = ["x"]: contradicts displacement',
