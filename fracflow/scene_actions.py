@@ -19,7 +19,6 @@ Measured = Literal[
 ]  # fmt: skip
 Entry = Annotated[TimeTable, Tabled()]
 Row = tuple[Entry, Entry]
-Force = Annotated[TimeTable, Tabled(LINE_FORCE)]
 Names = Annotated[
     tuple[Name, ...], Field(min_length=1), BeforeValidator(lambda on: [on] if isinstance(on, str) else on)
 ]
@@ -81,7 +80,7 @@ class Load(Part):
     pressure: Annotated[TimeTable, Tabled(STRESS)] | None = Field(
         default=None, description="pressure against the side, positive pushes inwards [force/length**2]"
     )
-    force: tuple[Force, Force] | None = Field(
+    force: Annotated[tuple[TimeTable, TimeTable], TabledVector(LINE_FORCE)] | None = Field(
         default=None,
         description="[F_x, F_y] per unit thickness on each rock named, spread evenly over its area [force/length]",
     )

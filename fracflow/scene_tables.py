@@ -74,6 +74,15 @@ class Method(Part):
         default="monolithic",
         description="how rock and fluid are solved together: at once, by turns (4.5), one direct solve",
     )
+    newton: Literal["newton", "modified", "secant"] = Field(
+        default="newton",
+        description="stiffness that an iteration corrects by: the tangent (4.7), that of the step's start (4.10), the secant",
+    )
+    overshoot: Literal["hold", "one-change"] = Field(
+        default="hold",
+        description="when joints may change between sticking and sliding: once the balances hold with the statuses there"
+        " were, or in every iteration, but each section once only (5.1)",
+    )
     newton_test: Literal["residual", "out-of-balance", "displacement"] = Field(
         default="residual", description="when Newton stops: scaled residuals, (4.9a), or (4.9b)"
     )

@@ -95,7 +95,10 @@ class State:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What a step cost and how it ended."""
+    """What a step cost and how it ended.
+
+    out_of_balance  (4.9a) at the start of the step and after each iteration [force per thickness]; of a monolithic solve
+    """
 
     newton: int
     krylov: int
@@ -103,3 +106,4 @@ class StepReport:
     factorisations: int
     solid_residual: float
     flow_residual: float
+    out_of_balance: tuple[float, ...] = ()

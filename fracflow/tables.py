@@ -155,17 +155,18 @@ class Tabled(_Annotation):
 
 @dataclass(frozen=True)
 class TabledVector(_Annotation):
-    """Annotation of a vector [x, y] of values that may change in time, or one word in its place."""
+    """Annotation of a vector [x, y] of values that may change in time, or one word, if not empty, in its place."""
 
     dimension: str
-    word: str
+    word: str = ""
 
     def read(self, value: object, info: ValidationInfo) -> tuple[TimeTable, TimeTable] | str:
         """Read ``[x, y]`` or the word."""
-        if value == self.word:
+        if self.word and value == self.word:
             return self.word
         if not isinstance(value, list) or len(value) != 2:
-            raise fault(f'must be [x, y], each a number or a time table, or "{self.word}"')
+            or_word = f', or "{self.word}"' if self.word else ""
+            raise fault(f"must be [x, y], each a number or a time table{or_word}")
         x, y = (Tabled(self.dimension).read(part, info) for part in value)
         assert isinstance(x, TimeTable) and isinstance(y, TimeTable)
         return x, y
@@ -173,7 +174,7 @@ class TabledVector(_Annotation):
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         vector = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": self.dimension}
-        return {"anyOf": [vector, {"const": self.word}]}
+        return {"anyOf": [vector, {"const": self.word}]} if self.word else vector
 
 
 @dataclass(frozen=True)

@@ -111,8 +111,8 @@ def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Ma
 
 
 def _rock_area(blocks: Blocks, rock: int) -> float:
-    parts = (solid.area(blocks.solid.points[nodes]).sum() for _, nodes in by_shape(blocks.solid.cells[blocks.solid.cell_rock == rock]))
-    return float(blocks.comm.allreduce(sum(parts)))
+    cells = blocks.solid.cells[blocks.solid.cell_rock == rock]
+    return float(blocks.comm.allreduce(sum(solid.area(blocks.solid.points[n]).sum() for _, n in by_shape(cells))))
 
 
 def _force_patterns(blocks: Blocks, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:

@@ -25,7 +25,9 @@ class Monolithic:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
         report = self.newton.solve(problem)
         residual = problem.residual
-        return StepReport(report.newton, report.krylov, 1, report.fills, residual.solid, residual.flow)
+        return StepReport(
+            report.newton, report.krylov, 1, report.fills, residual.solid, residual.flow, report.out_of_balance
+        )
 
     def destroy(self) -> None:
         """Free matrix and solver. Collective."""

@@ -1,8 +1,9 @@
-"""(4.7) Newton's method on one step: SNES, with the safety that joints need.
+"""(4.7) Newton's method on one step, or one that stands in for it: SNES, with the safety that joints need.
 
-The statuses of the last step are tried first. Once the balances hold with them, every section that has left its status is
-given the next one, and Newton goes on from there, until none has: so the elastic root is preferred, and no section slips
-because an iterate overshot. No iteration takes a joint past its closure.
+overshoot = "hold": the statuses of the last step are tried first. Once the balances hold with them, every section that has
+left its status is given the next one, and the iteration goes on from there, until none has: so the elastic root is
+preferred, and no section slips because an iterate overshot. overshoot = "one-change", as in 5.1: every iteration lets each
+section change its status, but once only. No iteration takes a joint past its closure.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
+from fracflow.coupling.newton_failure import describe_failure
+from fracflow.coupling.newton_methods import NEWTON_METHODS
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.scene import Scene
@@ -22,11 +25,12 @@ MOST_CHANGES = 50  # rounds of status changes in one step
 
 @dataclass(frozen=True)
 class NewtonReport:
-    """Iterations of Newton and of the Krylov solvers inside, and refills of the Jacobian."""
+    """Iterations of Newton and of the Krylov solvers inside, refills of the Jacobian, and (4.9a) from the start on."""
 
     newton: int
     krylov: int
     fills: int
+    out_of_balance: tuple[float, ...]
 
 
 class Newton:
@@ -38,6 +42,8 @@ class Newton:
     def __init__(self, scene: Scene, matrix: JoinedMatrix, prefix: str, only: str | None = None) -> None:
         """Make the SNES. Collective."""
         self.scene, self.matrix, self.prefix, self.only = scene, matrix, prefix, only
+        self.method = NEWTON_METHODS[scene.method.newton]
+        self.holds = scene.method.overshoot == "hold" or only == "flow"
         layout = matrix.layout
         self.unknowns, self.balance = layout.joined_vector(), layout.joined_vector()
         self.snes = PETSc.SNES().create(comm=layout.comm)
@@ -62,26 +68,36 @@ class Newton:
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
+        self._is_start, self._is_filled = True, False
+        self._out_of_balance: list[float] = []
 
     def solve(self, problem: StepProblem) -> NewtonReport:
         """Bring the trial of ``problem`` into balance. Raises SolveError, on every rank. Collective."""
         self.problem, self._krylov, self._step = problem, 0, np.inf
+        self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
         fills, iterations, comm = self.matrix.fills, 0, self.matrix.layout.comm
         for _ in range(MOST_CHANGES):
             self._pack(problem)
-            self.snes.solve(None, self.unknowns)
+            self._is_start = True
+            del self._out_of_balance[-1:]  # the same iterate, before its sections changed
+            try:
+                self.snes.solve(None, self.unknowns)
+            except SolveError as error:
+                if not self.method.weakness:
+                    raise
+                raise self._failure(0, iterations + self.snes.getIterationNumber()) from error
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
-                raise SolveError(self._diagnosis(self.snes.getConvergedReason(), iterations))
+                raise self._failure(self.snes.getConvergedReason(), iterations)
             if self.only == "flow":
                 break
             self._restless = problem.change_statuses()
             if not comm.allreduce(bool(self._restless.any()), op=MPI.LOR):
                 break
         else:
-            raise SolveError(self._diagnosis(0, iterations))
-        return NewtonReport(iterations, self._krylov, self.matrix.fills - fills)
+            raise self._failure(0, iterations)
+        return NewtonReport(iterations, self._krylov, self.matrix.fills - fills, tuple(self._out_of_balance))
 
     def _pack(self, problem: StepProblem) -> None:
         scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
@@ -103,7 +119,7 @@ class Newton:
         problem = self.problem
         assert problem is not None
         self._unpack(unknowns)
-        problem.evaluate()
+        problem.evaluate(hold=self.holds or self._is_start)
         middle = self.matrix.layout.solid_count
         local = balance.getArray()
         local[:middle] = problem.solid_balance.getArray(readonly=True) / self.matrix.operators.scales.force
@@ -116,7 +132,11 @@ class Newton:
     def _jacobian(self, snes: PETSc.SNES, unknowns: PETSc.Vec, jacobian: PETSc.Mat, _: PETSc.Mat) -> None:
         problem = self.problem
         assert problem is not None
-        self.matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale(), self.only)
+        if self.method.is_kept and self._is_filled:
+            return
+        moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
+        self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
+        self._is_filled = True
 
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         problem, layout = self.problem, self.matrix.layout
@@ -126,6 +146,8 @@ class Newton:
         scale = self.matrix.operators.scales.displacement
         change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
         self._step = change.norm()
+        if self.method.weakness and not np.isfinite(self._step):
+            raise SolveError("the matrix is singular")
         joints = self.matrix.operators.joints
         allowed = joints.step_limit(problem.sections.strain, joints.strain(change))
         change.destroy()
@@ -139,6 +161,10 @@ class Newton:
         reasons = PETSc.SNES.ConvergedReason
         problem, accuracy = self.problem, self.scene.accuracy
         assert problem is not None
+        self._out_of_balance.append(problem.residual.out_of_balance)
+        if not (self.holds or self._is_start):
+            self._restless = problem.take_statuses(problem.sections.past)
+        self._is_start = False
         if self._balanced(problem, iteration):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
         return int(reasons.DIVERGED_MAX_IT if iteration >= accuracy.max_iterations else reasons.ITERATING)
@@ -155,21 +181,9 @@ class Newton:
             return flow and residual.out_of_balance < accuracy.out_of_balance
         return flow and residual.solid <= accuracy.residual
 
-    def _diagnosis(self, reason: int, iterations: int) -> str:
-        problem, blocks = self.problem, self.matrix.operators.blocks
-        assert problem is not None
-        points = len(problem.sections.strain) // max(1, len(blocks.joints.ids))
-        restless = np.flatnonzero(self._restless) // max(1, points)
-        names = {blocks.joints.fractures[f] for f in blocks.joints.fracture[restless]}
-        fractures = sorted(set().union(*blocks.comm.allgather(names)))
-        where = f"sections of {', '.join(fractures)} keep changing between sticking and sliding; " if fractures else ""
-        names_of_reason = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
-        return (
-            f"time {problem.time:.6g}: Newton did not converge in {iterations} iterations"
-            f" ({names_of_reason.get(reason, reason)}): {where}relative residual of the solid {problem.residual.solid:.2e},"
-            f" of the flow {problem.residual.flow:.2e}, wanted {self.scene.accuracy.residual:.0e};"
-            " try a smaller time_step, or raise accuracy.max_iterations"
-        )
+    def _failure(self, reason: int, iterations: int) -> SolveError:
+        assert self.problem is not None
+        return SolveError(describe_failure(self.scene, self.problem, self._restless, reason, iterations))
 
     def destroy(self) -> None:
         """Free the solver. Collective."""

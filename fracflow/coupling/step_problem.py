@@ -69,11 +69,14 @@ class StepProblem:
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
 
-    def evaluate(self) -> None:
-        """Balances at the present trial, every section with its status in ``branch``. Collective."""
+    def evaluate(self, hold: bool = True) -> None:
+        """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
+
+        Collective.
+        """
         ops, u, p = self.operators, self.displacement, self.pressure
         strain = ops.joints.strain(u)
-        self.sections = ops.joints.respond(strain, self.branch, hold=True)
+        self.sections = ops.joints.respond(strain, self.branch, hold)
         solid, terms = self.solid_balance, [self.load.norm(PETSc.NormType.INFINITY)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -149,8 +152,11 @@ class StepProblem:
 
     def change_statuses(self) -> np.ndarray:
         """Give every section that has left its status the next one; tell which (s,) of this rank did."""
+        return self.take_statuses(self.operators.joints.respond(self.sections.strain, self.branch).past)
+
+    def take_statuses(self, reached: Past) -> np.ndarray:
+        """Give every section the status it has reached; tell which (s,) of this rank had another before."""
         joints = self.operators.joints
-        reached = joints.respond(self.sections.strain, self.branch).past
         changed = np.zeros(len(self.sections.strain), dtype=bool)
         for group, old, new in zip(joints.laws, self.branch, reached, strict=True):
             if group.law.status:

@@ -11,6 +11,7 @@ from fracflow.output import read_events, read_history
 
 CRACK = ("slip", "plastic_slip", "opening", "displacement", "displacement_bottom")
 SCENES = {  # natural sizes f_n0/k_n0 and f_n0
+    "report_5_1": (1.0, 1.0),
     "report_5_2": (1.0, 1.0),
     "report_5_3": (1.7e-3, 1.7e5),
     "report_5_5": (1.7e-3, 1.7e5),

@@ -1,0 +1,56 @@
+"""The stiffness by which an iteration corrects: (4.7) Newton, (4.10) modified Newton, and the secant method of 5.1.
+
+Each is exact where the joints behave linearly; they differ in what they take for the joints, and in how long they keep it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow.assembly.joints import Joints
+from fracflow.mesh.data import Floats
+from fracflow.state import Sections
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """How an iteration makes its matrix.
+
+    moduli     (joints, sections) -> moduli (s, dim, dim) of this rank's joint sections [stress/length]
+    is_kept    the matrix of a step's first iteration serves for the whole step
+    weakness   why it may fail where joints have slipped; empty if they do not trouble it
+    """
+
+    moduli: Callable[[Joints, Sections], Floats]
+    is_kept: bool = False
+    weakness: str = ""
+
+
+def tangent_moduli(joints: Joints, sections: Sections) -> Floats:
+    """(2.22) d f / d eps of what the laws answered."""
+    return sections.tangent
+
+
+def secant_moduli(joints: Joints, sections: Sections) -> Floats:
+    """(f - f_0) / eps, component by component: from the initial state straight to here; the tangent where eps is 0."""
+    strain, tangent = sections.strain, np.diagonal(sections.tangent, axis1=1, axis2=2)
+    moved = strain != 0.0
+    slope = np.where(moved, (sections.traction - joints.initial) / np.where(moved, strain, 1.0), tangent)
+    return np.asarray(slope[:, :, None] * np.eye(joints.dim))
+
+
+NEWTON_METHODS = {
+    "newton": Stiffness(tangent_moduli),
+    "modified": Stiffness(
+        tangent_moduli,
+        is_kept=True,
+        weakness="it keeps the stiffness of the step's start, which is not that of joints that stop sliding",
+    ),
+    "secant": Stiffness(
+        secant_moduli,
+        weakness="it knows no plastic slip, so it cannot follow joints that unload",
+    ),
+}
