@@ -49,7 +49,7 @@ def test_seven_states_and_their_iterations(ran, model, overshoot):
 
 def _figure_10(method, overshoot):
     """(4.9a) at the start and after each iteration of the step, counted by the step; the block's displacement."""
-    settings = [f"method.newton={method}", f"method.overshoot={overshoot}", "accuracy.max_iterations=500"]
+    settings = [f"method.newton={method}", f"method.overshoot={overshoot}", "accuracy.max_iterations=300"]
     model = prepare(load(SCENE, [*FIGURE_10, *settings]), MPI.COMM_WORLD)
     stepping = Stepping(model)
     state, report = stepping.step(rest(model), Steady(), 1.0, 1.0, {})
@@ -87,7 +87,7 @@ def test_figure_10(overshoot):
 @pytest.mark.parametrize("method", ["modified", "secant"])
 def test_the_other_methods_fail_on_unloading_and_say_so(shared_tmp, method, overshoot):
     """They reach state 3, in many iterations, and stop at state 4, the first that unloads."""
-    settings = [f"method.newton={method}", f"method.overshoot={overshoot}", "accuracy.max_iterations=500"]
+    settings = [f"method.newton={method}", f"method.overshoot={overshoot}", "accuracy.max_iterations=300"]
     scene = load(SCENE, [*settings, "output.pictures=false"])
     expected = rf'time 4: method\.newton = "{method}" did not converge in .*slipped before: lower, upper'
     with pytest.raises(SolveError, match=expected + r'.*; set method\.newton = "newton"$'):
