@@ -81,7 +81,8 @@ class Method(Part):
     overshoot: Literal["hold", "one-change"] = Field(
         default="hold",
         description="when joints may change between sticking and sliding: once the balances hold with the statuses there"
-        " were, or in every iteration, but each section once only (5.1)",
+        " were, or in every iteration, but each section once only (5.1): an overshoot may then end in a sliding state where an"
+        " elastic one exists",
     )
     newton_test: Literal["residual", "out-of-balance", "displacement"] = Field(
         default="residual", description="when Newton stops: scaled residuals, (4.9a), or (4.9b)"

@@ -3,7 +3,8 @@
 overshoot = "hold": the statuses of the last step are tried first. Once the balances hold with them, every section that has
 left its status is given the next one, and the iteration goes on from there, until none has: so the elastic root is
 preferred, and no section slips because an iterate overshot. overshoot = "one-change", as in 5.1: every iteration lets each
-section change its status, but once only. No iteration takes a joint past its closure.
+section change its status, but once only; with a drop of strength it may end in a sliding state where hold finds an
+elastic one (5.3 does, just below failure). No iteration takes a joint past its closure.
 """
 
 from __future__ import annotations
