@@ -125,7 +125,9 @@ def energy(run: Run, *names: str) -> Floats:
     return np.sum([run.history[f"energy/{name}"] for name in names], axis=0)
 
 
-def sheet(title: str, subtitle: str, mosaic: Any, size: tuple[float, float], **layout: Any) -> tuple[Figure, dict[str, Axes]]:
+def sheet(
+    title: str, subtitle: str, mosaic: Any, size: tuple[float, float], **layout: Any
+) -> tuple[Figure, dict[str, Axes]]:
     """A figure with a title, a line that says what to see, and the named axes of a mosaic."""
     figure = Figure(figsize=size, layout="constrained")
     head, body = figure.subfigures(2, 1, height_ratios=[0.62, size[1] - 0.62], hspace=0.0)
@@ -179,7 +181,9 @@ def plain(text: str) -> str:
     return "".join(letter for letter in text if letter not in "${}\\")
 
 
-def write_csv(folder: Path, name: str, columns: Mapping[str, NDArray[Any]], commands: Sequence[str], *notes: str) -> None:
+def write_csv(
+    folder: Path, name: str, columns: Mapping[str, NDArray[Any]], commands: Sequence[str], *notes: str
+) -> None:
     """Write the numbers of a figure, columns of any length, under the machine, versions and commands they came from."""
     lines = [f"# {line}" for line in (*made_with(), *(f"command: {item}" for item in commands), *map(plain, notes))]
     lines.append(",".join(columns))
@@ -196,7 +200,9 @@ def made_with() -> tuple[str, str]:
     model = platform.processor() or platform.machine()
     cpu = Path("/proc/cpuinfo")
     if cpu.exists():
-        names = [line.partition(":")[2].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")]
+        names = [
+            line.partition(":")[2].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")
+        ]
         model = names[0] if names else model
     petsc = ".".join(map(str, PETSc.Sys.getVersion()))
     versions = {

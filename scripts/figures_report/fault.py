@@ -12,6 +12,7 @@ from figures_report.common import (
     RECONSTRUCTED,
     STYLE,
     Check,
+    Run,
     Runner,
     command,
     name_ends,
@@ -58,7 +59,7 @@ def draw(folder: Path, run: Runner) -> list[Check]:
     return [check for model, of_model in both.items() for check in bars(model, of_model)]
 
 
-def bars(model: str, run: Runner) -> list[Check]:
+def bars(model: str, run: Run) -> list[Check]:
     """What the text states: 1, 2 and 3 slip to new rest positions, 4 and 5 stay."""
     found = slipped(run)
     over = max(event["end"] or np.inf for event in run.events)

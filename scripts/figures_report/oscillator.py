@@ -143,7 +143,9 @@ def energies(folder: Path, plastic: Run) -> list[Check]:
     main.plot(time, total, color=INK, lw=1.4)
     main.axvline(END_OF_LOAD, ymax=8 / 9.4, color=INK, lw=0.8, ls=":")
     main.text(END_OF_LOAD + 0.15, 0.35, "force gone", fontsize=8, color="white")
-    main.text(time[-1], total[-1] + 0.15, f"$E_D + E_K + U$ = {total[-1]:.2f}", ha="right", fontsize=9, fontweight="bold")
+    main.text(
+        time[-1], total[-1] + 0.15, f"$E_D + E_K + U$ = {total[-1]:.2f}", ha="right", fontsize=9, fontweight="bold"
+    )
     main.set(xlabel="time", ylabel="energy", xlim=(0, time[-1]), ylim=(0, 9.4))
     main.grid(False)
     main.legend(loc="upper left", ncols=3)
@@ -152,7 +154,9 @@ def energies(folder: Path, plastic: Run) -> list[Check]:
     write_csv(folder, "fig_14", columns, [command(SCENE, *PLASTIC)], NOTE)
     drift = float(np.ptp(after) / after[0])
     return [
-        Check("14 total energy after the force", float(after[-1]), "8 to 1 %", bool(np.all(np.abs(after - 8.0) < 0.08))),
+        Check(
+            "14 total energy after the force", float(after[-1]), "8 to 1 %", bool(np.all(np.abs(after - 8.0) < 0.08))
+        ),
         Check("14 its drift", drift, "< 1e-9", drift < 1e-9),
     ]
 

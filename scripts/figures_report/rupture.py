@@ -40,7 +40,9 @@ SCENE = "report_5_5"
 NODES = tuple(f"node{i}" for i in range(1, 8))
 SLIP = {"node3", "node4", "node5"}
 STORED = ("rock_strain", "joint_normal", "joint_shear")
-NOTE = f"{RECONSTRUCTED} Mesh, supports, end pressures and the raise of the pumping (R). model = report, time step 0.01."
+NOTE = (
+    f"{RECONSTRUCTED} Mesh, supports, end pressures and the raise of the pumping (R). model = report, time step 0.01."
+)
 
 
 def draw(folder: Path, run: Runner) -> list[Check]:
@@ -98,7 +100,7 @@ def along_the_fault(folder: Path, run: Run) -> list[Check]:
     largest = max(float(np.abs(probe(run, name, "displacement")[rows, 1]).max()) for name in NODES)
     for number, (name, colour) in enumerate(zip(NODES, NODE_COLOURS, strict=True), start=1):
         u = probe(run, name, "displacement")[rows, 1]
-        lifted = number + 0.85 * u / largest
+        lifted = number + 0.72 * u / largest
         main.axhline(number, color=PALE, lw=0.6)
         main.fill_between(time[rows], number, lifted, color=colour, alpha=0.16, lw=0)
         thick(main, time[rows], lifted, phases(run, name), colour)
@@ -142,7 +144,12 @@ def acceleration(folder: Path, run: Run) -> list[Check]:
     quiet = a[time > max(last for _, last in spans) + 1e-9]
     fast = int((np.diff(np.sign(np.diff(quiet))) != 0).sum()) / len(quiet)
     return [
-        Check("22 turns a step, locked; in the first slip", f"{fast:.2f}; {slow:.2f}", "locked > 3 x slip", fast > 3.0 * slow)
+        Check(
+            "22 turns a step, locked; in the first slip",
+            f"{fast:.2f}; {slow:.2f}",
+            "locked > 3 x slip",
+            fast > 3.0 * slow,
+        )
     ]
 
 
@@ -169,11 +176,15 @@ def energies(folder: Path, run: Run) -> list[Check]:
     axes["k"].set_title("kinetic $E_K$")
     for panel in axes.values():
         panel.margins(x=0)
-        shade(panel, [(min(s for n in SLIP for s, _ in phases(run, n)), max(e for n in SLIP for _, e in phases(run, n)))])
+        shade(
+            panel, [(min(s for n in SLIP for s, _ in phases(run, n)), max(e for n in SLIP for _, e in phases(run, n)))]
+        )
     save(figure, folder, "fig_23", NOTE)
     # Delta U counts from the initial state, so before the drop it is what the pumping has done
     before, after = (float(kinetic[row] + strain[row] - strain[0]) for row in (first - 1, first))
-    stated = f"E_K + dU since the start: {before:.6g} before, {after:.6g} after the first strength drop; printed: -0.5e4"
+    stated = (
+        f"E_K + dU since the start: {before:.6g} before, {after:.6g} after the first strength drop; printed: -0.5e4"
+    )
     columns = {"time": time, "E_D": dissipated, "E_K": kinetic, "dU": strain - strain[0]}
     write_csv(folder, "fig_23", columns, [command(SCENE, "model=report")], NOTE, stated)
     growth = float(np.diff(dissipated).min() / dissipated[-1])

@@ -22,8 +22,8 @@ def draw_setup(mesh_axes: Axes, pressure_axes: Axes, scene: str, run: Run, wells
     loaded = load(ROOT / "meshes" / scene / "scene.toml")
     mesh = read_split(loaded)
     points = 1e-3 * mesh.points
-    look = dict(facecolors="#f4f1ea", edgecolors="#cfc8b8", linewidths=0.7)
-    mesh_axes.add_collection(PolyCollection(list(points[mesh.cells]), **look))
+    quads = PolyCollection(list(points[mesh.cells]), facecolors="#f4f1ea", edgecolors="#cfc8b8", linewidths=0.7)
+    mesh_axes.add_collection(quads)
     fault = points[mesh.joint_bottom].reshape(-1, 2)
     mesh_axes.plot(fault[:, 0], fault[:, 1], color=INK, lw=2.2, solid_capstyle="butt")
     places = {item.name: 1e-3 * np.array(item.at, dtype=float) for item in loaded.probe}
@@ -45,11 +45,17 @@ def draw_setup(mesh_axes: Axes, pressure_axes: Axes, scene: str, run: Run, wells
     profile = np.array([probe(run, name, "pressure")[failure] for name in on_fault]) * 1e-4
     height = np.array([places[name][1] for name in on_fault])
     rest = probe(run, on_fault[0], "pressure")[0] * 1e-4
-    pressure_axes.fill_betweenx(height, rest, profile, where=profile >= rest, color=ORANGE, alpha=0.22, lw=0, interpolate=True)
-    pressure_axes.fill_betweenx(height, rest, profile, where=profile <= rest, color=BLUE, alpha=0.22, lw=0, interpolate=True)
+    pressure_axes.fill_betweenx(
+        height, rest, profile, where=profile >= rest, color=ORANGE, alpha=0.22, lw=0, interpolate=True
+    )
+    pressure_axes.fill_betweenx(
+        height, rest, profile, where=profile <= rest, color=BLUE, alpha=0.22, lw=0, interpolate=True
+    )
     pressure_axes.plot(profile, height, color=INK, marker="o", ms=3.5)
     pressure_axes.axvline(rest, color=AMBER, lw=1.0, ls=(0, (4, 3)))
-    pressure_axes.annotate("$p_0$", (rest, 0.02), (4, 0), ("data", "axes fraction"), "offset points", color=PALE, fontsize=8)
+    pressure_axes.annotate(
+        "$p_0$", (rest, 0.02), (4, 0), ("data", "axes fraction"), "offset points", color=PALE, fontsize=8
+    )
     pressure_axes.set(title="pressure at failure", xlabel="[10$^4$ lbf/ft²]")
     pressure_axes.tick_params(labelleft=False)
     pressure_axes.sharey(mesh_axes)
