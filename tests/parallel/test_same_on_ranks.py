@@ -18,7 +18,7 @@ SCENES = {  # natural sizes f_n0/k_n0 and f_n0
     "report_5_5": (1.7e-3, 1.7e5),
     "crossings": (9e6 / 50e9, 9e6),
 }
-SHORTER = {"report_5_4": ("--set", "stage.failure.steps=60")}
+SHORTER = {"report_5_4": ("--set", "stage.failure.steps=40")}
 UNSETTLED = 1e-9
 KEPT = (
     "PATH", "HOME", "PETSC_DIR", "PYTHONPATH", "PYTHONNOUSERSITE", "OMP_NUM_THREADS", "MPLBACKEND", "OMPI_ALLOW_RUN_AS_ROOT",
