@@ -56,14 +56,20 @@ def test_joints_judged_at_the_nodes_lock(ran):
     """None runs back by 0.1 %, once the joint's own spring is taken off.
 
     A locked joint is a spring: its jump swings by (change of f_s) / k_s, about E' / (k_s h) of the slip that set it
-    off (h = 1000, E' = 5.33e8: half a percent). With springs ten times as stiff the swing is below 0.1 % as it stands.
+    off (h = 1000, E' = 5.33e8: half a percent).
     """
     history = ran(SCENE, REPORT, "method.quadrature=nodal").history
     assert _back(history, SHEAR_STIFFNESS) < 1e-10
     assert 1e-3 < _back(history) < 5.33e8 / (SHEAR_STIFFNESS * 1000.0)
+
+
+@pytest.mark.serial
+def test_stiff_joints_judged_at_the_nodes_lock(ran):
+    """With springs ten times as stiff the swing is below 0.1 % as it stands."""
     assert _back(ran(SCENE, REPORT, "method.quadrature=nodal", *STIFF).history) < 1e-3
 
 
+@pytest.mark.serial
 def test_last_raise_of_the_pressure_sets_two_nodes_vibrating(ran):
     """Two walls of rho times half a quad each swing on k_n L, at node 2 against node 4; node 3 between them does not.
 
