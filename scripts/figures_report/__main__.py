@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.util
 import sys
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from figures_report import fault, finer_fault, oscillator, rupture
@@ -36,9 +38,9 @@ def main() -> int:
     given = parser.parse_args()
     checks = draw_all(given.output, set(given.only))
     table = Table("figure", "found", "bar", "")
-    for check in checks:
+    for check in sorted(checks, key=lambda check: int(check.name.split()[0].rstrip(":,"))):
         value = check.value if isinstance(check.value, str) else f"{check.value:.4g}"
-        table.add_row(check.name, value, check.bar, "ok" if check.ok else "[red]missed[/red]")
+        table.add_row(escape(check.name), value, escape(check.bar), "ok" if check.ok else "[red]missed[/red]")
     Console(highlight=False, width=None if sys.stdout.isatty() else 140).print(table)
     print(f"{len(list(given.output.glob('fig_*.png')))} figures, PNG and CSV, in {given.output}")
     return 0 if checks and all(check.ok for check in checks) else 1

@@ -105,7 +105,7 @@ def along_the_fault(folder: Path, run: Run) -> list[Check]:
         main.fill_between(time[rows], number, lifted, color=colour, alpha=0.16, lw=0)
         thick(main, time[rows], lifted, phases(run, name), colour)
         main.text(2.97, lifted[-1] + 0.07, f"{u[-1]:.4f} ft", ha="right", color=colour, fontsize=8, path_effects=HALO)
-    main.set(xlabel="time [s]", ylabel="node, from the start of the fault", yticks=range(1, 8), ylim=(0.6, 8.1))
+    main.set(xlabel="time [s]", ylabel="node, from the start of the fault", yticks=range(1, 8), ylim=(0.6, 7.7))
     main.margins(x=0)
     main.set_title("$u_y$ above each node's line; thick: slipping")
     _save(figure, folder, "fig_21", run)

@@ -3,7 +3,6 @@
 import sys
 
 import pytest
-
 from figures_report import __main__, common, fault, finer_fault, oscillator, rupture
 
 pytestmark = pytest.mark.serial
