@@ -54,7 +54,7 @@ def _resting_fluid(model: Model) -> Loads:
     initial = initial_pressure(model.scene, points)
     kept = Prescribed(np.arange(len(points)), lambda time: initial)
     everywhere = ops.layout.flow_numbers(np.arange(ops.layout.flow_starts[-1]))
-    return replace(loads, pressures=(kept,), fixed_flow=everywhere)
+    return replace(loads, pressures=(kept,), fixed_flow=everywhere, limits=())
 
 
 def _summary(model: Model, state: State) -> str:

@@ -160,6 +160,7 @@ class Files:
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
+        notes["limited"] = list(state.limited)
         memory = {"events": self.events.memory(), "fracflow": __version__}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
 

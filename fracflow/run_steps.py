@@ -9,12 +9,13 @@ from scipy.optimize import brentq
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.energy import Scheme, book, kinetic_energy, switch
-from fracflow.assembly.loads import Loads
+from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.initial import initial_acceleration, initial_pressure
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.run_setup import Model
+from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.state import Motion, State, StepReport
@@ -56,6 +57,7 @@ class Stepping:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
         self._couplings: dict[int, Coupling] = {}
+        self._variants: dict[tuple[int, frozenset[Limit]], Loads] = {}
 
     def _coupling(self, loads: Loads) -> Coupling:
         if id(loads) not in self._couplings:
@@ -80,13 +82,30 @@ class Stepping:
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         loads, scheme = loads or self._loads(stepper), Scheme(stepper.inertia, stepper.storage, stepper.balance)
-        problem = StepProblem(self.model.operators, loads, state, stepper.alphas(dt), time, controls, restraint)
-        try:
-            report = self._coupling(loads).solve(problem)
-            new = problem.accept(state.energy)
-        finally:
-            problem.destroy()
-        return replace(new, energy=book(self.model.operators, state, new, dt, scheme)), report
+        fluid = self.model.scene.fluid
+        reached = reached_before(loads, state)
+        for _ in range(2 + 2 * len(loads.limits)):
+            problem = StepProblem(
+                self.model.operators, self._limited(loads, reached), state, stepper.alphas(dt), time, controls, restraint
+            )
+            try:
+                report = self._coupling(problem.loads).solve(problem)
+                new = problem.accept(state.energy)
+            finally:
+                problem.destroy()
+            now = reached_after(loads, reached, new, fluid.flow_depth if fluid is not None else 1.0)
+            if now == reached:
+                energy = book(self.model.operators, state, new, dt, scheme)
+                return replace(new, energy=energy, limited=tuple(sorted(limit.well for limit in now))), report
+            new.destroy()
+            reached = now
+        refuse_cycle(reached, time)
+
+    def _limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
+        key = (id(loads), reached)
+        if reached and key not in self._variants:
+            self._variants[key] = loads.at_limit(reached)
+        return self._variants[key] if reached else loads
 
     def _loads(self, stepper: Stepper) -> Loads:
         return self.model.loads if stepper.storage else self.model.steady_loads
@@ -104,7 +123,7 @@ class Stepping:
         energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
         if not stepper.inertia:
             return replace(state, motion=motion, pressure=state.pressure.copy(), forces=state.forces.copy(), energy=energy)
-        loads = self._loads(stepper)
+        loads = self._limited(self._loads(stepper), reached_before(self._loads(stepper), state))
         now = Alphas(a4=-1.0)  # no change of displacement, the velocity as it is
         problem = StepProblem(ops, loads, replace(state, motion=motion), now, state.time, state.controls)
         try:

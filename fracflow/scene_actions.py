@@ -112,6 +112,12 @@ class Well(Part):
         default=None, description='pressure kept [force/length**2], or "initial"'
     )
     control: Name | None = Field(default=None, description="name of the [control] whose factor multiplies flow_rate")
+    maximum_pressure: Annotated[float, Quantity(STRESS)] | None = Field(
+        default=None, description="pressure that pumping must not exceed: the well then takes what it can [force/length**2]"
+    )
+    minimum_pressure: Annotated[float, Quantity(STRESS)] | None = Field(
+        default=None, description="pressure below which it must not draw: it then gives what it can [force/length**2]"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Well:
@@ -119,6 +125,12 @@ class Well(Part):
             raise fault("missing; a well needs flow_rate or pressure", key="flow_rate")
         if self.flow_rate is not None and self.pressure is not None:
             raise fault("contradicts flow_rate; give one of them", key="pressure")
+        for key in ("maximum_pressure", "minimum_pressure"):
+            if getattr(self, key) is not None and self.pressure is not None:
+                raise fault("contradicts pressure; a limit belongs to a flow_rate", key=key)
+        if None not in (self.maximum_pressure, self.minimum_pressure):
+            if self.maximum_pressure <= self.minimum_pressure:  # type: ignore[operator]
+                raise fault(f"must be above minimum_pressure = {self.minimum_pressure:g}", key="maximum_pressure")
         if self.control is not None and self.pressure is not None:
             raise fault("contradicts pressure; a control multiplies a flow_rate", key="control")
         return self

@@ -67,7 +67,9 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
     if kind == "extra_forbidden":
         return f"unknown key; {nearest(str(path[-1]), _model_at(model, path[:-1]).model_fields)}"
     if kind == "missing":
-        field = _model_at(model, path[:-1]).model_fields[str(path[-1])]
+        if not isinstance(path[-1], str):
+            return f"missing; the list must be longer by entry {path[-1]}"
+        field = _model_at(model, path[:-1]).model_fields[path[-1]]
         return f"missing; required: {field.description}"
     if kind == "literal_error":
         allowed = str(context["expected"]).replace("'", '"').replace(" or ", ", ")
@@ -82,6 +84,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         "model_attributes_type": "must be a table",
         "string_too_short": "must not be empty",
         "too_short": "must not be empty",
+        "too_long": f"must have at most {context.get('max_length')} entries",
         "greater_than_equal": f"out of range; must be at least {context.get('ge')}",
     }
     if kind == "tuple_type":

@@ -76,6 +76,7 @@ class State:
 
     controls  value of each load factor
     energy    running totals of the energy books [energy per thickness]
+    limited   wells that are kept at a limit of their pressure
     """
 
     time: float
@@ -85,6 +86,7 @@ class State:
     forces: Forces
     controls: Mapping[str, float]
     energy: Mapping[str, float]
+    limited: tuple[str, ...] = ()
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""

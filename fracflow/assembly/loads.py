@@ -2,45 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import PETSc
 from fracflow.assembly.layout import Layout
+from fracflow.assembly.prescribed import Prescribed, motion, own, prescribe, supported
 from fracflow.assembly.properties import initial_pressure, initial_stress
 from fracflow.assembly.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.elements import solid
 from fracflow.errors import InputError
-from fracflow.mesh.blocks import Blocks, owner_of
+from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.profiles import Pressures
-from fracflow.scene import Load, Scene, Support
+from fracflow.scene import Load, Scene
 from fracflow.tables import TimeTable
 
 TimeFunction = Callable[[float], float]
-Values = Callable[[float], "float | Floats"]
-AXES = ("x", "y", "z")
-
-
-@dataclass(frozen=True)
-class Prescribed:
-    """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each."""
-
-    numbers: Ints
-    value: Values
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """A vector times a function of time, times a load factor where one is named; ``initial`` if of the initial stress."""
+    """A vector times a function of time, times a load factor where one is named; of the initial stress, or of a well."""
 
     vector: PETSc.Vec
     value: TimeFunction
     control: str | None
     initial: bool = False
+    well: str | None = None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A pressure that a well's flow rate must not bring about: ``sign`` +1 if it is the highest, -1 if the lowest.
+
+    node     joined number of the well's pressure
+    local    its local number on the rank that owns it, empty elsewhere
+    """
+
+    well: str
+    sign: float
+    pressure: float
+    node: int
+    local: Ints = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,23 @@ class Loads:
     wells: tuple[Pattern, ...]
     fixed_solid: Ints
     fixed_flow: Ints
+    limits: tuple[Limit, ...] = ()
+
+    def at_limit(self, reached: Collection[Limit]) -> Loads:
+        """The same with some wells kept at the pressure of a limit, in place of their flow rates."""
+        names = {limit.well for limit in reached}
+        kept = [Prescribed(limit.local, TimeTable.constant(limit.pressure)) for limit in reached]
+        return replace(
+            self,
+            pressures=(*self.pressures, *kept),
+            wells=tuple(pattern for pattern in self.wells if pattern.well not in names),
+            fixed_flow=np.union1d(self.fixed_flow, np.array([limit.node for limit in reached], dtype=np.int64)),
+        )
+
+    def demanded(self, well: str, time: float, controls: Mapping[str, float]) -> float:
+        """Flow rate that a well asks for, over the whole depth."""
+        pattern = next(pattern for pattern in self.wells if pattern.well == well)
+        return pattern.value(time) * (1.0 if pattern.control is None else controls[pattern.control])
 
     def force(self, time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
         """``result`` = R(t) of (2.38)."""
@@ -151,73 +175,6 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
     return patterns
 
 
-def _supported(
-    blocks: Blocks, support: Support, name: str, points: Mapping[str, Ints]
-) -> dict[str, tuple[Ints, Floats]]:
-    """Unknowns (n,) of each supported component on a side, a rock or a point, of this rank's part, and their places (n, dim).
-
-    Raises InputError, on every rank.
-    """
-    block, dim = blocks.solid, blocks.sizes.dim
-    rotation = {"rotation": dim}
-    if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
-        bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
-        column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
-        return {part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components}
-    if name in block.sides:
-        nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
-    elif name in block.rocks:
-        nodes = np.unique(block.cells[block.cell_rock == block.rocks.index(name)])
-        nodes = nodes[nodes >= 0]
-    elif name in points:
-        nodes = np.flatnonzero(np.isin(block.node_ids, points[name]))
-    else:
-        known = ", ".join([*block.sides, *block.rocks, *points])
-        raise InputError(f'support: on = "{name}": no such side, rock or point (the mesh has: {known})')
-    turning = block.body[nodes] >= 0
-    if blocks.comm.allreduce(int(turning.any())):
-        raise InputError(f'support: on = "{name}": lies on a rigid rock; support the rock itself, by its name')
-    given = (
-        [part for part in support.components if part != "rotation"]
-        if "rotation" in support.components
-        else support.components
-    )
-    if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
-        raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
-    return {part: (block.unknown[nodes, AXES.index(part)], block.points[nodes]) for part in given}
-
-
-def _own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
-    mine = np.unique(everywhere)
-    return mine[owner_of(starts, mine) == rank] - starts[rank]
-
-
-def _prescribed(
-    starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[[float, Floats], Any]
-) -> tuple[Prescribed, Ints]:
-    """What this rank holds of numbers (n,) found anywhere, but for those taken before; and all that is taken now.
-
-    value  of time and of what was found with each number (n, k)
-    """
-    numbers, data = (np.concatenate(parts) for parts in zip(*comm.allgather(found), strict=True))
-    everywhere, first = np.unique(numbers, return_index=True)
-    is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
-    here = is_new & (owner_of(starts, everywhere) == comm.rank)
-    with_it = data[first[here]]
-    return Prescribed(everywhere[here] - starts[comm.rank], lambda time: value(time, with_it)), np.union1d(
-        taken, everywhere
-    )
-
-
-def _motion(support: Support, part: str) -> Callable[[float, Floats], Any]:
-    """Displacement of a supported component over time at places (n, dim)."""
-    base = (support.displacement or {}).get(part, lambda time: 0.0)
-    if support.displacement_gradient is None or part not in AXES:
-        return lambda time, place: base(time)
-    row = support.displacement_gradient[AXES.index(part)]
-    return lambda time, place: base(time) + place @ np.array([entry(time) for entry in row])
-
-
 def _swapped(pressure: Pressures) -> Callable[[float, Floats], Any]:
     return lambda time, along: pressure(along, time)
 
@@ -226,7 +183,7 @@ def _well_pressure(
     blocks: Blocks, scene: Scene, layout: Layout, node: int, given: TimeTable | str, held: Ints
 ) -> tuple[Prescribed, Ints]:
     """The pressure kept at a well; "initial" is p0 there."""
-    local = _own(layout.flow_starts, blocks.comm.rank, np.array([node]))
+    local = own(layout.flow_starts, blocks.comm.rank, np.array([node]))
     if isinstance(given, TimeTable):
         return Prescribed(local, given), np.union1d(held, [node])
     initial = initial_pressure(scene, blocks.flow.points[local])
@@ -249,17 +206,17 @@ def assemble_loads(
     """
     comm, starts = blocks.comm, blocks.solid.unknown_starts
     taken = blocks.solid.unused
-    supports = [Prescribed(_own(starts, comm.rank, taken), lambda time: 0.0)]
+    supports = [Prescribed(own(starts, comm.rank, taken), lambda time: 0.0)]
     for support in scene.support:
         for name in support.on:
-            for part, found in _supported(blocks, support, name, points).items():
-                here, taken = _prescribed(starts, comm, found, taken, _motion(support, part))
+            for part, found in supported(blocks, support, name, points).items():
+                here, taken = prescribe(starts, comm, found, taken, motion(support, part))
                 supports.append(here)
     forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
     if scene.body_force is not None:
         forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
 
-    pressures, wells = [], []
+    pressures, wells, limits = [], [], []
     held = np.zeros(0, dtype=np.int64)
     depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
     for well in scene.well if scene.has_flow else ():
@@ -272,13 +229,18 @@ def assemble_loads(
             vector.setValue(node, 1.0 / depth if comm.rank == 0 else 0.0, addv=PETSc.InsertMode.ADD)
             vector.assemble()
             assert well.flow_rate is not None
-            wells.append(Pattern(vector, well.flow_rate, well.control))
+            wells.append(Pattern(vector, well.flow_rate, well.control, well=well.name))
+            local = own(layout.flow_starts, comm.rank, np.array([node]))
+            joined = int(layout.flow_numbers(np.array([node]))[0])
+            for sign, limit in ((1.0, well.maximum_pressure), (-1.0, well.minimum_pressure)):
+                if limit is not None:
+                    limits.append(Limit(well.name, sign, limit, joined, local))
     for name, table in scene.fracture.items() if scene.has_flow else ():
         if table.pressure is not None:
             chosen = np.flatnonzero([scene.is_of(fracture, name) for fracture in blocks.joints.fractures])
             ends = np.isin(blocks.joints.fracture, chosen)
             found = (blocks.joints.flow[ends].ravel(), blocks.joints.along[ends].ravel())
-            here, held = _prescribed(layout.flow_starts, comm, found, held, _swapped(table.pressure))
+            here, held = prescribe(layout.flow_starts, comm, found, held, _swapped(table.pressure))
             pressures.append(here)
     return Loads(
         tuple(supports),
@@ -287,4 +249,5 @@ def assemble_loads(
         tuple(wells),
         layout.solid_numbers(taken.astype(np.int64)),
         layout.flow_numbers(held),
+        tuple(limits),
     )

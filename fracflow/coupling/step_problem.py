@@ -22,7 +22,8 @@ from fracflow.stepping import Alphas, acceleration, velocity
 CANCELLATION = 1e-4
 """Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
 state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have."""
-TINY = 1e-300  # a network at rest has no terms
+SMALL_PRESSURE = 1e-6  # of the natural stress: the floor of what counts as a flow, so that a network can come to rest
+TINY = 1e-300  # a network of closed fractures has no terms
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,9 @@ class StepProblem:
         flow.axpy(-1.0, self.source)
         speed.destroy()
         # what an element carries at full pressure: the size of the terms whose difference is its flow
-        through = np.abs(self.conduction.conductance[:, None] * self.conduction.pressure).max(initial=0.0)
+        least = SMALL_PRESSURE * self.operators.scales.pressure
+        size = np.maximum(np.abs(self.conduction.pressure), least)
+        through = (self.conduction.conductance[:, None] * size).max(initial=0.0)
         return [*terms, self.operators.layout.comm.allreduce(float(through), op=MPI.MAX)]
 
     def _hold(self) -> None:

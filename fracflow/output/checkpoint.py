@@ -117,6 +117,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         forces=Forces(solid("load"), solid("support"), flow("conduction"), flow("source")),
         controls=notes["controls"],
         energy=notes["energy"],
+        limited=tuple(notes["limited"]),
     )
 
 

@@ -1,0 +1,94 @@
+"""What is prescribed: displacements of supports and pressures, each unknown by the first that names it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks, owner_of
+from fracflow.mesh.data import Floats, Ints
+from fracflow.scene import Support
+
+Values = Callable[[float], "float | Floats"]
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each."""
+
+    numbers: Ints
+    value: Values
+
+
+def supported(
+    blocks: Blocks, support: Support, name: str, points: Mapping[str, Ints]
+) -> dict[str, tuple[Ints, Floats]]:
+    """Unknowns (n,) of each supported component on a side, a rock or a point, of this rank's part, and their places (n, dim).
+
+    Raises InputError, on every rank.
+    """
+    block, dim = blocks.solid, blocks.sizes.dim
+    rotation = {"rotation": dim}
+    if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
+        bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
+        column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
+        return {part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components}
+    if name in block.sides:
+        nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
+    elif name in block.rocks:
+        nodes = np.unique(block.cells[block.cell_rock == block.rocks.index(name)])
+        nodes = nodes[nodes >= 0]
+    elif name in points:
+        nodes = np.flatnonzero(np.isin(block.node_ids, points[name]))
+    else:
+        known = ", ".join([*block.sides, *block.rocks, *points])
+        raise InputError(f'support: on = "{name}": no such side, rock or point (the mesh has: {known})')
+    turning = block.body[nodes] >= 0
+    if blocks.comm.allreduce(int(turning.any())):
+        raise InputError(f'support: on = "{name}": lies on a rigid rock; support the rock itself, by its name')
+    given = (
+        [part for part in support.components if part != "rotation"]
+        if "rotation" in support.components
+        else support.components
+    )
+    if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
+        raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
+    return {part: (block.unknown[nodes, AXES.index(part)], block.points[nodes]) for part in given}
+
+
+def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
+    """Local numbers of those that a rank owns."""
+    mine = np.unique(everywhere)
+    return mine[owner_of(starts, mine) == rank] - starts[rank]
+
+
+def prescribe(
+    starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[[float, Floats], Any]
+) -> tuple[Prescribed, Ints]:
+    """What this rank holds of numbers (n,) found anywhere, but for those taken before; and all that is taken now.
+
+    value  of time and of what was found with each number (n, k)
+    """
+    numbers, data = (np.concatenate(parts) for parts in zip(*comm.allgather(found), strict=True))
+    everywhere, first = np.unique(numbers, return_index=True)
+    is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
+    here = is_new & (owner_of(starts, everywhere) == comm.rank)
+    with_it = data[first[here]]
+    return Prescribed(everywhere[here] - starts[comm.rank], lambda time: value(time, with_it)), np.union1d(
+        taken, everywhere
+    )
+
+
+def motion(support: Support, part: str) -> Callable[[float, Floats], Any]:
+    """Displacement of a supported component over time at places (n, dim)."""
+    base = (support.displacement or {}).get(part, lambda time: 0.0)
+    if support.displacement_gradient is None or part not in AXES:
+        return lambda time, place: base(time)
+    row = support.displacement_gradient[AXES.index(part)]
+    return lambda time, place: base(time) + place @ np.array([entry(time) for entry in row])

@@ -1,0 +1,55 @@
+"""Wells that change from a flow rate to a limit of their pressure, and back."""
+
+from __future__ import annotations
+
+import math
+from typing import NoReturn
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.loads import Limit, Loads
+from fracflow.errors import SolveError
+from fracflow.state import State
+
+CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
+
+
+def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
+    """Limits that wells were kept at when a state was accepted; of two of one well the one its pressure is nearer to."""
+    found: dict[str, tuple[float, Limit]] = {}
+    for limit in loads.limits:
+        away = abs(_at(limit, state.pressure) - limit.pressure)
+        if limit.well in state.limited and away <= found.get(limit.well, (math.inf, limit))[0]:
+            found[limit.well] = (away, limit)
+    return frozenset(limit for _, limit in found.values())
+
+
+def reached_after(loads: Loads, reached: frozenset[Limit], trial: State, depth: float) -> frozenset[Limit]:
+    """Limits at which wells have to be kept once a trial of a step is known. Collective.
+
+    A well comes to a limit that its pressure has passed, and leaves it when the limit lets more through than it asks for.
+    """
+    now = set(reached)
+    for limit in loads.limits:
+        pressure = _at(limit, trial.pressure)
+        if limit in reached:
+            through = _at(limit, trial.forces.source) * depth
+            asked = loads.demanded(limit.well, trial.time, trial.controls)
+            if limit.sign * (through - asked) > CLOSE * abs(asked):
+                now.discard(limit)
+        elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):
+            now = {other for other in now if other.well != limit.well} | {limit}
+    return frozenset(now)
+
+
+def refuse_cycle(reached: frozenset[Limit], time: float) -> NoReturn:
+    """Raise SolveError naming the wells that find neither rate nor limit."""
+    names = ", ".join(sorted({limit.well for limit in reached})) or "none"
+    raise SolveError(
+        f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
+        f" {names}): move their limits apart, or take a smaller time_step"
+    )
+
+
+def _at(limit: Limit, vector: PETSc.Vec) -> float:
+    here = float(vector.getArray(readonly=True)[limit.local].sum())
+    return float(vector.getComm().tompi4py().allreduce(here, op=MPI.SUM))

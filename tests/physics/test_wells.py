@@ -1,0 +1,54 @@
+"""Wells with limits of their pressure: they give or take what they can, and no more."""
+
+import numpy as np
+import pytest
+
+from fracflow.errors import InputError
+
+from .test_along_fractures import RIGID
+
+PUMPED = (
+    RIGID.replace("{along = [0, 3], value = [\"1 mm\", \"0.25 mm\"]}", '"1 mm"')
+    .replace("time_step = 1\nsteps = 2", "time_step = 1\nsteps = 6")
+    + """
+[[well]]
+name = "in"
+at = {fracture = "slot", end = "start"}
+flow_rate = [[0, 0], [3, 3e-3], [6, 0]]
+maximum_pressure = 5e4
+[[well]]
+name = "out"
+at = {fracture = "slot", end = "end"}
+pressure = 0
+"""
+)
+RESISTANCE = 12 * 1e-3 * 3 / 1e-9  # 12 mu L / d^3
+
+
+def test_a_well_takes_what_its_highest_pressure_lets_in(run_scene):
+    """q = min(asked, p_max / R), R = 12 mu L/d^3: up to the limit, along it, and down again."""
+    found = run_scene(PUMPED)
+    time = found.history["time"]
+    asked = np.interp(time, [0, 3, 6], [0, 3e-3, 0])
+    expected = np.minimum(asked, 5e4 / RESISTANCE)
+    assert 5e4 / RESISTANCE < 2e-3  # some steps are at the limit, some are not
+    assert np.sum(asked > expected) >= 2 and np.sum((asked > 0) & (asked <= expected)) >= 2
+    assert found.probe("quarter", "flow_rate") == pytest.approx(expected, rel=1e-9, abs=1e-18)
+    assert found.closes()
+
+
+def test_a_well_draws_no_lower_than_its_lowest_pressure(run_scene):
+    """The mirror image: drawn down to -5e4 and held there."""
+    found = run_scene(
+        PUMPED,
+        "well.in.flow_rate=[[0, 0], [3, -3e-3], [6, 0]]",
+        "well.in.maximum_pressure=9e9",
+        "well.in.minimum_pressure=-5e4",
+    )
+    asked = -np.interp(found.history["time"], [0, 3, 6], [0, 3e-3, 0])
+    assert found.probe("quarter", "flow_rate") == pytest.approx(np.maximum(asked, -5e4 / RESISTANCE), rel=1e-9, abs=1e-18)
+
+
+def test_limits_the_wrong_way_round_are_refused(run_scene):
+    with pytest.raises(InputError, match=r"well.in.maximum_pressure = .* must be above minimum_pressure"):
+        run_scene(PUMPED, "well.in.minimum_pressure=6e4")
