@@ -145,7 +145,10 @@ def mesh_command(scene: SceneFile, set_: Overrides = None) -> None:
     from fracflow.run_setup import read_split
     from fracflow.scene import load
 
-    for key, value in summary(read_split(load(scene, set_ or []))).items():
+    split = read_split(load(scene, set_ or []))
+    for note in split.notes:
+        typer.echo(note)
+    for key, value in summary(split).items():
         typer.echo(f"{key}: {value}")
 
 

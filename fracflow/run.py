@@ -40,7 +40,7 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in model.placed.notes:
+    for line in (*(model.mesh.notes if model.mesh is not None else ()), *model.placed.notes):
         recorder.log(line)
     step = Step(state, 0, 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0), {"fresh": 1.0})
     recorder.record(step)

@@ -19,7 +19,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place
-from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh, read_traces_csv
+from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
 from fracflow.scene import Scene
@@ -83,8 +83,6 @@ def read_split(scene: Scene) -> SplitMesh:
         geometry = scene.geometry
         assert geometry is not None
         traces = [(f.name, np.array(f.points, dtype=float)) for f in geometry.fracture]
-        if scene.fractures_path is not None:
-            traces += read_traces_csv(scene.fractures_path)
         raw = build_mesh(
             GeometrySpec(
                 np.array(geometry.domain, dtype=float),
@@ -92,6 +90,9 @@ def read_split(scene: Scene) -> SplitMesh:
                 geometry.size,
                 geometry.size_at_fractures,
                 geometry.cells,
+                size_at_tips=geometry.size_at_tips,
+                growth=geometry.growth,
+                snap=geometry.snap,
             )
         )
     mesh = split(raw)

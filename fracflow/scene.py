@@ -32,9 +32,12 @@ from fracflow.scene_tables import (
     with_preset,
 )
 from fracflow.scene_toml import override, read_toml, write_toml, write_value
+from fracflow.scene_traces import with_traces
 from fracflow.units import UnitSystem, fault
 
 __all__ = ["Scene", "load"]
+
+BEFORE_TRACES = ("geometry.fractures_csv", "units")  # settings that say how the table of traces is read
 
 
 class Scene(Part):
@@ -96,7 +99,8 @@ class Scene(Part):
 
     @staticmethod
     def from_data(data: Mapping[str, Any], file: Path = Path("scene.toml")) -> Scene:
-        """Make a scene of what its TOML holds; raises InputError of one line."""
+        """Make a scene of what its TOML holds, with the traces of its CSV; raises InputError of one line."""
+        data = with_traces(data, file)
         try:
             units = UnitSystem.parse(data.get("units", "SI"))
         except ValueError as error:
@@ -122,12 +126,6 @@ class Scene(Part):
     def mesh_path(self) -> Path | None:
         """The absolute path of the geometry or mesh file, None where the scene has [geometry]."""
         return None if self.mesh is None else (self.folder / self.mesh.file).resolve()
-
-    @property
-    def fractures_path(self) -> Path | None:
-        """The absolute path of the file of traces, None where there is none."""
-        csv = None if self.geometry is None else self.geometry.fractures_csv
-        return None if csv is None else (self.folder / csv).resolve()
 
     @property
     def unit_system(self) -> UnitSystem:
@@ -176,8 +174,6 @@ class Scene(Part):
         data = self.model_dump(exclude_none=True) | {"version": __version__}
         if to is not None and self.mesh_path is not None:
             data["mesh"]["file"] = os.path.relpath(self.mesh_path, to)
-        if to is not None and self.fractures_path is not None:
-            data["geometry"]["fractures_csv"] = os.path.relpath(self.fractures_path, to)
         return write_toml({key: value for key, value in data.items() if value not in ((), {})})
 
     @classmethod
@@ -190,6 +186,9 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
     """Read a scene file and apply ``path.to.key=value`` overrides; raises InputError of one line."""
     file = Path(path)
     data = read_toml(file)
-    for setting in overrides:
+    for setting in [text for text in overrides if text.startswith(BEFORE_TRACES)]:
+        override(data, setting)
+    data = with_traces(data, file)
+    for setting in [text for text in overrides if not text.startswith(BEFORE_TRACES)]:
         override(data, setting)
     return Scene.from_data(data, file)

@@ -51,7 +51,14 @@ def _geometry(scene: Scene) -> Iterator[Fault]:
             )
         if name not in scene.fracture and "default" not in scene.fracture:
             yield ("fracture", name), f'missing; the fracture "{name}" needs a table, or [fracture.default]'
-    for name in () if geometry.fractures_csv else scene.fracture:
+    fine = geometry.size_at_fractures or geometry.size
+    if fine > geometry.size:
+        yield ("geometry", "size_at_fractures"), f"must be at most size = {geometry.size:g}"
+    if geometry.size_at_tips is not None and geometry.size_at_tips > fine:
+        yield ("geometry", "size_at_tips"), f"must be at most the size at fractures, {fine:g}"
+    if geometry.snap is not None and geometry.snap > 0.5 * fine:
+        yield ("geometry", "snap"), f"must be at most half the size at fractures, {0.5 * fine:g}"
+    for name in scene.fracture:
         if name not in (*traces, "default"):
             yield ("fracture", name), f"no fracture of that name in [geometry]; {nearest(name, traces)}"
     for name in scene.rock:

@@ -155,10 +155,24 @@ class Geometry(Part):
     fracture: tuple[Trace, ...] = Field(
         default=(), description="fracture traces; they may cross, and reach the boundary"
     )
-    fractures_csv: Name | None = Field(default=None, description="file of more traces, relative to the scene")
+    fractures_csv: Name | None = Field(
+        default=None,
+        description="file of more traces and their properties, relative to the scene; a loaded scene has them in its place",
+    )
     size: Size = Field(description="mesh size away from fractures [length]")
     size_at_fractures: Size | None = Field(
         default=None, description="mesh size at fractures [length]; as size if not given"
+    )
+    size_at_tips: Size | None = Field(
+        default=None, description="mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given"
+    )
+    growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] = Field(
+        default=0.3, description="growth of the mesh size per length away from the fractures [1]"
+    )
+    snap: Size | None = Field(
+        default=None,
+        description="points nearer than this to another, a trace or a side become one with it, and cells are at least twice"
+        " as large [length]; 5 % of size_at_fractures if not given",
     )
     cells: Literal["triangles", "quads"] = Field(default="triangles", description="shape of the cells")
 

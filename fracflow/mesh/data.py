@@ -23,6 +23,7 @@ class RawMesh:
     side_facets      (s, dim)  nodes of boundary facets that carry a name
     side_of          (s,)      index into ``sides``
     named_points     name -> node
+    notes            what was changed in the traces before meshing, a line each
     """
 
     points: Floats
@@ -36,6 +37,7 @@ class RawMesh:
     side_of: Ints
     sides: tuple[str, ...]
     named_points: dict[str, int]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class SplitMesh:
     side_cell      (s,)      the cell a side facet belongs to
     side_of        (s,)      index into ``sides``
     named_points   name -> raw node
+    notes          what was changed in the traces before meshing, a line each
     """
 
     points: Floats
@@ -77,3 +80,4 @@ class SplitMesh:
     side_of: Ints
     sides: tuple[str, ...]
     named_points: dict[str, int]
+    notes: tuple[str, ...] = ()

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,16 +14,19 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh
 from fracflow.mesh.gmsh import KINDS, Elements, open_in_gmsh, run_worker
 from fracflow.mesh.interpret import interpret
+from fracflow.mesh.quads import all_quads
+from fracflow.mesh.quality import cell_areas
+from fracflow.mesh.sizes import PER_GAP, sources
+from fracflow.mesh.traces import Trace, polygon_area, tidy
 
 SUFFIXES = (".geo", ".msh")
 MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
 DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
 CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
-ON_BOUNDARY = 1e-9  # of the domain's extent: a point this near to a side is on it
-LAYOUTS = (("name", "x", "y"), ("name", "x1", "y1", "x2", "y2"))
-
-Trace = tuple[str, Floats]
-"""Name and points (m, 2) of a fracture, from its start to its end."""
+SNAP = 0.05  # of the size at fractures: under what a digitised map is good for, over what would need tiny cells
+LEAST_SNAP = 1e-9  # of the domain's extent
+SAME_AREA = 1e-9  # cells and domain
+GROWTH = 0.3  # of the mesh size, per length away from the fractures
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,10 @@ class GeometrySpec:
     size_at_fractures  mesh size on them; as ``size`` if None [length]
     cells              shape of the cells
     rock               name of the rock
+    size_at_tips       mesh size at their ends inside the rock; as ``size_at_fractures`` if None [length]
+    growth             of the mesh size per length away from the fractures [1]
+    snap               points nearer than this to each other, or to a trace or side, become one with it; 5 % of
+                       the size at fractures if None [length]
     """
 
     domain: Floats
@@ -45,6 +51,9 @@ class GeometrySpec:
     size_at_fractures: float | None = None
     cells: Literal["triangles", "quads"] = "triangles"
     rock: str = "rock"
+    size_at_tips: float | None = None
+    growth: float = GROWTH
+    snap: float | None = None
 
 
 def read_mesh(path: str | Path, fractures: Collection[str]) -> RawMesh:
@@ -70,24 +79,40 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     """Mesh a domain so that its fractures are edges of cells, each facet running along its trace.
 
     The sides of a rectangle along the axes are south, east, north, west; those of another polygon side1,
-    side2, ... in the order of its corners. Raises InputError for traces that are outside the domain, of no
-    length, or given twice.
+    side2, ... in the order of its corners. The notes of the mesh say what was changed in the traces. Raises InputError
+    for traces that cannot be made fit (``traces.tidy``).
     """
     domain = np.asarray(geometry.domain, dtype=float)
     traces = [(name, np.asarray(points, dtype=float)) for name, points in geometry.traces]
     sides = side_names(domain)
-    _check_traces(domain, traces, (geometry.rock, *sides))
+    _check_traces(traces, (geometry.rock, *sides))
+    fine = float(geometry.size_at_fractures or geometry.size)
+    snap = SNAP * fine if geometry.snap is None else float(geometry.snap)
+    if snap < LEAST_SNAP * np.ptp(domain, axis=0).max():
+        raise InputError(f"geometry.snap = {snap:.3g}: is round-off in a domain of this size; raise it")
+    network = tidy(domain, sides, traces, snap, stretch=fine)
+    is_quads = geometry.cells == "quads"
+    coarser = 2 if is_quads else 1  # quads are cut in four in the end
+    around = sources(network, fine, float(geometry.size_at_tips or fine), min(fine, PER_GAP * snap))
     job = {
-        "domain": domain.tolist(),
-        "sides": sides,
-        "traces": [points.tolist() for _, points in traces],
-        "names": [name for name, _ in traces],
-        "size": float(geometry.size),
-        "size_at_fractures": float(geometry.size_at_fractures or geometry.size),
-        "cells": geometry.cells,
+        "points": network.points.tolist(),
+        "sides": {name: network.along(-1 - k) for k, name in enumerate(sides)},
+        "traces": {name: network.along(k) for k, (name, _) in enumerate(traces)},
+        "size": coarser * float(geometry.size),
+        "sources": [(coarser * size, places.tolist()) for size, places in around if size < geometry.size],
+        "growth": float(geometry.growth),
+        "quads": is_quads,
         "rock": geometry.rock,
     }
-    return interpret(run_worker(job, "geometry"), [name for name, _ in traces], "geometry")
+    elements = run_worker(job, "geometry")
+    raw = interpret(all_quads(elements) if is_quads else elements, [name for name, _ in traces], "geometry")
+    covered, whole = cell_areas(raw.points, raw.cells).sum(), polygon_area(domain)
+    if abs(covered - whole) > SAME_AREA * whole:
+        raise InputError(
+            f"geometry: the cells cover {covered:.9g} of the domain's {whole:.9g}: Gmsh folded them over each other;"
+            " change geometry.size or size_at_fractures a little"
+        )
+    return replace(raw, notes=network.notes)
 
 
 def side_names(domain: Floats) -> list[str]:
@@ -102,9 +127,8 @@ def side_names(domain: Floats) -> list[str]:
     return [places[tuple(np.sign(np.round(place / extent, 6)).astype(int).tolist())] for place in middle]
 
 
-def _check_traces(domain: Floats, traces: list[Trace], taken: Iterable[str]) -> None:
-    """Raise InputError for the first trace that cannot be meshed."""
-    seen: dict[bytes, str] = {}
+def _check_traces(traces: list[Trace], taken: Iterable[str]) -> None:
+    """Raise InputError for the first trace without points, or without a name of its own."""
     names = set(taken)
     for name, points in traces:
         what = f'geometry: fracture "{name}"'
@@ -115,84 +139,6 @@ def _check_traces(domain: Floats, traces: list[Trace], taken: Iterable[str]) -> 
             raise InputError(f"{what}: points must be two or more pairs [x, y] of finite numbers")
         if np.any(is_still := np.all(points[1:] == points[:-1], axis=1)):
             raise InputError(f"{what}: two points in a row are {points[np.argmax(is_still)].tolist()}; remove one")
-        backwards = points[::-1].tobytes()
-        if other := seen.get(points.tobytes()) or seen.get(backwards):
-            raise InputError(f'{what}: has the points of fracture "{other}"; remove one')
-        seen[points.tobytes()] = name
-        if np.any(is_out := ~_is_within(points, domain)):
-            raise InputError(
-                f"{what}: the point {points[np.argmax(is_out)].tolist()} is outside the domain; cut it off"
-            )
-
-
-def _is_within(points: Floats, domain: Floats) -> np.ndarray:
-    """Whether each point (m, 2) is in or on the polygon (k, 2)."""
-    start, end = domain, np.roll(domain, -1, axis=0)
-    step, reach = end - start, points[:, None] - start
-    along = np.clip(np.sum(reach * step, axis=2) / np.sum(step * step, axis=1), 0, 1)
-    distance = np.linalg.norm(reach - along[..., None] * step, axis=2).min(axis=1)
-    is_across = (start[:, 1] > points[:, None, 1]) != (end[:, 1] > points[:, None, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = start[:, 0] + (points[:, None, 1] - start[:, 1]) / step[:, 1] * step[:, 0]
-    is_inside = np.sum(is_across & (points[:, None, 0] < crossing), axis=1) % 2 == 1
-    return is_inside | (distance <= ON_BOUNDARY * np.ptp(domain, axis=0).max())
-
-
-def read_traces_csv(path: str | Path) -> list[Trace]:
-    """Read traces from a table: columns name, x, y (a row a point) or name, x1, y1, x2, y2 (a row a segment).
-
-    The delimiter is a comma, a semicolon or a tab. Rows of one name follow each other along the trace, and
-    segments of one name must join. Raises InputError naming file and line.
-    """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}; give a UTF-8 text file") from error
-    head = text.split("\n", 1)[0]
-    delimiter = max(",;\t", key=head.count)
-    rows = [
-        (number, [word.strip() for word in row])
-        for number, row in enumerate(csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True), 1)
-        if any(word.strip() for word in row)
-    ]
-    header = tuple(word.lower() for word in rows[0][1]) if rows else ()
-    if header not in LAYOUTS:
-        raise InputError(f'{path}: the first line is "{head.strip()}"; it must be name,x,y or name,x1,y1,x2,y2')
-    traces: dict[str, list[list[float]]] = {}
-    last = None
-    for number, words in rows[1:]:
-        where = f"{path}: line {number}"
-        name, values = words[0], _numbers(words[1:], len(header) - 1, where)
-        if not name:
-            raise InputError(f"{where}: the name is empty; give each fracture one")
-        if name in traces and name != last:
-            raise InputError(f'{where}: "{name}" was given before; the rows of one fracture must follow each other')
-        points = traces.setdefault(name, [])
-        if len(values) == 4 and points and points[-1] != values[:2]:
-            raise InputError(f'{where}: "{name}" goes on at {values[:2]}, but its last segment ended at {points[-1]}')
-        points += [values] if len(values) == 2 else [values[2:]] if points else [values[:2], values[2:]]
-        last = name
-    for name, points in traces.items():
-        if len(points) < 2:
-            raise InputError(f'{path}: fracture "{name}" has one point; a trace needs two or more')
-    if not traces:
-        raise InputError(f"{path}: has no rows below its header")
-    return [(name, np.array(points)) for name, points in traces.items()]
-
-
-def _numbers(words: list[str], count: int, where: str) -> list[float]:
-    if len(words) != count:
-        raise InputError(f"{where}: has {len(words)} numbers, the header says {count}")
-    values = []
-    for word in words:
-        try:
-            values.append(float(word))
-        except ValueError:
-            raise InputError(f'{where}: "{word}" is no number; decimals take a point') from None
-    if not np.all(np.isfinite(values)):
-        raise InputError(f"{where}: {values} must be finite")
-    return values
 
 
 def _version(path: Path) -> int:

@@ -10,6 +10,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.along import arc_length
 from fracflow.mesh.data import Floats, Ints, RawMesh, SplitMesh
 from fracflow.mesh.facets import HalfFacets, Matches, components, half_facets, match, rows_near, spot
+from fracflow.mesh.quality import worst_cells
 
 
 def split(raw: RawMesh) -> SplitMesh:
@@ -51,11 +52,12 @@ def split(raw: RawMesh) -> SplitMesh:
         side_of=raw.side_of,
         sides=raw.sides,
         named_points=raw.named_points,
+        notes=raw.notes,
     )
 
 
 def summary(mesh: SplitMesh) -> dict[str, Any]:
-    """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; fracture lengths."""
+    """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; angles of cells; fracture lengths."""
     meeting = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))
     closed = mesh.joint_flow[mesh.joint_bottom == mesh.joint_top]
     edge = mesh.points[mesh.joint_bottom[:, -1]] - mesh.points[mesh.joint_bottom[:, 0]]
@@ -71,6 +73,7 @@ def summary(mesh: SplitMesh) -> dict[str, Any]:
         "junctions": int(np.sum(meeting > 2)),
         "tips": int(np.sum(meeting[closed] == 1)),
         "blocks": len(np.unique(piece[nodes])),
+        **worst_cells(mesh.points, mesh.cells),
         "lengths": {name: float(value) for name, value in zip(mesh.fractures, length, strict=True)},
     }
 
