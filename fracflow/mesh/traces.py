@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.mesh.arrange import ON_SIDE, Sketch, cross, merge, settle, sketch
+from fracflow.mesh.arrange import Sketch, cross, merge, settle, sketch
 from fracflow.mesh.data import Floats, Ints
 
 ROUNDS = 30  # of merging, moving and cutting
@@ -71,13 +71,11 @@ def tidy(domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: fl
     missing = np.setdiff1d(np.arange(len(names)), lines.owner)
     if len(missing):
         raise InputError(f'geometry: fracture "{names[missing[0]]}": is shorter than snap = {snap:.3g}; remove it')
-    shallow = _shallow_pairs(given)
-    edges, owner, notes = _without_repeats(lines, labels, stretch, shallow)
-    is_out = (owner >= 0) & ~is_within(lines.points[edges].mean(axis=1), domain)
-    notes += _cuts(lines, edges, owner, is_out, labels)
-    notes = [*_moves(lines, given, edges[~is_out], owner[~is_out], labels, EXACT * extent), *notes]
-    used, compact = np.unique(edges[~is_out], return_inverse=True)
-    network = Network(lines.points[used], compact.reshape(-1, 2), owner[~is_out], tuple(notes))
+    lines, notes = _inside(lines, domain, labels)
+    lines, more = _without_repeats(lines, labels, stretch, _shallow_pairs(given))
+    notes = [*_moves(lines, given, labels, EXACT * extent), *notes, *more]
+    used, compact = np.unique(lines.edges, return_inverse=True)
+    network = Network(lines.points[used], compact.reshape(-1, 2), lines.owner, tuple(notes))
     _check_angles(network, labels)
     return network
 
@@ -155,23 +153,46 @@ def _neighbours(at: Ints, owner: Ints, heading: Floats) -> list[tuple[int, int, 
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
+def _inside(lines: Sketch, domain: Floats, labels: _Labels) -> tuple[Sketch, list[str]]:
+    """Only the edges in or on the domain, and what was cut; raises InputError for a trace of which nothing is left."""
+    middle = lines.points[lines.edges].mean(axis=1)
+    is_out = ~is_within(middle, domain) & ~_is_repeat_of_side(lines)
+    notes = []
+    for trace in np.unique(lines.owner[is_out]).tolist():
+        own = lines.owner == trace
+        if np.all(is_out[own]):
+            raise InputError(f"geometry: {labels(trace)}: lies outside the domain; move or remove it")
+        edges = lines.edges[is_out & own]
+        met = np.intersect1d(edges, lines.edges[lines.owner < 0])
+        length = np.linalg.norm(np.diff(lines.points[edges], axis=1), axis=2).sum()
+        where = ", ".join(map(_spot, lines.points[met]))
+        notes.append(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g} is left out")
+    return replace(lines, edges=lines.edges[~is_out], owner=lines.owner[~is_out]), notes
+
+
+def _is_repeat_of_side(lines: Sketch) -> np.ndarray:
+    """Whether each edge joins the ends of an edge of a side: as all edges of sides do."""
+    key = np.sort(lines.edges, axis=1) @ [len(lines.points), 1]
+    return np.isin(key, key[lines.owner < 0])
+
+
 def _without_repeats(
     lines: Sketch, labels: _Labels, stretch: float, shallow: set[tuple[int, int]]
-) -> tuple[Ints, Ints, list[str]]:
-    """Edges and owners with each edge once: a side's, else that of the first trace; raises InputError for long ones."""
+) -> tuple[Sketch, list[str]]:
+    """Each edge once, a side's or that of the first trace, and what was shared; raises InputError for long stretches."""
     ends = np.sort(lines.edges, axis=1)
     order = np.lexsort([np.where(lines.owner < 0, -1, lines.owner), ends[:, 1], ends[:, 0]])
-    again = order[1:][np.all(ends[order[1:]] == ends[order[:-1]], axis=1)]
-    first = order[:-1][np.all(ends[order[1:]] == ends[order[:-1]], axis=1)]
+    is_again = np.all(ends[order[1:]] == ends[order[:-1]], axis=1)
+    first, again = order[:-1][is_again], order[1:][is_again]
     length = np.linalg.norm(np.diff(lines.points[lines.edges], axis=1)[:, 0], axis=1)
-    total = np.bincount(np.where(lines.owner < 0, len(labels.traces), lines.owner), length, len(labels.traces) + 1)
     notes = []
     for keeper, other in sorted(set(zip(lines.owner[first].tolist(), lines.owner[again].tolist(), strict=True))):
         rows = again[(lines.owner[first] == keeper) & (lines.owner[again] == other)]
         shared, place = length[rows].sum(), lines.points[lines.edges[rows]].reshape(-1, 2)
         where = f"{_spot(place[0])} to {_spot(place[-1])}"
+        whole = min(length[lines.owner == owner].sum() if owner >= 0 else np.inf for owner in (keeper, other))
         limit = np.inf if (min(keeper, other), max(keeper, other)) in shallow else stretch
-        if shared > limit or shared >= 0.5 * min(total[other], total[keeper] if keeper >= 0 else np.inf):
+        if shared > min(limit, 0.5 * whole):
             if keeper == other:
                 raise InputError(f"geometry: {labels(other)}: folds back on itself from {where}; remove a point")
             raise InputError(
@@ -181,29 +202,12 @@ def _without_repeats(
         if keeper != other:
             notes.append(f"{labels(other)}: shares {shared:.4g} from {where} with {labels(keeper)}, which keeps it")
     kept = np.setdiff1d(np.arange(len(ends)), again)
-    return lines.edges[kept], lines.owner[kept], notes
+    return replace(lines, edges=lines.edges[kept], owner=lines.owner[kept]), notes
 
 
-def _cuts(lines: Sketch, edges: Ints, owner: Ints, is_out: np.ndarray, labels: _Labels) -> list[str]:
-    """What is cut off outside the domain; raises InputError for a trace of which nothing is left."""
-    notes = []
-    for trace in np.unique(owner[is_out]).tolist():
-        if np.all(is_out[owner == trace]):
-            raise InputError(f"geometry: {labels(trace)}: lies outside the domain; move or remove it")
-        ends = lines.points[edges[is_out & (owner == trace)]]
-        on_side = np.unique(edges[is_out & (owner == trace)])
-        places = lines.points[on_side[lines.rank[on_side] <= ON_SIDE]]
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()
-        where = ", ".join(map(_spot, places))
-        notes.append(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g} is left out")
-    return notes
-
-
-def _moves(
-    lines: Sketch, given: Sketch, edges: Ints, owner: Ints, labels: _Labels, least: float
-) -> list[str]:
+def _moves(lines: Sketch, given: Sketch, labels: _Labels, least: float) -> list[str]:
     """Say which ends, bends and crossings moved, how far and onto what."""
-    at, of = edges.ravel(), np.repeat(owner, 2)
+    at, of = lines.edges.ravel(), np.repeat(lines.owner, 2)
     moved = np.linalg.norm(lines.points[lines.became] - lines.first, axis=1)
     came_with = np.full(len(lines.points), -1)
     came_with[given.edges.ravel()] = np.repeat(given.owner, 2)
@@ -212,14 +216,14 @@ def _moves(
     for point in np.flatnonzero((moved > least) & np.isin(lines.became, at)).tolist():
         here = lines.became[point]
         others = np.setdiff1d(of[at == here], [came_with[point]])
-        if point < len(given.points):
+        if point < lines.given:
             what = f"{labels(came_with[point])}: {'end' if is_end[point] else 'point'}"
             onto = f" onto {labels.all_of(others)}" if len(others) else ""
         else:
             what, onto = f"{labels.all_of(others)}: crossing", ""
         notes.append(f"{what} {_spot(lines.first[point])} moved by {moved[point]:.3g} to {_spot(lines.points[here])}{onto}")
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
-        if distance > least:
+        if distance > least and point in at:
             notes.append(f"{labels(trace)}: bent by {distance:.3g} to {_spot(lines.points[point])}")
     return notes
 
