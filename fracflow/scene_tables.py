@@ -171,8 +171,8 @@ class Geometry(Part):
     )
     snap: Size | None = Field(
         default=None,
-        description="points nearer than this to another, a trace or a side become one with it, and cells are at least twice"
-        " as large [length]; 5 % of size_at_fractures if not given",
+        description="points nearer than this to another, a trace or a side become one with it, and cells between near traces"
+        " are never smaller [length]; 5 % of size_at_fractures if not given",
     )
     cells: Literal["triangles", "quads"] = Field(default="triangles", description="shape of the cells")
 

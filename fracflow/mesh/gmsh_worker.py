@@ -110,8 +110,8 @@ def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
     curves = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["traces"].values()]
     surface = geo.addPlaneSurface([geo.addCurveLoop([line for lines in round_it for line in lines])])
     around = [
-        (size * scale, [geo.addPoint(x, y, 0.0) for x, y in ((np.array(places) - corner) * scale).tolist()])
-        for size, places in job["sources"]
+        (fine * scale, reach * scale, [geo.addPoint(*place, 0.0) for place in ((np.array(places) - corner) * scale).tolist()])
+        for fine, reach, places in job["sources"]
     ]
     geo.synchronize()
     gmsh.model.mesh.embed(1, [line for lines in curves for line in lines], 2, surface)
@@ -127,21 +127,21 @@ def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
     return arrays
 
 
-def _set_sizes(size: float, around: list[tuple[float, list[int]]], growth: float) -> None:
-    """Mesh sizes around points, each growing by ``growth`` per length up to ``size``."""
+def _set_sizes(size: float, around: list[tuple[float, float, list[int]]], growth: float) -> None:
+    """Mesh sizes kept within a reach of points, from there growing by ``growth`` per length up to ``size``."""
     for source in ("Points", "Curvature", "ExtendFromBoundary"):
         name = source if source.startswith("Extend") else f"From{source}"
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", 0)
     gmsh.option.setNumber("Mesh.MeshSizeMax", size)
     field = gmsh.model.mesh.field
     grown = []
-    for fine, points in around:
+    for fine, reach, points in around:
         distance, growing = field.add("Distance"), field.add("Threshold")
         field.setNumbers(distance, "PointsList", points)
-        limits = {"InField": distance, "SizeMin": fine, "SizeMax": size, "DistMin": fine / 2}
+        limits = {"InField": distance, "SizeMin": fine, "SizeMax": size, "DistMin": reach}
         for key, value in limits.items():
             field.setNumber(growing, key, value)
-        field.setNumber(growing, "DistMax", fine / 2 + (size - fine) / growth)
+        field.setNumber(growing, "DistMax", reach + (size - fine) / growth)
         grown.append(growing)
     if grown:
         least = field.add("Min")

@@ -16,7 +16,7 @@ from fracflow.mesh.gmsh import KINDS, Elements, open_in_gmsh, run_worker
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.quads import all_quads
 from fracflow.mesh.quality import cell_areas
-from fracflow.mesh.sizes import PER_GAP, sources
+from fracflow.mesh.sizes import sources
 from fracflow.mesh.traces import Trace, polygon_area, tidy
 
 SUFFIXES = (".geo", ".msh")
@@ -26,6 +26,7 @@ CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
 SNAP = 0.05  # of the size at fractures: under what a digitised map is good for, over what would need tiny cells
 LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
+PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
 
 
@@ -93,14 +94,15 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     network = tidy(domain, sides, traces, snap, stretch=fine)
     is_quads = geometry.cells == "quads"
     coarser = 2 if is_quads else 1  # quads are cut in four in the end
-    around = sources(network, fine, float(geometry.size_at_tips or fine), min(fine, PER_GAP * snap))
+    per_gap = PER_GAP / coarser
+    around = sources(network, fine, float(geometry.size_at_tips or fine), per_gap, min(fine, per_gap * snap))
     job = {
         "points": network.points.tolist(),
         "sides": {name: network.along(-1 - k) for k, name in enumerate(sides)},
         "traces": {name: network.along(k) for k, (name, _) in enumerate(traces)},
         "size": coarser * float(geometry.size),
-        "sources": [(coarser * size, places.tolist()) for size, places in around if size < geometry.size],
-        "growth": float(geometry.growth),
+        "sources": [(coarser * size, size / 2, places.tolist()) for size, places in around if size < geometry.size],
+        "growth": coarser * float(geometry.growth),
         "quads": is_quads,
         "rock": geometry.rock,
     }

@@ -8,30 +8,29 @@ from fracflow.mesh.arrange import boxes_that_meet
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.traces import SHALLOW, Network
 
-PER_GAP = 2.0  # size of cells over the gap they fill: triangles of a right angle
 STEP = 2**0.5  # ratio of sizes that follow each other
 
 Source = tuple[float, Floats]
 """A mesh size, and the points (k, 2) around which it is kept [length]."""
 
 
-def sources(network: Network, fine: float, at_tips: float, least: float) -> list[Source]:
+def sources(network: Network, fine: float, at_tips: float, per_gap: float, least: float) -> list[Source]:
     """Mesh sizes and the points that have them: ``fine`` along all fractures, ``at_tips`` at their tips.
 
-    Where a gap between two edges, or the length of an edge, is under half of ``fine``, cells are twice as long as that,
-    but never under ``least``. Every point of a fracture is within half a size of a point of that size. All [length].
+    Cells are at most ``per_gap`` times as long as the gap between two edges, or an edge, but never under ``least``.
+    Every point of a fracture is within half a size of a point of that size. All [length].
     """
     own = np.flatnonzero(network.owner >= 0)
     if not len(own):
         return []
     length = np.linalg.norm(np.diff(network.points[network.edges], axis=1)[:, 0], axis=1)
-    one, other = _near_pairs(network, fine / PER_GAP)
+    one, other = _near_pairs(network, fine / per_gap)
     is_near = np.zeros(len(length), dtype=bool)
     is_near[one] = True
-    is_near |= PER_GAP * length < fine
+    is_near |= per_gap * length < fine
     edge, place = _samples(network, own, length, np.where(is_near, least, fine))
-    size = np.clip(PER_GAP * length[edge], least, fine)
-    size = np.minimum(size, np.maximum(PER_GAP * _gaps(network, edge, place, one, other), least))
+    size = np.clip(per_gap * length[edge], least, fine)
+    size = np.minimum(size, np.maximum(per_gap * _gaps(network, edge, place, one, other), least))
     level = np.ceil(np.log(fine / size) / np.log(STEP) - 1e-9).astype(np.int64)
     found = [(max(fine / STEP**k, least), place[level == k]) for k in np.unique(level).tolist()]
     tips = network.points[network.tips]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.mesh.arrange import Sketch, cross, merge, settle, sketch
+from fracflow.mesh.arrange import Sketch, cross, near_edges, settle, sketch
 from fracflow.mesh.data import Floats, Ints
 
 ROUNDS = 30  # of merging, moving and cutting
@@ -116,7 +116,11 @@ def _check_domain(domain: Floats, snap: float) -> None:
     if gaps.min() <= snap:
         where = _spot(domain[np.argmin(gaps)])
         raise InputError(f"geometry.domain: the side that starts at {where} is no longer than snap = {snap:.3g}")
-    if cross(alone, snap) is not alone or merge(alone, snap) is not alone or polygon_area(domain) <= snap * gaps.max():
+    touching = near_edges(alone, np.arange(len(domain)), snap)[0]
+    if len(touching):
+        where = _spot(domain[touching[0]])
+        raise InputError(f"geometry.domain: the corner {where} is within snap = {snap:.3g} of another side")
+    if cross(alone, snap) is not alone or polygon_area(domain) <= snap * gaps.max():
         raise InputError("geometry.domain: the sides cross each other; list the corners in their order round the domain")
 
 
@@ -163,7 +167,8 @@ def _inside(lines: Sketch, domain: Floats, labels: _Labels) -> tuple[Sketch, lis
         if np.all(is_out[own]):
             raise InputError(f"geometry: {labels(trace)}: lies outside the domain; move or remove it")
         edges = lines.edges[is_out & own]
-        met = np.intersect1d(edges, lines.edges[lines.owner < 0])
+        met = edges[np.isin(edges, lines.edges[lines.owner < 0])]
+        met = met[np.sort(np.unique(met, return_index=True)[1])]  # in the order along the trace
         length = np.linalg.norm(np.diff(lines.points[edges], axis=1), axis=2).sum()
         where = ", ".join(map(_spot, lines.points[met]))
         notes.append(f"{labels(trace)}: cut at {where}, where it leaves the domain; {length:.4g} is left out")
