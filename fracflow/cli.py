@@ -149,7 +149,7 @@ def mesh_command(scene: SceneFile, set_: Overrides = None) -> None:
     for note in split.notes:
         typer.echo(note)
     for key, value in summary(split).items():
-        typer.echo(f"{key}: {value}")
+        typer.echo(f"{key}: {value:.4g}" if isinstance(value, float) else f"{key}: {value}")
 
 
 @app.command()

@@ -13,7 +13,8 @@ from pydantic import ValidationError
 
 from fracflow.errors import InputError
 from fracflow.scene_errors import nearest, one_line
-from fracflow.scene_tables import Fracture
+from fracflow.scene_materials import Fracture
+from fracflow.scene_tables import ALTERNATIVES, with_default_fracture
 from fracflow.scene_toml import write_value
 from fracflow.units import UnitSystem
 
@@ -83,8 +84,7 @@ def read_traces_csv(path: str | Path) -> list[TraceRow]:
 def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """Put the traces and properties of ``geometry.fractures_csv`` in its place in the data of a scene.
 
-    A property goes over that of the fracture's own table, which is [fracture.default] where there is none. Raises
-    InputError.
+    A property goes over that of the fracture's own table, as that does over [fracture.default]. Raises InputError.
     """
     geometry = data.get("geometry")
     name = geometry.get("fractures_csv") if isinstance(geometry, Mapping) else None
@@ -110,16 +110,16 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _table(row: TraceRow, tables: Mapping[str, Any], where: str, units: Any) -> dict[str, Any]:
-    """The table of a fracture with the properties of its row."""
-    under = tables.get(row.name, tables.get("default", {}))
-    table = {**(under if isinstance(under, Mapping) else {}), **row.properties}
-    for one, other in (("friction_angle_deg", "friction_coefficient"), ("friction_coefficient", "friction_angle_deg")):
-        if one in row.properties and other not in row.properties:
-            table.pop(other, None)
+    """The table of a fracture with the properties of its row; raises InputError if they do not fit it."""
+    own = tables.get(row.name, {})
+    shut = {key for pair in ALTERNATIVES if set(pair) & set(row.properties) for key in pair}
+    table = {key: value for key, value in own.items() if key not in shut} if isinstance(own, Mapping) else {}
+    table |= row.properties
+    filled = with_default_fracture({"fracture": {"default": tables.get("default"), row.name: table}})["fracture"][row.name]
     try:
-        Fracture.model_validate(table, context={"units": UnitSystem.parse(units)})
+        Fracture.model_validate(filled, context={"units": UnitSystem.parse(units)})
     except ValidationError as error:
-        raise InputError(f'{where}: "{row.name}": {one_line(error, table, Fracture)}') from None
+        raise InputError(f'{where}: "{row.name}": {one_line(error, filled, Fracture)}') from None
     except ValueError:
         pass  # units that are none: the scene says so
     return table
