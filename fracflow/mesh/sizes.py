@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracflow.errors import InputError
 from fracflow.mesh.arrange import boxes_that_meet
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.traces import SHALLOW, Network
 
 STEP = 2**0.5  # ratio of sizes that follow each other
+MOST = 5_000_000  # points
 
 Source = tuple[float, Floats]
 """A mesh size, and the points (k, 2) around which it is kept [length]."""
@@ -18,19 +20,36 @@ def sources(network: Network, fine: float, at_tips: float, per_gap: float, least
     """Mesh sizes and the points that have them: ``fine`` along all fractures, ``at_tips`` at their tips.
 
     Cells are at most ``per_gap`` times as long as the gap between two edges, or an edge, but never under ``least``.
-    Every point of a fracture is within half a size of a point of that size. All [length].
+    Every point of a fracture is within half a size of a point of that size. All [length]. Raises InputError where
+    that takes too many points.
     """
     own = np.flatnonzero(network.owner >= 0)
     if not len(own):
         return []
     length = np.linalg.norm(np.diff(network.points[network.edges], axis=1)[:, 0], axis=1)
-    one, other = _near_pairs(network, fine / per_gap)
-    is_near = np.zeros(len(length), dtype=bool)
-    is_near[one] = True
-    is_near |= per_gap * length < fine
-    edge, place = _samples(network, own, length, np.where(is_near, least, fine))
-    size = np.clip(per_gap * length[edge], least, fine)
-    size = np.minimum(size, np.maximum(per_gap * _gaps(network, edge, place, one, other), least))
+    pairs = _near_pairs(network, fine / per_gap)
+
+    def size_at(edge: Ints, along: Floats) -> Floats:
+        gap = np.minimum(_gaps(network, edge, _places(network, edge, along), *pairs), length[edge])
+        return np.clip(per_gap * gap, least, fine)
+
+    edge, along = _samples(own, length, fine)
+    size = size_at(edge, along)
+    is_near = np.isin(edge, pairs[0])
+    while True:
+        # Sizes change by at most per_gap per length: none is missed between two points nearer than this.
+        step = np.diff(along) * length[edge[:-1]]
+        enough = np.maximum(np.minimum(size[1:], size[:-1]) / per_gap, least)
+        wide = np.flatnonzero((edge[1:] == edge[:-1]) & is_near[:-1] & (step > enough))
+        if not len(wide):
+            break
+        if len(edge) + len(wide) > MOST:
+            raise InputError(f"geometry: cells down to {least:.3g} between near traces are too many; raise geometry.snap")
+        more = edge[wide], (along[wide] + along[wide + 1]) / 2
+        size = np.insert(size, wide + 1, size_at(*more))
+        edge, along = (np.insert(old, wide + 1, new) for old, new in zip((edge, along), more, strict=True))
+        is_near = np.insert(is_near, wide + 1, True)
+    place = _places(network, edge, along)
     level = np.ceil(np.log(fine / size) / np.log(STEP) - 1e-9).astype(np.int64)
     found = [(max(fine / STEP**k, least), place[level == k]) for k in np.unique(level).tolist()]
     tips = network.points[network.tips]
@@ -53,13 +72,17 @@ def _near_pairs(network: Network, reach: float) -> tuple[Ints, Ints]:
     return one[keep], other[keep]
 
 
-def _samples(network: Network, edges: Ints, length: Floats, spacing: Floats) -> tuple[Ints, Floats]:
-    """Edge and place (k, 2) of points along the given edges, ends included, no farther apart than ``spacing``."""
-    count = 1 + np.ceil(length[edges] / spacing[edges]).astype(np.int64)
+def _samples(edges: Ints, length: Floats, spacing: float) -> tuple[Ints, Floats]:
+    """Edge and place (0 to 1) of points along the given edges, ends included, no farther apart than ``spacing``."""
+    count = 1 + np.ceil(length[edges] / spacing).astype(np.int64)
     row = np.repeat(np.arange(len(edges)), count)
     along = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / (count[row] - 1)
-    start, end = np.moveaxis(network.points[network.edges[edges[row]]], 1, 0)
-    return edges[row], start + along[:, None] * (end - start)
+    return edges[row], along
+
+
+def _places(network: Network, edge: Ints, along: Floats) -> Floats:
+    start, end = np.moveaxis(network.points[network.edges[edge]], 1, 0)
+    return start + along[:, None] * (end - start)
 
 
 def _gaps(network: Network, edge: Ints, place: Floats, one: Ints, other: Ints) -> Floats:

@@ -161,12 +161,14 @@ def _inside(lines: Sketch, domain: Floats, labels: _Labels) -> tuple[Sketch, lis
     """Only the edges in or on the domain, and what was cut; raises InputError for a trace of which nothing is left."""
     middle = lines.points[lines.edges].mean(axis=1)
     is_out = ~is_within(middle, domain) & ~_is_repeat_of_side(lines)
+    gone = np.setdiff1d(lines.owner, lines.owner[~is_out])
+    if len(gone):
+        others = ", ".join(f'"{labels.traces[trace]}"' for trace in gone[1:9]) + (", ..." if len(gone) > 9 else "")
+        more = f" (and {len(gone) - 1} more: {others})" if others else ""
+        raise InputError(f"geometry: {labels(gone[0])}: lies outside the domain{more}; move or remove it")
     notes = []
     for trace in np.unique(lines.owner[is_out]).tolist():
-        own = lines.owner == trace
-        if np.all(is_out[own]):
-            raise InputError(f"geometry: {labels(trace)}: lies outside the domain; move or remove it")
-        edges = lines.edges[is_out & own]
+        edges = lines.edges[is_out & (lines.owner == trace)]
         met = edges[np.isin(edges, lines.edges[lines.owner < 0])]
         met = met[np.sort(np.unique(met, return_index=True)[1])]  # in the order along the trace
         length = np.linalg.norm(np.diff(lines.points[edges], axis=1), axis=2).sum()

@@ -102,6 +102,15 @@ def test_between_parallel_traces_cells_are_as_fine_as_the_gap(cells):
 
 
 @BOTH
+def test_a_crossing_is_refined_evenly_down_to_any_tolerance(cells):
+    end = 1.9 * np.array([np.cos(np.radians(2)), np.sin(np.radians(2))])
+    traces = [[[0.1, 2], [3.9, 2]], [2 - end, 2 + end]]
+    counts = [len(build_mesh(spec(traces, cells, snap=0.4 * 10.0**-power)).cells) for power in (2, 3, 4)]
+    # From one tolerance to the next as many more: cells as long as the gap, towards the crossing.
+    assert counts[2] - counts[1] == pytest.approx(counts[1] - counts[0], rel=0.25)
+
+
+@BOTH
 def test_sizes_at_fractures_at_tips_and_away(cells):
     raw = build_mesh(spec([[[1, 2], [3, 2]]], cells, size=0.8, fine=0.2, size_at_tips=0.02, growth=0.2))
     steps = raw.points[raw.fracture_facets]
@@ -122,7 +131,8 @@ def test_sizes_at_fractures_at_tips_and_away(cells):
         ([ALONG, [[2, 1.01], [3.9, 1.02]]], '"b": runs along fracture "a" for 1'),
         ([[[0.5, 0.5], [1, 1], [3, 1], [3.5, 2]], [[0.5, 3], [1, 1.01], [3, 1.01], [3.5, 3]]], '"b": runs along .* for 2'),
         ([[[1, 3.99], [3, 4.01]]], '"a": runs along side north for 2, .*move it inside'),
-        ([[[1, 5], [3, 5]]], '"a": lies outside the domain'),
+        ([[[1, 5], [3, 5]]], '"a": lies outside the domain; move or remove it'),
+        ([[[1, 5], [3, 5]], ALONG, [[5, 1], [6, 1]]], r'"a": lies outside the domain \(and 1 more: "c"\); move'),
         ([[[1, 1], [1.03, 1]]], '"a": is shorter than snap = 0.05'),
         ([[[1, 1], [3, 1], [1, 1.01]]], '"a": folds back on itself'),
     ],
