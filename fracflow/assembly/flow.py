@@ -80,8 +80,12 @@ class Flow:
         return Conduction(
             np.where(is_cubic, cubic, self.given / self.length),
             np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
-            _apply(self.pick, pressure).reshape(-1, 2) - self.resting_end,
+            self.driving(pressure),
         )
+
+    def driving(self, pressure: PETSc.Vec) -> Floats:
+        """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""
+        return _apply(self.pick, pressure).reshape(-1, 2) - self.resting_end
 
     def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
         """(3.20) ``result`` += K_F p, what each flow node sends into its elements. Collective."""

@@ -21,8 +21,8 @@ from fracflow.stepping import Alphas, acceleration, velocity
 
 CANCELLATION = 1e-4
 """Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
-state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have."""
-SMALL_PRESSURE = 1e-6  # of the natural stress: the floor of what counts as a flow, so that a network can come to rest
+state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have. So does that of the last
+pressures in a network that comes to rest."""
 TINY = 1e-300  # a network of closed fractures has no terms
 
 
@@ -69,6 +69,8 @@ class StepProblem:
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
+        network = operators.flow
+        self._before = 0.0 if network is None else np.abs(network.driving(state.pressure))
 
     def evaluate(self, hold: bool = True) -> None:
         """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
@@ -123,8 +125,7 @@ class StepProblem:
         flow.axpy(-1.0, self.source)
         speed.destroy()
         # what an element carries at full pressure: the size of the terms whose difference is its flow
-        least = SMALL_PRESSURE * self.operators.scales.pressure
-        size = np.maximum(np.abs(self.conduction.pressure), least)
+        size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
         through = (self.conduction.conductance[:, None] * size).max(initial=0.0)
         return [*terms, self.operators.layout.comm.allreduce(float(through), op=MPI.MAX)]
 
