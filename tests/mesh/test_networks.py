@@ -83,7 +83,7 @@ def points_of(exact):
 
 
 @pytest.mark.parametrize("cells", ["triangles", "quads"])
-@settings(max_examples=15, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.filter_too_much])
 @given(traces=networks())
 def test_a_random_network_is_cut_as_its_traces_say(cells, traces):
     exact = arrange(WIDTH, traces)
