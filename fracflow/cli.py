@@ -79,6 +79,8 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
         TextColumn("{task.completed} steps"),
         TimeRemainingColumn(),
     )
+    from fracflow.coupling.defaults import forget
+
     totals, failure = None, None
     with Progress(*columns, console=Console(stderr=True, quiet=comm.rank > 0), transient=True) as bar:
         task = bar.add_task(scene.title or str(folder), total=total or None)
@@ -88,6 +90,7 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
             failure = error
         except Interrupted as error:
             raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
+    forget()
     if comm.rank == 0:
         show(folder, console, scene.output.pictures)
     if failure is not None:
@@ -162,11 +165,21 @@ def picture(folder: Annotated[Path, typer.Argument(help="a run folder")]) -> Non
 
 
 @app.command()
-def schema() -> None:
-    """Every key of a scene, as JSON schema."""
-    from fracflow.scene import Scene
+def schema(as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False) -> None:
+    """Every key of a scene: its values or dimension, its default, its meaning."""
+    from rich.markup import escape
+    from rich.table import Table
 
-    typer.echo(json.dumps(Scene.json_schema(), indent=1))
+    from fracflow.scene import Scene
+    from fracflow.scene_schema import rows
+
+    if as_json:
+        typer.echo(json.dumps(Scene.json_schema(), indent=1))
+        return
+    table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
+    for row in rows(Scene.json_schema()):
+        table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
+    Console(highlight=False, width=None if sys.stdout.isatty() else 200).print(table)
 
 
 def petsc_options(petsc: object, words: list[str]) -> None:
@@ -179,6 +192,7 @@ def petsc_options(petsc: object, words: list[str]) -> None:
             raise InputError(f"command line: {key}: not a PETSc option; they start with - and follow --")
         is_value = bool(words) and (not words[0].startswith("-") or words[0][1:2].isdigit())
         database.setValue(key.lstrip("-"), words.pop(0) if is_value else "")
+        database.setValue("options_left", "")
 
 
 def main() -> None:

@@ -115,7 +115,7 @@ class Accuracy(Part):
     )
     out_of_balance: Annotated[float, Quantity(LINE_FORCE, above=0.0)] | None = Field(
         default=None,
-        description="epsilon_S of (4.9a), absolute, per unit thickness [force/length]; derived if not given",
+        description="epsilon_S of (4.9a), absolute, per unit thickness [force/length]; without it the residuals decide",
     )
     displacement: Fraction = Field(default=1e-12, description="relative change of displacement of (4.9b) [1]")
     pressure: Fraction = Field(default=1e-10, description="epsilon_F of the fixed point (4.5), relative [1]")

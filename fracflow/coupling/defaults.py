@@ -14,8 +14,11 @@ _SPLITS: dict[str, Value] = {
     f"fieldsplit_{part}_{key}": value for part in ("solid", "flow") for key, value in DIRECT.items()
 }
 
+NEWTON: dict[str, Value] = {"snes_linesearch_type": "basic"}
+
 OPTIONS: dict[str, dict[str, Value]] = {
     "monolithic": {
+        **NEWTON,
         "ksp_type": "fgmres",
         "ksp_rtol": 1e-9,
         "ksp_max_it": 100,
@@ -26,9 +29,9 @@ OPTIONS: dict[str, dict[str, Value]] = {
         "pc_fieldsplit_schur_precondition": "selfp",
         **_SPLITS,
     },
-    "whole-lu": dict(DIRECT),
-    "solid": dict(DIRECT),
-    "flow": dict(DIRECT),
+    "whole-lu": NEWTON | DIRECT,
+    "solid": NEWTON | DIRECT,
+    "flow": NEWTON | DIRECT,
     "mass": dict(DIRECT),
 }
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""
@@ -37,15 +40,21 @@ OPTIONS: dict[str, dict[str, Value]] = {
 _ours: set[str] = set()
 
 
+def forget() -> None:
+    """Take out what ``set_defaults`` put in: what is left and was not used, PETSc can tell of at its end."""
+    database = PETSc.Options()
+    for key in _ours:
+        database.delValue(key)
+    _ours.clear()
+
+
 def set_defaults(given: Mapping[str, Value]) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
     What an earlier scene of this process had put there goes.
     """
     database = PETSc.Options()
-    for key in _ours:
-        database.delValue(key)
-    _ours.clear()
+    forget()
     merged = {f"{prefix}_{key}": value for prefix, options in OPTIONS.items() for key, value in options.items()}
     for key, value in {**merged, **given}.items():
         if not database.hasName(key):

@@ -56,8 +56,6 @@ class Newton:
         self.snes.setTolerances(max_it=scene.accuracy.max_iterations)
         self.snes.setLineSearchPreCheck(self._pre_check)
         self.snes.setMaxLinearSolveFailures(scene.accuracy.max_iterations)
-        database = PETSc.Options()
-        database[f"{prefix}_snes_linesearch_type"] = "basic"
         self.snes.setFromOptions()
         preconditioner = self.snes.getKSP().getPC()
         if preconditioner.getType() == "fieldsplit":

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fracflow.scene import Scene, load
+from fracflow.scene_schema import rows
 from fracflow.scene_toml import write_float, write_value
 from fracflow.tables import FractureEnd, TimeTable
 
@@ -200,3 +201,15 @@ def test_report_scenes_hold_the_data_of_the_text():
         assert (fluid.viscosity, fluid.specific_weight) == pytest.approx((0.235e-4, 62.4))
         assert (fluid.initial_pressure, fluid.flow_depth) == pytest.approx((0.3e5, 100))
         assert scene.stage[1].steps == steps and scene.stage[1].time_step == 0.01
+
+
+def test_schema_as_a_table_has_every_key_once():
+    """Tables, arrays of tables and tables by name, each with dimension or choices, default and meaning."""
+    found = {row[0]: row[1:] for row in rows(Scene.json_schema())}
+    assert found["rock.NAME.youngs_modulus"][0] == "[force/length**2]"
+    assert found["method.coupling"][:2] == ("monolithic | fixed-point | whole-lu", "monolithic")
+    assert found["stage[].kind"][1] == "required"
+    assert found["initial_stress.gradient.yy"][0] == "[force/length**3]"
+    assert found["initial.rock.NAME.velocity"][2]
+    assert all(meaning for _, _, meaning in found.values())
+    assert len(found) == len(list(rows(Scene.json_schema()))) > 120

@@ -1,0 +1,58 @@
+"""Every key of a scene as rows of a table: what it may be, what it is if it is not given, what it means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+Row = tuple[str, str, str, str]
+
+
+def rows(schema: Mapping[str, Any]) -> Iterator[Row]:
+    """(key, values, default, meaning) of every key of a JSON schema, tables after their own keys."""
+    definitions = schema.get("$defs", {})
+
+    def walk(table: Mapping[str, Any], path: str) -> Iterator[Row]:
+        required, inner = set(table.get("required", ())), []
+        for name, field in table.get("properties", {}).items():
+            key, below = f"{path}{name}", _table_below(field, definitions)
+            if below is None:
+                default = "required" if name in required else _default(field)
+                yield key, _values(field), default, field.get("description", "")
+            else:
+                inner.append((key + below[0], below[1], field.get("description", "")))
+        for key, found, meaning in inner:
+            yield f"[{key}]", "", "", meaning
+            yield from walk(found, f"{key}.")
+
+    yield from walk(schema, "")
+
+
+def _table_below(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
+    """The table that a key holds, with ``[]`` for an array of tables and ``.NAME`` for tables by name."""
+    for choice in (field, *field.get("anyOf", ()), *field.get("allOf", ())):
+        if "$ref" in choice:
+            return "", definitions[choice["$ref"].rpartition("/")[2]]
+        for word, key in (("items", "[]"), ("additionalProperties", ".NAME")):
+            inside = choice.get(word)
+            if isinstance(inside, Mapping) and "$ref" in inside:
+                return key, definitions[inside["$ref"].rpartition("/")[2]]
+    return None
+
+
+def _default(field: Mapping[str, Any]) -> str:
+    value = field.get("default")
+    return "" if value in (None, [], {}, "") else str(value)
+
+
+def _values(field: Mapping[str, Any]) -> str:
+    choices = [field, *field.get("anyOf", ())]
+    words = [word for choice in choices for word in choice.get("enum", ())]
+    words += [choice["const"] for choice in choices if "const" in choice]
+    if words:
+        return " | ".join(str(word) for word in words)
+    dimension = next((choice["dimension"] for choice in choices if "dimension" in choice), "")
+    if dimension:
+        return f"[{dimension}]"
+    kinds = [choice["type"] for choice in choices if isinstance(choice.get("type"), str) and choice["type"] != "null"]
+    return " or ".join(dict.fromkeys(kinds))
