@@ -22,7 +22,6 @@ from fracflow.scene import Scene, load
 from fracflow.state import State, StepReport
 
 Progress = Callable[[int, float, State], None]
-_NO_FAILURE: SolveError | Interrupted | None = None
 
 
 def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Totals:
@@ -83,8 +82,24 @@ def _require(folder: Path) -> None:
 
 def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Progress | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
-    scene, comm, state = model.scene, recorder.comm, step.state
-    stepping, failure = Stepping(model), _NO_FAILURE
+    stepping = Stepping(model)
+    try:
+        failure = _steps(stepping, recorder, step, progress)
+        recorder.finish(clock.perf_counter() - began)
+    finally:
+        recorder.close()
+        stepping.destroy()
+    if failure is not None:
+        raise failure
+    return recorder.totals
+
+
+def _steps(
+    stepping: Stepping, recorder: Recorder, step: Step, progress: Progress | None
+) -> SolveError | Interrupted | None:
+    """All steps that are left, on record; what ended them before their time. Collective."""
+    scene, comm, state = stepping.model.scene, recorder.comm, step.state
+    failure: SolveError | Interrupted | None = None
     going_on = step.progress or {}
     with Watch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
@@ -115,8 +130,4 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
         step = Step(state, step.stage, step.dt, step.report, step.progress)
         recorder.last(step)
         recorder.save(step, finished=failure is None)
-    recorder.finish(clock.perf_counter() - began)
-    stepping.destroy()
-    if failure is not None:
-        raise failure
-    return recorder.totals
+    return failure

@@ -90,7 +90,7 @@ class Recorder:
             self.files.save(step, arrays, {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size})
 
     def finish(self, seconds: float) -> None:
-        """Write plan.json and the last lines of the log, and close the files."""
+        """Write plan.json and the last lines of the log."""
         totals = self.totals
         if totals.narrowest < NARROW:
             self.log(
@@ -104,6 +104,10 @@ class Recorder:
         if self.files is not None:
             decisions = [*decide(self.model.scene), factorisations(self.totals.newton, self.totals.factorisations)]
             self.files.folder.write_plan(as_records(decisions))
+
+    def close(self) -> None:
+        """Close the files, whatever happened."""
+        if self.files is not None:
             self.files.history.close()
             self.files.events.close()
 

@@ -1,0 +1,95 @@
+"""What a checkpoint must hold for every kind of scene: rigid rocks, ties, wells at limits, searches, every kind of stage."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.output import read_history
+from fracflow.output.checkpoint import read_notes
+from fracflow.run import resume, run
+from fracflow.scene import load
+
+MESHES = Path(__file__).parents[2] / "meshes"
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from physics.test_along_fractures import RIGID  # noqa: E402
+from physics.test_books import CRACK, DYNAMIC, QUASI  # noqa: E402
+from physics.test_supports import PERIODIC  # noqa: E402
+from physics.test_wells import PUMPED  # noqa: E402
+
+EVERY = "output.checkpoint_every=1"
+SLIPPING = PERIODIC.replace("xx = -1e6", "xx = -1e6\nxy = 0.8e6").split("[[stage]]")[0]
+STAGES = """
+[[stage]]
+kind = "equilibrate"
+steps = 2
+[[stage]]
+kind = "dynamic"
+time_step = 1e-5
+steps = 6
+"""
+# scene, steps after which the run is stopped
+CASES = {
+    "rigid rocks": ("report_5_2", ["stage.0.end=1"], (4,)),
+    "search and drop": ("report_5_3", ["stage.failure.steps=8"], (2, 5, 8)),
+    "crossings": ("crossings", ["stage.1.steps=8"], (2, 8)),
+    "stages": (CRACK + QUASI + DYNAMIC + QUASI, [], (3, 5, 8, 10, 12)),
+    "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
+    "wells at limits": (PUMPED, [], (3, 5)),
+    "rigid walls": (RIGID, ["fracture.slot.pressure=[[0, 0], [2, 1e4]]"], (1,)),
+}
+
+
+QUANTITIES = ("displacement", "slip", "opening", "pressure", "shear_traction", "normal_traction")
+
+
+def differences(one, other, ranks):
+    """Keys that differ: alone in any bit; on more ranks, where each run is partitioned anew, beyond round-off."""
+    if ranks == 1:
+        return [k for k in one if k != "step/factorisations" and not np.array_equal(one[k], other[k], equal_nan=True)]
+    found = []
+    for name in ("energy/", *QUANTITIES):
+        keys = [k for k in one if k.startswith(name) or (k.startswith("probe/") and k.endswith(f"/{name}"))]
+        size = max((np.abs(other[k]).max() for k in keys), default=0.0)
+        found += [k for k in keys if not np.all(np.abs(one[k] - other[k]) <= 1e-9 * size)]
+    return found
+
+
+class Stop(Exception):
+    """Out of a run, as a fault would."""
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_cut_anywhere_ends_as_the_whole_one(case, shared_tmp):
+    comm = MPI.COMM_WORLD
+    text, overrides, cuts = CASES[case]
+    file = MESHES / text / "scene.toml"
+    if "\n" in text:
+        file = shared_tmp / "scene.toml"
+        if comm.rank == 0:
+            file.write_text(text, encoding="utf-8")
+        comm.barrier()
+    scene = load(file, ["output.pictures=false", EVERY, *overrides])
+    run(scene, shared_tmp / "whole", comm)
+    for cut in cuts:
+        folder, count = shared_tmp / f"cut{cut}", [0]
+
+        def stop(stage, time, state, at=cut, count=count):
+            count[0] += 1
+            if count[0] > at:  # the checkpoint of step ``at`` is written, the one of this step is not
+                raise Stop
+
+        with pytest.raises(Stop):
+            run(scene, folder, comm, stop)
+        comm.barrier()
+        assert read_notes(folder / "checkpoint.h5")["totals"]["steps"] == cut + 1
+        resume(folder, comm)
+        if comm.rank == 0:
+            one, other = read_history(folder / "history.h5"), read_history(shared_tmp / "whole" / "history.h5")
+            assert "resumed at time" in (folder / "log.txt").read_text()
+            assert one.keys() == other.keys()
+            assert not differences(one, other, comm.size), cut
