@@ -16,6 +16,7 @@ FACETS = {
     (2, 3): np.array([[0, 1], [1, 2], [2, 0]]),
     (2, 4): np.array([[0, 1], [1, 2], [2, 3], [3, 0]]),
 }
+LARGEST_KEY = 2**62
 
 
 @dataclass(frozen=True)
@@ -71,14 +72,21 @@ def half_facets(cells: Ints, dim: int) -> HalfFacets:
     return HalfFacets(np.concatenate(nodes), np.concatenate(owners), np.concatenate(corners))
 
 
+def number_rows(rows: Ints) -> Ints:
+    """Give equal rows (m, k) of numbers >= 0 the same number (m,), in lexicographic order."""
+    key, bound = rows[:, 0], int(rows[:, 0].max(initial=0)) + 1
+    for column in rows.T[1:]:
+        width = int(column.max(initial=0)) + 1
+        if bound * width > LARGEST_KEY:
+            key = np.unique(key, return_inverse=True)[1]
+            bound = len(rows)
+        key, bound = key * width + column, bound * width
+    return np.unique(key, return_inverse=True)[1]
+
+
 def number_facets(*tables: Ints) -> list[Ints]:
     """Give facets (., dim) with the same nodes the same number, over all tables."""
-    rows = np.sort(np.concatenate(tables), axis=1)
-    key = rows[:, 0]
-    for column in rows.T[1:]:
-        # Numbered anew before each column: the product of three node numbers would overflow.
-        key = np.unique(key, return_inverse=True)[1] * (column.max(initial=0) + 1) + column
-    number = np.unique(key, return_inverse=True)[1]
+    number = number_rows(np.sort(np.concatenate(tables), axis=1))
     return np.split(number, np.cumsum([len(table) for table in tables])[:-1])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints, RawMesh
-from fracflow.mesh.facets import count_cells_at, spot
+from fracflow.mesh.facets import count_cells_at, number_rows, spot
 from fracflow.mesh.gmsh import Elements
 from fracflow.mesh.orient import orient
 
@@ -35,8 +35,10 @@ def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawM
         known = ", ".join(sorted({*names, *sides})) or "none"
         raise InputError(f'{what}: no physical curve "{name}" for the fracture of that name (there are: {known})')
 
-    used = np.unique(cells[cells >= 0])
-    number = np.full(len(points) + 1, -1, dtype=np.int64)  # the last one stands for padding
+    is_used = np.zeros(len(points) + 1, dtype=bool)  # the last one stands for padding
+    is_used[cells] = True
+    used = np.flatnonzero(is_used[:-1])
+    number = np.full(len(points) + 1, -1, dtype=np.int64)
     number[used] = np.arange(len(used))
     fracture_facets, side_facets = number[facets[on_fracture]], number[facets[~on_fracture]]
     for group, rows, of in ((names, fracture_facets, fracture_of), (sides, side_facets, side_of)):
@@ -70,8 +72,10 @@ def _distinct(elements: Elements, kind: str) -> tuple[Ints, Ints]:
     """Nodes and group of the elements that have one: a row for each of an element's groups, none twice."""
     element, group = elements.members[kind].T
     nodes = elements.nodes[kind][element]
-    _, first = np.unique(np.column_stack([np.sort(nodes, axis=1), group]), axis=0, return_index=True)
-    first = np.sort(first)
+    number = number_rows(np.column_stack([group, np.sort(nodes, axis=1)]))
+    if number.max(initial=-1) + 1 == len(nodes):
+        return nodes, group
+    first = np.sort(np.unique(number, return_index=True)[1])
     return nodes[first], group[first]
 
 
@@ -81,13 +85,14 @@ def _cells(elements: Elements, points: Floats, what: str) -> tuple[Ints, Ints]:
     width = 4 if len(elements.nodes["quad"]) else 3
     for kind in ("triangle", "quad"):
         nodes, group = _distinct(elements, kind)
-        bare = np.setdiff1d(np.arange(len(elements.nodes[kind])), elements.members[kind][:, 0])
+        members = np.bincount(elements.members[kind][:, 0], minlength=len(elements.nodes[kind]))
+        bare = np.flatnonzero(members == 0)
         if len(bare):
             raise InputError(
                 f"{what}: the cell at {spot(points, elements.nodes[kind][bare[0]])} belongs to no physical "
                 f"surface; give every surface a name"
             )
-        number = np.unique(np.sort(nodes, axis=1), axis=0, return_inverse=True)[1].ravel()
+        number = number_rows(np.sort(nodes, axis=1))
         if np.any(twice := np.bincount(number)[number] > 1):
             one, other = group[np.flatnonzero(number == number[np.argmax(twice)])[:2]]
             raise InputError(

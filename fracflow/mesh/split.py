@@ -9,7 +9,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.along import arc_length
 from fracflow.mesh.data import Floats, Ints, RawMesh, SplitMesh
-from fracflow.mesh.facets import HalfFacets, Matches, components, half_facets, match, rows_near, spot
+from fracflow.mesh.facets import HalfFacets, Matches, components, half_facets, match, number_facets, rows_near, spot
 from fracflow.mesh.quality import worst_cells
 
 
@@ -176,5 +176,5 @@ def _ends(points: Floats, facet: Ints) -> str:
 
 
 def _is_repeated(facets: Ints) -> Ints:
-    _, member, count = np.unique(np.sort(facets, axis=1), axis=0, return_inverse=True, return_counts=True)
-    return count[member.ravel()] > 1
+    (number,) = number_facets(facets)
+    return np.bincount(number)[number] > 1

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 EXTENT = 1024.0  # [m]
-SHAPE = 0.4587  # area of a mean triangle over the square of the mesh size, as Gmsh makes them
+SHAPE = 0.37  # area of a mean triangle over the square of the mesh size, as Gmsh makes large meshes
 
 SCENE = """\
 title = "Network of 20 fractures, {cells} triangles asked for"
