@@ -31,7 +31,15 @@ OPTIONS: dict[str, dict[str, Value]] = {
     },
     "whole-lu": NEWTON | DIRECT,
     "solid": NEWTON | DIRECT,
-    "flow": NEWTON | DIRECT,
+    # The displacements are held: their rows are those of the identity, and need no factorisation.
+    "flow": {
+        **NEWTON,
+        "ksp_type": "preonly",
+        "pc_type": "fieldsplit",
+        "pc_fieldsplit_type": "additive",
+        **_SPLITS,
+        "fieldsplit_solid_pc_type": "none",
+    },
     "mass": dict(DIRECT),
 }
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""

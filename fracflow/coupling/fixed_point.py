@@ -113,7 +113,7 @@ def spectral_radius(blocks: list[list[PETSc.Mat]]) -> float:
     for i in range(2):
         solver = PETSc.KSP().create(comm=blocks[i][i].getComm())
         solver.setOperators(blocks[i][i])
-        solver.setOptionsPrefix("solid_" if i == 0 else "flow_")
+        solver.setOptionsPrefix("solid_" if i == 0 else "flow_fieldsplit_flow_")
         solver.setFromOptions()
         solvers.append(solver)
     pressure, rate = blocks[1][1].createVecs()

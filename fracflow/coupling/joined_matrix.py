@@ -14,7 +14,7 @@ from fracflow.assembly.layout import Rows, add_blocks, create_matrix, local_rows
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.elements import flow as flow_element
-from fracflow.mesh.blocks import owner_of, petsc_ints
+from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.stepping import Alphas
 
@@ -63,7 +63,7 @@ class JoinedMatrix:
         self.rows_here = layout.solid_count + layout.flow_count
         diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
         keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
-        union = np.unique(np.concatenate([diagonal, *keys.values()]))
+        union = _union([diagonal, *keys.values()])
         self._row, self._col = union // layout.total, union % layout.total
         self._diagonal = np.searchsorted(union, diagonal)
         self._constant = {}
@@ -105,24 +105,26 @@ class JoinedMatrix:
             for group in section_groups(ops.flow.opening, 1):
                 self._ends.append((group.sections, layout.solid_numbers(group.unknowns), group.jump[:, 0]))
 
-    def _is_held(self, numbers: Ints, only: str | None) -> np.ndarray:
-        held = np.isin(numbers, self.fixed)
+    def _held(self, only: str | None) -> np.ndarray:
+        """Whether each of the unknowns of all ranks is held."""
+        held = np.zeros(self.layout.total, dtype=bool)
+        held[self.fixed] = True
         if only is not None:
-            starts = self.layout.solid_starts + self.layout.flow_starts
-            rank = owner_of(starts, numbers)
-            is_solid = numbers - starts[rank] < np.diff(self.layout.solid_starts)[rank]
-            held |= is_solid if only == "flow" else ~is_solid
+            other, starts = ("flow", self.layout.flow_starts) if only == "solid" else ("solid", self.layout.solid_starts)
+            numbers = np.arange(starts[-1])
+            held[self.layout.flow_numbers(numbers) if other == "flow" else self.layout.solid_numbers(numbers)] = True
         return held
 
     def _find_free(self, only: str | None) -> FreePart:
-        def free(numbers: Ints) -> Ints:
-            return np.where(self._is_held(numbers, only), -1, numbers)
+        held = self._held(only)
 
-        rows = self.layout.start + np.arange(self.rows_here)
-        held = self._is_held(rows, only)
+        def free(numbers: Ints) -> Ints:
+            return np.where(held[numbers], -1, numbers)
+
+        own = held[self.layout.start : self.layout.start + self.rows_here]
         return FreePart(
-            np.flatnonzero(held[self._row] | self._is_held(self._col, only)),
-            self._diagonal[held],
+            np.flatnonzero(own[self._row] | held[self._col]),
+            self._diagonal[own],
             tuple(free(numbers) for numbers in self._sections),
             free(self._flow_nodes),
             tuple(free(numbers) for _, numbers, _ in self._ends),
@@ -188,3 +190,11 @@ class JoinedMatrix:
     def destroy(self) -> None:
         """Free the matrix. Collective."""
         self.matrix.destroy()
+
+
+def _union(keys: list[Ints]) -> Ints:
+    """All keys once, ascending. Each array is nearly so already: a stable sort merges them, where np.unique starts afresh."""
+    merged = np.sort(np.concatenate(keys), kind="stable")
+    is_first = np.ones(len(merged), dtype=bool)
+    is_first[1:] = merged[1:] != merged[:-1]
+    return merged[is_first]

@@ -68,7 +68,7 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
 
     Raises InputError naming the cells whose determinant is not positive, by ``numbers`` (n,) if given.
     """
-    matrix = np.einsum("qki,nkj->nqij", rule.gradients, points)
+    matrix = rule.gradients.swapaxes(1, 2) @ points[:, None]
     det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
     bad = np.flatnonzero(~(det > 0.0).all(axis=1))
     if bad.size:
@@ -89,5 +89,5 @@ def gradients(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[
     adjugate[..., 1, 1] = matrix[..., 0, 0]
     adjugate[..., 0, 1] = -matrix[..., 0, 1]
     adjugate[..., 1, 0] = -matrix[..., 1, 0]
-    physical = np.einsum("nqij,qkj->nqki", adjugate / det[..., None, None], rule.gradients)
+    physical = rule.gradients @ (adjugate / det[..., None, None]).swapaxes(2, 3)
     return physical, det * rule.weights

@@ -110,12 +110,14 @@ def _cells(elements: Elements, points: Floats, what: str) -> tuple[Ints, Ints]:
 
 def _turned(cells: Ints, points: Floats, what: str) -> Ints:
     """Cells (m, k) of one shape, clockwise ones turned. Raises InputError for flat or folded ones."""
-    corners = points[cells]
-    ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    turn = ahead[..., 0] * behind[..., 1] - ahead[..., 1] * behind[..., 0]
-    is_clockwise = turn.sum(axis=1) < 0
-    turn = np.where(is_clockwise[:, None], -turn, turn)
-    if np.any(is_bad := turn.min(axis=1) <= 0):
+    if not len(cells):
+        return cells
+    x, y = points[cells, 0].T, points[cells, 1].T
+    along, up = np.roll(x, -1, axis=0) - x, np.roll(y, -1, axis=0) - y  # edge i starts at corner i
+    turn = np.roll(along, 1, axis=0) * up - np.roll(up, 1, axis=0) * along
+    is_clockwise = turn.sum(axis=0) < 0
+    turn[:, is_clockwise] *= -1.0
+    if np.any(is_bad := turn.min(axis=0) <= 0):
         worst = cells[np.argmax(is_bad)]
         raise InputError(f"{what}: the cell at {spot(points, worst)} is flat, folded or not convex; mesh it better")
     return np.where(is_clockwise[:, None], cells[:, ::-1], cells)

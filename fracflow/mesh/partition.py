@@ -10,23 +10,20 @@ from scipy import sparse
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.mesh.facets import half_facets, match
 
 JOINT_WEIGHT = 1000  # a cut joint costs ghosts on both faces; a cut facet next to nothing
 
 
 def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
     """Symmetric graph of cells (m, m): weight 1 for two cells that share a facet, JOINT_WEIGHT across a joint."""
-    count = len(mesh.cells)
-    cell, corner = np.nonzero(mesh.cells >= 0)
-    incidence = sparse.csr_matrix(
-        (np.ones(len(cell), dtype=np.int32), (cell, mesh.cells[cell, corner])), shape=(count, len(mesh.points))
-    )
-    shared = (incidence @ incidence.T).tocoo()
-    neighbours = (shared.data >= mesh.points.shape[1]) & (shared.row != shared.col)
+    count, dim = len(mesh.cells), mesh.points.shape[1]
+    half = half_facets(mesh.cells, dim)
+    one, other = half.cell[match(half, np.zeros((0, dim), dtype=np.int64)).inside].T
     below, above = mesh.joint_cells.T
-    row = np.concatenate([shared.row[neighbours], below, above])
-    col = np.concatenate([shared.col[neighbours], above, below])
-    weight = np.concatenate([np.ones(int(neighbours.sum())), np.full(2 * len(below), float(JOINT_WEIGHT))])
+    row = np.concatenate([one, other, below, above])
+    col = np.concatenate([other, one, above, below])
+    weight = np.concatenate([np.ones(2 * len(one)), np.full(2 * len(below), float(JOINT_WEIGHT))])
     graph = sparse.csr_matrix((weight, (row, col)), shape=(count, count))
     graph.sum_duplicates()
     return graph

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.mesh.along import arc_length
@@ -175,6 +176,6 @@ def _ends(points: Floats, facet: Ints) -> str:
     return " to ".join(spot(points, facet[i : i + 1]) for i in range(len(facet)))
 
 
-def _is_repeated(facets: Ints) -> Ints:
+def _is_repeated(facets: Ints) -> NDArray[np.bool_]:
     (number,) = number_facets(facets)
     return np.bincount(number)[number] > 1

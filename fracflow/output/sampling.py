@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fracflow.assembly.operators import Operators
+from fracflow.assembly.solid import by_shape
 from fracflow.elements import solid
 from fracflow.laws.elastic import plane_strain_stiffness
 from fracflow.mesh.blocks import Blocks
@@ -137,14 +138,13 @@ def rock_stress(mesh: SplitMesh, scene: Scene, displacement: Floats) -> Floats:
     stress = np.zeros((len(mesh.cells), 3))
     given = scene.initial_stress
     initial = np.zeros(3) if given is None else np.array([given.xx, given.yy, given.xy])
-    width = (mesh.cells >= 0).sum(axis=1)
     for number, name in enumerate(mesh.rocks):
         rock = scene.rock[name]
         if rock.rigid:
             continue
-        for k in np.unique(width):
-            chosen = np.flatnonzero((width == k) & (mesh.cell_rock == number))
-            nodes = mesh.cells[chosen, :k]
+        of_rock = np.flatnonzero(mesh.cell_rock == number)
+        for group, nodes in by_shape(mesh.cells[of_rock]):
+            chosen = of_rock[group]
             strain = solid.strain_at_centroid(mesh.points[nodes], displacement[nodes])
             moduli = plane_strain_stiffness(
                 np.full(len(chosen), rock.youngs_modulus), np.full(len(chosen), rock.poissons_ratio)

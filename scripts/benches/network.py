@@ -36,7 +36,8 @@ def traces() -> dict[str, np.ndarray]:
     down = {f"down{i}": [[140 + 180 * i, 100], [170 + 180 * i, 930]] for i in range(5)}
     across = {f"across{i}": [[70, 190 + 210 * i], [950, 165 + 210 * i]] for i in range(4)}
     found = {name: np.array(ends, dtype=float) for name, ends in (down | across).items()}
-    places = [(f"down{i % 5}", 0.22 + 0.25 * (i % 3)) for i in range(6)] + [(f"across{i % 4}", 0.2 + 0.2 * (i % 4)) for i in range(5)]
+    places = [(f"down{i % 5}", 0.22 + 0.25 * (i % 3)) for i in range(6)]
+    places += [(f"across{i % 4}", 0.2 + 0.2 * (i % 4)) for i in range(5)]
     for i, (name, along) in enumerate(places):
         start = (1 - along) * found[name][0] + along * found[name][1]
         turn = 0.6 + 0.35 * i
