@@ -15,6 +15,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
+from fracflow.coupling.near_null import tell_rigid_motions
 from fracflow.coupling.newton_failure import describe_failure
 from fracflow.coupling.newton_methods import NEWTON_METHODS
 from fracflow.coupling.step_problem import StepProblem
@@ -60,6 +61,7 @@ class Newton:
         preconditioner = self.snes.getKSP().getPC()
         if preconditioner.getType() == "fieldsplit":
             solid, flow = layout.index_sets()
+            tell_rigid_motions(matrix.operators, solid)
             preconditioner.setFieldSplitIS(*zip(PARTS, (solid, flow), strict=True))
             solid.destroy()
             flow.destroy()

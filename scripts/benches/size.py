@@ -108,7 +108,7 @@ class Stopwatch:
                 setattr(owner, last, self.around(name, getattr(owner, last)))
 
 
-def worker(scene_file: str, folder: str, result: str) -> None:
+def worker(scene_file: str, folder: str, result: str, *overrides: str) -> None:
     """Run a scene under the stopwatch, on this rank of several; rank 0 writes what all found."""
     from fracflow._petsc import MPI, PETSc
     from fracflow.output import read_history
@@ -116,7 +116,7 @@ def worker(scene_file: str, folder: str, result: str) -> None:
     from fracflow.scene import load
 
     comm = MPI.COMM_WORLD
-    scene = load(scene_file, ["output.pictures=false"])
+    scene = load(scene_file, ["output.pictures=false", *overrides])
     watch = Stopwatch()
     watch.watch()
     run(scene, folder, comm)
@@ -137,7 +137,7 @@ def worker(scene_file: str, folder: str, result: str) -> None:
     Path(result).write_text(text, encoding="utf-8")
 
 
-def measure(cells: int, ranks: int, out: Path, options: list[str]) -> dict[str, Any]:
+def measure(cells: int, ranks: int, out: Path, options: list[str], overrides: list[str]) -> dict[str, Any]:
     """Mesh, once, and run in processes of their own; what ``worker`` found."""
     mesh = out / f"network-{cells}.msh"
     if not mesh.exists():
@@ -147,7 +147,7 @@ def measure(cells: int, ranks: int, out: Path, options: list[str]) -> dict[str, 
     scene.write_text(network.SCENE.format(cells=cells, mesh=mesh.name), encoding="utf-8")
     result = out / f"network-{cells}.json"
     result.unlink(missing_ok=True)
-    command = [sys.executable, __file__, "--worker", str(scene), str(out / f"run-{cells}"), str(result)]
+    command = [sys.executable, __file__, "--worker", str(scene), str(out / f"run-{cells}"), str(result), *overrides]
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
     subprocess.run(["mpirun", "-n", str(ranks), *command], check=True, env=clean | {"PETSC_OPTIONS": shlex.join(options)})
     return json.loads(result.read_text(encoding="utf-8"))
@@ -229,13 +229,14 @@ def main() -> None:
     parser.add_argument("--ranks", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/bench"), help="meshes, runs and size.csv")
     parser.add_argument("--petsc", default="", help="options for PETSc, as one string")
+    parser.add_argument("--set", action="append", default=[], help="key=value of the scene, as for fracflow run")
     given = parser.parse_args()
     out = given.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     where, rows = machine(), []
     where["command"] = shlex.join(["scripts/bench", "size", *sys.argv[1:]])
     for cells in given.cells:
-        found = measure(cells, given.ranks, out, shlex.split(given.petsc))
+        found = measure(cells, given.ranks, out, shlex.split(given.petsc), given.set)
         new = rows_of(cells, found)
         show(cells, new, found)
         versions = where["versions"] + "".join(f", {name} {number}" for name, number in found["versions"].items())
