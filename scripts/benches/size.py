@@ -41,7 +41,9 @@ PARTS = {
     "balances": ["coupling.newton:Newton._function", "coupling.newton:Newton._pre_check"],
     SOLVE: ["coupling.newton:Newton.solve"],
     "energy books": ["run_steps:book", "coupling.step_problem:StepProblem.accept"],
-    "output": ["run:Recorder.__init__", "run:Recorder.record", "run:Recorder.finish"],
+    "output": ["run_record:Recorder.__init__", "run_record:Recorder.record", "run_record:Recorder.last",
+               "run_record:Recorder.finish"],
+    "checkpoint": ["run_record:Recorder.save"],
 }
 """Part -> the functions it consists of, module:name."""
 REST = "all else"
