@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fracflow import __version__
 from fracflow._petsc import MPI
-from fracflow.coupling.defaults import set_defaults
+from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
@@ -82,6 +82,10 @@ def _require(folder: Path) -> None:
 
 def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Progress | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
+    unknowns = int(model.operators.layout.solid_starts[-1])
+    set_defaults(model.scene.petsc, unknowns)
+    if is_large(unknowns):
+        recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model)
     try:
         failure = _steps(stepping, recorder, step, progress)

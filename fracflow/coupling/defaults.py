@@ -44,6 +44,17 @@ OPTIONS: dict[str, dict[str, Value]] = {
 }
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""
 
+MULTIGRID_FROM = 2_000_000
+"""Displacement unknowns from which multigrid takes less time and memory than a factorisation (scripts/bench size)."""
+
+# BoomerAMG, which stiff joints do not slow down; GAMG with the rigid motions is faster where joints are soft, and fails
+# where they are stiff. One sweep of the upper factor instead of the full one: half the multigrid cycles.
+MULTIGRID: dict[str, dict[str, Value]] = {
+    "monolithic": {"pc_fieldsplit_schur_fact_type": "upper", "fieldsplit_solid_pc_type": "hypre"},
+    "solid": {"ksp_type": "fgmres", "ksp_rtol": 1e-9, "ksp_max_it": 200, "ksp_gmres_restart": 100, "pc_type": "hypre"},
+}
+"""Options that take the place of those above in large scenes."""
+
 
 _ours: set[str] = set()
 
@@ -56,14 +67,21 @@ def forget() -> None:
     _ours.clear()
 
 
-def set_defaults(given: Mapping[str, Value]) -> None:
+def is_large(unknowns: int) -> bool:
+    """Whether so many displacements are better solved for by multigrid."""
+    return unknowns >= MULTIGRID_FROM
+
+
+def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    What an earlier scene of this process had put there goes.
+    ``unknowns`` of displacement decide between factorisation and multigrid. What an earlier call, for this scene or
+    another of this process, had put there goes.
     """
     database = PETSc.Options()
     forget()
-    merged = {f"{prefix}_{key}": value for prefix, options in OPTIONS.items() for key, value in options.items()}
+    tables = [OPTIONS, MULTIGRID] if is_large(unknowns) else [OPTIONS]
+    merged = {f"{prefix}_{key}": v for table in tables for prefix, options in table.items() for key, v in options.items()}
     for key, value in {**merged, **given}.items():
         if not database.hasName(key):
             database.setValue(key, value)

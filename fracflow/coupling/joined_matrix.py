@@ -13,6 +13,7 @@ from fracflow.assembly.joints import section_groups
 from fracflow.assembly.layout import Rows, add_blocks, create_matrix, local_rows
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.near_null import near_null_space, node_size
 from fracflow.elements import flow as flow_element
 from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Floats, Ints
@@ -74,7 +75,13 @@ class JoinedMatrix:
         self._indptr = petsc_ints(np.searchsorted(self._row, np.arange(self.rows_here + 1)))
         local = (self.rows_here, layout.total)
         csr = (self._indptr, petsc_ints(self._col), np.zeros(len(union)))
-        self.matrix = PETSc.Mat().createAIJ((local, local), csr=csr, comm=layout.comm)
+        is_dry = layout.flow_starts[-1] == 0
+        node = node_size(ops) if is_dry else 1
+        self.matrix = PETSc.Mat().createAIJ((local, local), bsize=node, csr=csr, comm=layout.comm)
+        if is_dry:
+            space = near_null_space(ops)
+            self.matrix.setNearNullSpace(space)
+            space.destroy()
         self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
         self._prepare_blocks()
         self._filled: tuple[Any, ...] | None = None

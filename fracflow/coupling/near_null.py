@@ -36,23 +36,31 @@ def rigid_motions(blocks: Blocks) -> Floats:
     return motions
 
 
-def tell_rigid_motions(operators: Operators, solid: PETSc.IS) -> None:
-    """Give the split ``solid`` its rigid motions as near null space, and its block size where all unknowns are nodes'.
-
-    PCFIELDSPLIT hands both on to the matrix of the split. Collective.
-    """
+def near_null_space(operators: Operators) -> PETSc.NullSpace:
+    """The rigid motions, orthonormal, as PETSc has them. The caller destroys it. Collective."""
     blocks, layout = operators.blocks, operators.layout
-    if operators.expand is None:
-        solid.setBlockSize(blocks.sizes.dim)
     vectors: list[PETSc.Vec] = []
     for motion in rigid_motions(blocks).T:
         vector = layout.solid_vector()
         vector.setArray(motion)
-        for other in vectors:  # PETSc wants them orthonormal
+        for other in vectors:
             vector.axpy(-vector.dot(other), other)
         vector.normalize()
         vectors.append(vector)
     space = PETSc.NullSpace().create(vectors=vectors, comm=layout.comm)
+    for vector in vectors:
+        vector.destroy()
+    return space
+
+
+def node_size(operators: Operators) -> int:
+    """Unknowns of a node, where all unknowns are nodes'; else 1, which says nothing."""
+    return operators.blocks.sizes.dim if operators.expand is None else 1
+
+
+def tell_rigid_motions(operators: Operators, solid: PETSc.IS) -> None:
+    """Give the split ``solid`` both; PCFIELDSPLIT hands them on to the matrix of the split. Collective."""
+    solid.setBlockSize(node_size(operators))
+    space = near_null_space(operators)
     solid.compose("nearnullspace", space)
-    for thing in (*vectors, space):
-        thing.destroy()
+    space.destroy()

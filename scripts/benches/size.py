@@ -1,6 +1,6 @@
 """Time and memory of each part of a run, by the size of its mesh: size.py [CELLS...] [--ranks N] [--out DIR].
 
-Runs the program itself on the network of network.py, one quasi-static step, with a stopwatch around the functions below. CPU
+Runs the program itself on the network of _network.py, one quasi-static step, with a stopwatch around the functions below. CPU
 seconds are those of rank 0, which reads, splits and writes, and of the processes it starts; where ranks work together they
 include its waiting. A part's time is its own: without that of the parts inside it. Memory is the peak so far.
 """
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
-import network
+import _network as network
 
 SIZES = (10_000, 100_000, 1_000_000)
 SOLVE = "PETSc's solve"

@@ -1,4 +1,4 @@
-"""A square kilometre of granite with a network of 20 fractures that cross and branch, meshed by Gmsh: network.py CELLS FILE."""
+"""A square kilometre of granite with a network of 20 fractures that cross and branch, meshed by Gmsh: CELLS FILE."""
 
 from __future__ import annotations
 

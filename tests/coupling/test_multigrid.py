@@ -1,0 +1,82 @@
+"""Multigrid, the choice for large scenes: what it is told of the rock is true, and it finds what a factorisation finds."""
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.coupling import defaults
+from fracflow.coupling.near_null import near_null_space, rigid_motions
+from fracflow.output import read_history
+from fracflow.run import run
+from fracflow.run_setup import prepare
+from fracflow.scene import load
+
+FEW = 20  # Krylov iterations in a Newton iteration, beyond those with exact blocks
+
+
+@pytest.mark.parametrize("scene", ["crossings", "report_5_1"])  # the latter with rigid rock
+def test_rigid_motions_strain_neither_rock_nor_joints(scene, comm):
+    operators = prepare(load(f"meshes/{scene}/scene.toml"), comm).operators
+    motions = rigid_motions(operators.blocks)
+    assert motions.shape == (operators.layout.solid_count, 3)
+    motion, force = operators.layout.solid_vector(), operators.layout.solid_vector()
+
+    def strained(values):
+        motion.setArray(values)
+        operators.stiffness.mult(motion, force)
+        jump = np.abs(operators.joints.strain(motion)).max(initial=0.0)
+        return force.norm(PETSc.NormType.INFINITY), comm.allreduce(jump, op=MPI.MAX), motion.norm(PETSc.NormType.INFINITY)
+
+    stiff = operators.stiffness.norm(PETSc.NormType.INFINITY)
+    for values in motions.T:
+        pull, jump, size = strained(values)
+        assert size >= 1.0
+        assert pull <= 1e-12 * stiff * size and jump <= 1e-12 * size
+    pull, _, size = strained(motions[:, 2] ** 2)  # no rigid motion
+    assert pull > 1e-6 * stiff * size
+    space = near_null_space(operators)
+    vectors = space.getVecs()
+    gram = [[one.dot(other) for other in vectors] for one in vectors]
+    assert np.allclose(gram, np.eye(3), atol=1e-12)
+    space.destroy()
+
+
+@pytest.mark.parametrize(
+    ("scene", "overrides", "natural"),
+    [
+        ("crossings", ["stage.1.steps=12"], {"pressure": 5e6, "slip": 9e6 / 50e9, "normal_traction": 9e6}),
+        ("r01_inclined_joint", ["stage.0.steps=24"], {"slip": 1e-3, "normal_traction": 2e6}),  # slips from step 20
+    ],
+    ids=["with fluid", "dry"],
+)
+def test_multigrid_finds_what_a_factorisation_finds(scene, overrides, natural, shared_tmp, monkeypatch):
+    def ran(name):
+        run(load(f"meshes/{scene}/scene.toml", ["output.pictures=false", *overrides]), shared_tmp / name)
+        MPI.COMM_WORLD.barrier()
+        return read_history(shared_tmp / name / "history.h5")
+
+    direct = ran("direct")
+    monkeypatch.setattr(defaults, "MULTIGRID_FROM", 0)
+    multigrid = ran("multigrid")
+    assert "multigrid" in (shared_tmp / "multigrid" / "log.txt").read_text(encoding="utf-8")
+    assert direct["step/slipping"].max() > 0
+    found = [name for name in direct if name.startswith("probe/") and name.split("/")[2] in natural]
+    assert found
+    for name in found:
+        size = max(np.abs(direct[name]).max(), natural[name.split("/")[2]])
+        assert np.abs(multigrid[name] - direct[name]).max() <= 1e-8 * size, name
+    more = multigrid["step/krylov"].sum() - direct["step/krylov"].sum()
+    assert 0 < more <= FEW * multigrid["step/newton"].sum()
+
+
+def test_size_decides(monkeypatch):
+    options = PETSc.Options()
+    key = "monolithic_fieldsplit_solid_pc_type"
+    for unknowns, given, chosen in [
+        (defaults.MULTIGRID_FROM - 1, {}, "lu"),
+        (defaults.MULTIGRID_FROM, {}, "hypre"),
+        (defaults.MULTIGRID_FROM, {key: "gamg"}, "gamg"),
+        (0, {}, "lu"),
+    ]:
+        defaults.set_defaults(given, unknowns)
+        assert options[key] == chosen
