@@ -30,7 +30,6 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
     Raises InputError, SolveError and Interrupted, on every rank.
     """
     began = clock.perf_counter()
-    set_defaults(scene.petsc)
     model = prepare(scene, comm)
     state = rest(model)
     recorder = Recorder(model, Path(folder), comm)
@@ -61,7 +60,6 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
     if notes["finished"]:
         return Totals(**notes["totals"])
-    set_defaults(scene.petsc)
     arrays = read_arrays(saved)
     cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
     mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5"))

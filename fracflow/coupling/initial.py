@@ -32,7 +32,7 @@ def initial_pressure(scene: Scene, operators: Operators, loads: Loads, problem: 
 
 def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
     """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective."""
-    matrix, solver = operators.mass.copy(), PETSc.KSP().create(comm=operators.layout.comm)
+    matrix, solver = _with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
     start = matrix.getOwnershipRange()[0]
     held = np.concatenate([start + part.numbers for part in problem.loads.supports] or [np.zeros(0)])
     matrix.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
@@ -43,3 +43,16 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
     acceleration.scale(-1.0)
     solver.destroy()
     matrix.destroy()
+
+
+def _with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:
+    """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none."""
+    zeros = PETSc.Mat().createAIJ(matrix.getSizes(), nnz=1, comm=matrix.getComm())
+    first, last = zeros.getOwnershipRange()
+    rows = np.arange(first, last, dtype=PETSc.IntType)
+    zeros.setValuesIJV(np.arange(len(rows) + 1, dtype=PETSc.IntType), rows, np.zeros(len(rows)))
+    zeros.assemble()
+    copy = matrix.copy()
+    copy.axpy(1.0, zeros, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    zeros.destroy()
+    return copy

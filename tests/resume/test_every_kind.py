@@ -44,7 +44,7 @@ CASES = {
 }
 
 
-QUANTITIES = ("displacement", "slip", "opening", "pressure", "shear_traction", "normal_traction")
+SIZES = (("energy/",), ("/displacement", "/slip", "/opening"), ("/pressure",), ("/shear_traction", "/normal_traction"))
 
 
 def differences(one, other, ranks):
@@ -52,8 +52,8 @@ def differences(one, other, ranks):
     if ranks == 1:
         return [k for k in one if k != "step/factorisations" and not np.array_equal(one[k], other[k], equal_nan=True)]
     found = []
-    for name in ("energy/", *QUANTITIES):
-        keys = [k for k in one if k.startswith(name) or (k.startswith("probe/") and k.endswith(f"/{name}"))]
+    for names in SIZES:
+        keys = [k for k in one if any(k.startswith(name) or k.endswith(name) for name in names)]
         size = max((np.abs(other[k]).max() for k in keys), default=0.0)
         found += [k for k in keys if not np.all(np.abs(one[k] - other[k]) <= 1e-9 * size)]
     return found
