@@ -127,7 +127,8 @@ def mass(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
 
     def kernel(cells: Ints, nodes: Ints) -> Floats:
         if not lumped:
-            return solid.mass_consistent(points[nodes], density[cells])
+            of_nodes = solid.mass_consistent(points[nodes], density[cells])
+            return np.kron(of_nodes, np.eye(dim))
         nodal = np.repeat(solid.mass_lumped(points[nodes], density[cells]), dim, axis=1)
         return nodal[..., None]
 
