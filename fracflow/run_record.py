@@ -12,13 +12,17 @@ import numpy as np
 from fracflow import __version__
 from fracflow._petsc import MPI
 from fracflow.assembly.energy import ENTRIES
+from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
+from fracflow.output.probes import probe_record
+from fracflow.output.rock import rock_fields
 from fracflow.plan import as_records, decide, factorisations
 from fracflow.run_setup import Model, on_root
 from fracflow.run_steps import Step
+from fracflow.state import State
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3}
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
@@ -41,8 +45,7 @@ class Recorder:
     def __init__(self, model: Model, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None) -> None:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
-        self.nodes = sampling.probe_nodes(model.placed.probes)
-        self.depth = model.scene.fluid.flow_depth if model.scene.fluid is not None else 1.0
+        self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
         self.totals = Totals(**notes["totals"]) if notes else Totals()
         self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
 
@@ -53,13 +56,14 @@ class Recorder:
 
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
-        snapshot = sampling.take(self.model.operators, step.state, self.depth, self.nodes)
+        snapshot = sampling.take(self.sampler, step.state)
         if self.files is not None and snapshot is not None:
             margin = float(snapshot.column("margin").min(initial=np.inf))
             if margin < self.totals.narrowest:
                 self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
             self.files.append(step, snapshot, margin)
-        self._fields(step, snapshot, self._wants_fields(self.totals.steps))
+        if self._wants_fields(self.totals.steps):
+            self._fields(step, self.totals.steps)
         self.totals.steps += 1
         self.totals.newton += step.report.newton
         self.totals.factorisations += step.report.factorisations
@@ -67,19 +71,16 @@ class Recorder:
     def last(self, step: Step) -> None:
         """Write the fields of the state that a run ends with, unless they were. Collective."""
         if not self._wants_fields(self.totals.steps - 1):
-            snapshot = sampling.take(self.model.operators, step.state, self.depth, self.nodes)
-            self.totals.steps -= 1
-            self._fields(step, snapshot, True)
-            self.totals.steps += 1
+            self._fields(step, self.totals.steps - 1)
 
     def _wants_fields(self, index: int) -> bool:
         every = self.model.scene.output.fields_every
         return index == 0 or bool(every and index % every == 0)
 
-    def _fields(self, step: Step, snapshot: sampling.Snapshot | None, wanted: bool) -> None:
-        displacement = sampling.all_displacements(self.model.operators, step.state) if wanted else None
-        if self.files is not None and snapshot is not None and displacement is not None:
-            self.files.fields(self.totals.steps, step.state.time, snapshot, displacement)
+    def _fields(self, step: Step, index: int) -> None:
+        ends, motion = sampling.all_ends(self.sampler, step.state), sampling.all_motion(self.sampler, step.state)
+        if self.files is not None and ends is not None and motion is not None:
+            self.files.fields(index, step.state, ends, motion)
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
@@ -188,7 +189,7 @@ class Files:
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}
-        self.history.append(record | sampling.probe_record(self.scene, self.placed.probes, snapshot))
+        self.history.append(record | probe_record(self.scene, self.mesh, self.placed.probes, snapshot))
 
         def brought(name: str, any_of: bool = False) -> Any:
             return sampling.at_nodes(snapshot, name, self.inverse, self.count, any_of)
@@ -201,12 +202,14 @@ class Files:
             brought("slip_rate"),
         )
 
-    def fields(self, index: int, time: float, snapshot: sampling.Snapshot, displacement: Any) -> None:
+    def fields(self, index: int, state: State, ends: Floats, motion: Floats) -> None:
         """Fields of rock and fractures for ParaView."""
-        stress = sampling.rock_stress(self.mesh, self.scene, displacement)
-        tensor = stress[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
-        self.rock.write(index, time, {"displacement": displacement}, {"stress": tensor, "rock": self.mesh.cell_rock})
-        skip = ("margin",) + (() if self.scene.has_flow else ("pressure", "aperture", "flow_rate"))
-        names = [name for name in sampling.COLUMNS if name not in skip]
-        values = {name: snapshot.column(name).ravel() for name in names}
-        self.fractures.write(index, time, values, {"fracture": self.mesh.joint_fracture})
+        point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
+        self.rock.write(index, state.time, point_data, cell_data)
+        skip = ("margin",) + (() if self.scene.has_flow else ("pressure", "flow_rate"))
+        values = {name: ends[:, :, n].ravel() for n, name in enumerate(sampling.COLUMNS) if name not in skip}
+        if self.scene.has_flow and self.scene.fluid is not None and self.scene.fluid.specific_weight:
+            values["head"] = values["pressure"] / self.scene.fluid.specific_weight
+        if not self.scene.has_flow and np.isnan(values["aperture"]).all():
+            del values["aperture"]
+        self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})

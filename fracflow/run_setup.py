@@ -22,6 +22,7 @@ from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_pl
 from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
+from fracflow.output.probes import refuse_missing
 from fracflow.scene import Scene
 from fracflow.tables import FractureEnd, Place
 
@@ -108,6 +109,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
 
     wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
     probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
+    refuse_missing(scene, mesh, probes)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
     spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
     spots |= {f"probe.{name}": found.point for name, found in probes.items()}

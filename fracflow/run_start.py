@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.energy import Scheme, book, empty_books, put_in
+from fracflow.assembly.energy import Scheme, book, dissipated, empty_books, put_in
 from fracflow.assembly.operators import Operators
 from fracflow.assembly.properties import initial_pressure
 from fracflow.assembly.solid import nodal_force
@@ -36,7 +36,8 @@ def rest(model: Model) -> State:
     if not scene.equilibrates:
         _settle(model, motion, sections.traction, pressure)
     controls = {name: control.initial for name, control in scene.control.items()}
-    state = State(0.0, motion, pressure, sections, _holding(model, motion, sections, pressure), controls, empty_books())
+    holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
+    state = State(0.0, motion, pressure, sections, holding, controls, empty_books(), friction=friction)
     return state if scene.initial is None else _moved(model, state)
 
 
@@ -67,8 +68,9 @@ def _moved(model: Model, state: State) -> State:
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
     energy = put_in(book(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False)))
+    friction = dissipated(state, new)
     state.destroy()
-    return replace(new, energy=energy)
+    return replace(new, energy=energy, friction=friction)
 
 
 def _spread(model: Model, key: str, result: PETSc.Vec) -> None:

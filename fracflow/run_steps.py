@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from scipy.optimize import brentq
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.energy import Scheme, book, kinetic_energy, switch
+from fracflow.assembly.energy import Scheme, book, dissipated, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.initial import initial_acceleration, initial_pressure
@@ -96,7 +96,8 @@ class Stepping:
             now = reached_after(loads, reached, new, fluid.flow_depth if fluid is not None else 1.0)
             if now == reached:
                 energy = book(self.model.operators, state, new, dt, scheme)
-                return replace(new, energy=energy, limited=tuple(sorted(limit.well for limit in now))), report
+                limited = tuple(sorted(limit.well for limit in now))
+                return replace(new, energy=energy, limited=limited, friction=dissipated(state, new)), report
             new.destroy()
             reached = now
         refuse_cycle(reached, time)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from fracflow._petsc import PETSc
@@ -38,6 +39,7 @@ class Sections:
     tangent: Floats
     stored: Floats
     inelastic: Floats
+    strength: Floats
     utilisation: Floats
     is_sliding: NDArray[Any]
     is_open: NDArray[Any]
@@ -77,6 +79,7 @@ class State:
     controls  value of each load factor
     energy    running totals of the energy books [energy per thickness]
     limited   wells that are kept at a limit of their pressure
+    friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
     """
 
     time: float
@@ -87,6 +90,7 @@ class State:
     controls: Mapping[str, float]
     energy: Mapping[str, float]
     limited: tuple[str, ...] = ()
+    friction: Floats = field(default_factory=lambda: np.zeros(0))
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""

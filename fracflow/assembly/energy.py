@@ -14,6 +14,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.operators import Operators
+from fracflow.mesh.data import Floats
 from fracflow.state import State
 
 STORED = (
@@ -108,6 +109,13 @@ def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
         "residual": left,
         "residual_closed": left - totals["joint_normal"] + totals["joint_normal_closed"],
     }
+
+
+def dissipated(old: State, new: State) -> Floats:
+    """(2.27b) with (2.33b): what friction has dissipated at each section (s,) after a step from ``old`` [energy/area]."""
+    work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
+    result: Floats = old.friction + 0.5 * work.sum(axis=1)
+    return result
 
 
 def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:

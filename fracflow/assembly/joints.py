@@ -81,6 +81,7 @@ class Joints:
             "tangent": np.zeros((count, self.dim, self.dim)),
             "stored": np.zeros(count),
             "inelastic": np.zeros((count, self.dim)),
+            "strength": np.full(count, np.inf),
             "utilisation": np.zeros(count),
             "is_sliding": np.zeros(count, dtype=bool),
             "is_open": np.zeros(count, dtype=bool),

@@ -101,6 +101,27 @@ def stress(strain: Floats, elasticity: Floats, initial_stress: Floats | float = 
     return result
 
 
+def strain_energy(points: Floats, displacement: Floats, elasticity: Floats, initial_stress: Floats) -> Floats:
+    """(2.13) Energy (n,) stored in cells by nodal displacements (n, k, 2): int (eps D eps / 2 + sigma_0 eps).
+
+    elasticity (n, 3, 3), initial_stress (n, q, 3) at the ``stiffness_points`` [stress]; per unit thickness.
+    """
+    operator, weight = _strain_operator(points, rule_for(STIFFNESS_RULES, points.shape[1]), None)
+    strain = np.einsum("nqij,nj->nqi", operator, displacement.reshape(len(points), -1))
+    mean_stress = 0.5 * np.einsum("nij,nqj->nqi", elasticity, strain) + initial_stress
+    result: Floats = np.einsum("nq,nqi,nqi->n", weight, strain, mean_stress)
+    return result
+
+
+def kinetic_energy(points: Floats, velocity: Floats, density: Floats, lumped: bool) -> Floats:
+    """(4.4a) Kinetic energy (n,) of cells with nodal velocities (n, k, 2), of the lumped or the consistent mass of (2.38)."""
+    if lumped:
+        result: Floats = 0.5 * np.einsum("nk,nkd->n", mass_lumped(points, density), velocity**2)
+    else:
+        result = 0.5 * np.einsum("nkl,nkd,nld->n", mass_consistent(points, density), velocity, velocity)
+    return result
+
+
 def edge_length(points: Floats) -> Floats:
     """Lengths (s,) of facets with points (s, 2, 2)."""
     result: Floats = np.linalg.norm(points[:, 1] - points[:, 0], axis=-1)

@@ -24,6 +24,7 @@ class JointResponse:
     tangent     (n, dim, dim)  d traction_i / d strain_j [stress/length]
     stored      (n,)           stored energy since the initial state, int f d eps_e [stress x length]
     inelastic   (n, dim)       inelastic strain: plastic slip in shear, 0 in normal direction [length]
+    strength    (n,)           (2.12) peak shear strength at the present normal traction; inf without limit [stress]
     utilisation (n,)           shear traction over peak strength; 0 where open or without limit
     is_sliding  (n,)           the section is on its sliding branch
     is_open     (n,)           the walls have lost contact
@@ -35,6 +36,7 @@ class JointResponse:
     tangent: Floats
     stored: Floats
     inelastic: Floats
+    strength: Floats
     utilisation: Floats
     is_sliding: Bools
     is_open: Bools

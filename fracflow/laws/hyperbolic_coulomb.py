@@ -137,6 +137,7 @@ class HyperbolicCoulomb:
             tangent=tangent,
             stored=normal_energy + shear_energy,
             inelastic=np.concatenate([new_past["plastic_slip"], np.zeros((sections, 1))], axis=1),
+            strength=peak,
             utilisation=np.where(slides, 1.0, _quotient(np.linalg.norm(f_s, axis=-1), peak)),
             is_sliding=slides,
             is_open=is_open,

@@ -48,6 +48,7 @@ class Linear:
             tangent=stiffness[:, :, None] * np.eye(dim),
             stored=np.einsum("ni,ni->n", initial + 0.5 * change, strain),
             inelastic=np.zeros((sections, dim)),
+            strength=np.full(sections, np.inf),
             utilisation=np.zeros(sections),
             is_sliding=never,
             is_open=never.copy(),

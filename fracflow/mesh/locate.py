@@ -34,10 +34,18 @@ class FracturePlace:
 
 @dataclass(frozen=True)
 class RockPlace:
-    """A node of the rock: its number in the split mesh and its coordinates (dim,) [length]."""
+    """A node of the rock and the cells around it.
+
+    node     its number in the split mesh
+    point    (dim,) its coordinates [length]
+    cells    (k,) cells that have it, of the rock that is meant
+    corners  (k, w) their nodes, -1 pads
+    """
 
     node: int
     point: Floats
+    cells: Ints
+    corners: Ints
 
 
 def coordinates(mesh: SplitMesh, at: At, what: str) -> Floats:
@@ -94,7 +102,8 @@ def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> Rock
     nodes = np.unique(mesh.cells[chosen])
     nodes = nodes[nodes >= 0]
     node = int(nodes[np.argmin(np.linalg.norm(mesh.points[nodes] - point, axis=1))])
-    return RockPlace(node, mesh.points[node])
+    around = np.flatnonzero((mesh.cells == node).any(axis=1) & chosen)
+    return RockPlace(node, mesh.points[node], around, mesh.cells[around])
 
 
 def _distance_to_fractures(mesh: SplitMesh, point: Floats) -> float:

@@ -68,11 +68,10 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
         local = getattr(getattr(state, part) if part else state, name).getArray(readonly=True)
         arrays[name] = blocks.gather(blocks.flow.ids, local.copy(), blocks.sizes.flow_nodes)
     joints, points = blocks.joints.ids, operators.joints.points
-    for field in fields(Sections):
-        if field.name != "past":
-            values = getattr(state.sections, field.name)
-            rows = values.reshape(len(joints), points, *values.shape[1:])
-            arrays[f"sections/{field.name}"] = blocks.gather(joints, rows, blocks.sizes.joints)
+    at_sections = {f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "past"}
+    for name, values in {**at_sections, "friction": state.friction}.items():
+        rows = values.reshape(len(joints), points, *values.shape[1:])
+        arrays[name] = blocks.gather(joints, rows, blocks.sizes.joints)
     for number, (group, past) in enumerate(zip(operators.joints.laws, state.sections.past, strict=True)):
         for name, values in past.items():
             whole = np.zeros((len(joints) * points, *values.shape[1:]))
@@ -118,6 +117,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         controls=notes["controls"],
         energy=notes["energy"],
         limited=tuple(notes["limited"]),
+        friction=at_sections("friction"),
     )
 
 

@@ -4,115 +4,161 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from fracflow._petsc import PETSc
 from fracflow.assembly.operators import Operators
-from fracflow.assembly.solid import by_shape
-from fracflow.elements import solid
-from fracflow.laws.elastic import plane_strain_stiffness
-from fracflow.mesh.blocks import Blocks
+from fracflow.assembly.properties import along_fractures
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.scene import Scene
 from fracflow.state import State
 
 COLUMNS = (
-    "slip", "opening", "slip_rate", "shear_traction", "normal_traction", "plastic_slip", "sliding", "open", "utilisation",
-    "margin", "pressure", "aperture", "flow_rate",
+    "slip", "opening", "slip_rate", "shear_traction", "normal_traction", "plastic_slip", "sliding", "open", "strength",
+    "utilisation", "margin", "stored_energy", "friction_energy", "aperture", "pressure", "flow_rate",
 )  # fmt: skip
-"""What is gathered at each joint end, in 2-D."""
+"""What there is at each joint end, in 2-D; the energies are per area of the fracture, since the start."""
+EVERY_STEP = ("sliding", "open", "margin", "plastic_slip", "slip_rate")
+"""What events and counts need of all joint ends at every step."""
+FLOW = {"aperture", "pressure", "flow_rate"}
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """What of this rank goes on record.
+
+    aperture  (j, 2) initial aperture at the joint ends, NaN where none is given [length]
+    nodes     (n,) owned nodes whose motion probes need
+    probed    (k,) joints that end at probes
+    names     columns that events and probes need at every step; the same on all ranks
+    """
+
+    operators: Operators
+    flow_depth: float
+    aperture: Floats
+    nodes: Ints
+    probed: Ints
+    names: tuple[str, ...]
+
+
+def make_sampler(operators: Operators, scene: Scene, places: Mapping[str, FracturePlace | RockPlace]) -> Sampler:
+    """Find what the probes need on this rank."""
+    blocks = operators.blocks
+    ends = np.array([-1.0, 1.0])
+    on_fractures = [place for place in places.values() if isinstance(place, FracturePlace)]
+    joints = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(place.joints for place in on_fractures)]))
+    asked = {q for p in scene.probe if isinstance(places[p.name], FracturePlace) for q in p.quantities or COLUMNS}
+    asked |= {"pressure"} if "head" in asked else set()
+    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    return Sampler(
+        operators,
+        depth,
+        along_fractures(blocks, scene, "aperture", ends),
+        np.flatnonzero(np.isin(blocks.solid.node_ids[: blocks.solid.owned], _nodes(places))),
+        np.flatnonzero(np.isin(blocks.joints.ids, joints)),
+        (*EVERY_STEP, *(name for name in COLUMNS if name in asked and name not in EVERY_STEP)),
+    )
+
+
+def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
+    """Split nodes that the places need: faces of a fracture; a node of the rock with the corners of its cells."""
+    parts = [
+        np.array(p.nodes) if isinstance(p, FracturePlace) else np.append(p.corners.ravel(), p.node) for p in places.values()
+    ]
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *parts]))
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A state on rank 0: joint ends (joints, 2, columns) in original order, and probe nodes' motion."""
+    """A state on rank 0.
+
+    ends    (joints, 2, EVERY_STEP) in original order
+    probed  joint -> (2, names) at the joints that end at probes
+    names   columns of ``probed``
+    nodes   node -> (3, dim) its displacement, velocity and acceleration
+    """
 
     ends: Floats
+    probed: Mapping[int, Floats]
+    names: tuple[str, ...]
     nodes: Mapping[int, Floats]
 
     def column(self, name: str) -> Floats:
-        """One quantity at all joint ends (joints, 2)."""
-        return self.ends[:, :, COLUMNS.index(name)]
+        """One quantity of every step at all joint ends (joints, 2)."""
+        return self.ends[:, :, EVERY_STEP.index(name)]
+
+    def at_ends(self, joints: Ints, ends: Ints) -> dict[str, float]:
+        """Means of the columns over some ends of probed joints."""
+        rows = np.array([self.probed[int(joint)][end] for joint, end in zip(joints, ends, strict=True)])
+        return dict(zip(self.names, rows.mean(axis=0).tolist(), strict=True))
 
 
-def joint_ends(operators: Operators, state: State, flow_depth: float) -> Floats:
-    """Quantities at this rank's joint ends (j, 2, columns). Collective."""
-    joints, sections = operators.joints, state.sections
-    count = len(operators.blocks.joints.ids)
-    points = len(sections.strain) // count if count else 1
-    at_end = [0, points - 1]
+def joint_ends(sampler: Sampler, state: State, names: tuple[str, ...]) -> Floats:
+    """Quantities at this rank's joint ends (j, 2, names). Collective."""
+    operators, sections = sampler.operators, state.sections
+    joints, flow = operators.joints, operators.flow
     rate = joints.strain(state.motion.velocity)
-    columns = [
-        sections.strain[:, 0], sections.strain[:, -1], rate[:, 0], sections.traction[:, 0], sections.traction[:, -1],
-        sections.inelastic[:, 0], sections.is_sliding, sections.is_open, sections.utilisation, sections.margin,
-    ]  # fmt: skip
-    table = np.stack(columns, axis=-1).astype(float).reshape(count, points, len(columns))[:, at_end]
-    fluid = np.full((count, 2, 3), np.nan)
-    if operators.flow is not None:
-        network = operators.flow.conduct(state.motion.displacement, state.pressure)
-        fluid[:, :, 0] = network.pressure + operators.flow.resting_end
-        fluid[:, :, 1] = operators.flow.apertures(state.motion.displacement)
+    found: dict[str, Floats] = dict(
+        slip=sections.strain[:, 0], opening=sections.strain[:, -1], slip_rate=rate[:, 0],
+        shear_traction=sections.traction[:, 0], normal_traction=sections.traction[:, -1],
+        plastic_slip=sections.inelastic[:, 0], sliding=sections.is_sliding, open=sections.is_open,
+        strength=sections.strength, utilisation=sections.utilisation, margin=sections.margin,
+        stored_energy=sections.stored, friction_energy=state.friction,
+    )  # fmt: skip
+    count = len(sampler.aperture)
+    found = {name: values.reshape(count, joints.points)[:, [0, -1]] for name, values in found.items() if name in names}
+    if flow is None and not FLOW.isdisjoint(names):
+        found["aperture"] = sampler.aperture + sections.strain[:, -1].reshape(count, joints.points)[:, [0, -1]]
+        found["pressure"] = found["flow_rate"] = np.full((count, 2), np.nan)
+    if flow is not None and not FLOW.isdisjoint(names):
+        network = flow.conduct(state.motion.displacement, state.pressure)
+        found["pressure"] = network.pressure + flow.resting_end
+        found["aperture"] = flow.apertures(state.motion.displacement)
         through = network.conductance * (network.pressure[:, 0] - network.pressure[:, 1])
-        fluid[:, :, 2] = through[:, None] * flow_depth
-    return np.concatenate([table, fluid], axis=-1)
+        found["flow_rate"] = np.repeat(through[:, None] * sampler.flow_depth, 2, axis=1)
+    return np.stack([found[name] for name in names], axis=-1).astype(float)
 
 
-def take(operators: Operators, state: State, flow_depth: float, nodes: Ints) -> Snapshot | None:
-    """Gather what probes, events and the fracture fields need; None off rank 0. Collective."""
-    blocks: Blocks = operators.blocks
-    ends = blocks.gather(blocks.joints.ids, joint_ends(operators, state, flow_depth), blocks.sizes.joints)
-    motions = [
-        operators.nodal(vector)
-        for vector in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)
-    ]
-    here = np.flatnonzero(np.isin(blocks.solid.node_ids[: blocks.solid.owned], nodes))
-    values = np.stack([m.getArray(readonly=True).reshape(-1, blocks.sizes.dim)[here] for m in motions], axis=1)
-    for vector in motions:
-        vector.destroy()
-    parts = blocks.comm.gather((blocks.solid.node_ids[here], values), root=0)
+def take(sampler: Sampler, state: State) -> Snapshot | None:
+    """Gather what probes and events need; None off rank 0. Collective."""
+    blocks = sampler.operators.blocks
+    table = joint_ends(sampler, state, sampler.names)
+    ends = blocks.gather(blocks.joints.ids, table[:, :, : len(EVERY_STEP)], blocks.sizes.joints)
+    motion = _motion(sampler, (state.motion.displacement, state.motion.velocity, state.motion.acceleration), sampler.nodes)
+    here = (blocks.joints.ids[sampler.probed], table[sampler.probed], blocks.solid.node_ids[sampler.nodes], motion)
+    parts = blocks.comm.gather(here, root=0)
     if parts is None or ends is None:
         return None
-    return Snapshot(ends, {int(n): v for numbers, rows in parts for n, v in zip(numbers, rows, strict=True)})
+    joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
+    nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
+    return Snapshot(ends, joints, sampler.names, nodes)
 
 
-def all_displacements(operators: Operators, state: State) -> Floats | None:
-    """Displacements of all split nodes (n, dim) on rank 0, original order. Collective."""
-    blocks = operators.blocks
-    nodal = operators.nodal(state.motion.displacement)
-    local = nodal.getArray(readonly=True).reshape(-1, blocks.sizes.dim).copy()
-    nodal.destroy()
+def all_ends(sampler: Sampler, state: State) -> Floats | None:
+    """All columns at all joint ends (joints, 2, COLUMNS) on rank 0, original order. Collective."""
+    blocks = sampler.operators.blocks
+    return blocks.gather(blocks.joints.ids, joint_ends(sampler, state, COLUMNS), blocks.sizes.joints)
+
+
+def all_motion(sampler: Sampler, state: State) -> Floats | None:
+    """Displacement and velocity (n, 2, dim) of all split nodes on rank 0, original order. Collective."""
+    blocks = sampler.operators.blocks
+    local = _motion(sampler, (state.motion.displacement, state.motion.velocity), np.arange(blocks.solid.owned))
     return blocks.gather(blocks.solid.node_ids[: blocks.solid.owned], local, blocks.sizes.nodes)
 
 
-def probe_nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
-    """Split nodes whose motion the probes need."""
-    nodes = [p.nodes if isinstance(p, FracturePlace) else (p.node, p.node) for p in places.values()]
-    return np.unique(np.array(nodes, dtype=np.int64).reshape(-1))
-
-
-def probe_record(scene: Scene, places: Mapping[str, FracturePlace | RockPlace], snapshot: Snapshot) -> dict[str, Any]:
-    """History entries of all probes; on a fracture ``displacement`` is that of the top face, the left of the trace."""
-    record: dict[str, Any] = {}
-    weight = scene.fluid.specific_weight if scene.fluid is not None else None
-    for probe in scene.probe:
-        place = places[probe.name]
-        node = place.nodes[1] if isinstance(place, FracturePlace) else place.node
-        motion = snapshot.nodes[node]
-        values: dict[str, Any] = dict(zip(("displacement", "velocity", "acceleration"), motion, strict=True))
-        if isinstance(place, FracturePlace):
-            values["displacement_bottom"] = snapshot.nodes[place.nodes[0]][0]
-            ends = snapshot.ends[place.joints, place.ends].mean(axis=0)
-            skip = ("sliding", "open", "utilisation", "margin") + (
-                () if scene.has_flow else ("pressure", "aperture", "flow_rate")
-            )
-            values |= {name: v for name, v in zip(COLUMNS, ends, strict=True) if name not in skip}
-            if scene.has_flow and weight:
-                values["head"] = values["pressure"] / weight
-        chosen = values if probe.quantities is None else {q: values[q] for q in probe.quantities if q in values}
-        record |= {f"probe/{probe.name}/{name}": value for name, value in chosen.items()}
-    return record
+def _motion(sampler: Sampler, vectors: tuple[PETSc.Vec, ...], rows: Ints) -> Floats:
+    """Values (n, vectors, dim) at owned nodes. Collective."""
+    operators = sampler.operators
+    values = []
+    for vector in vectors:
+        nodal = operators.nodal(vector) if operators.expand is not None else vector
+        values.append(nodal.getArray(readonly=True).reshape(-1, operators.blocks.sizes.dim)[rows])
+        if nodal is not vector:
+            nodal.destroy()
+    return np.stack(values, axis=1)
 
 
 def node_table(mesh: SplitMesh) -> tuple[Ints, Ints, Ints]:
@@ -131,23 +177,3 @@ def at_nodes(snapshot: Snapshot, name: str, inverse: Ints, count: int, any_of: b
     if any_of:
         return (total > 0).astype(float)
     return total / np.maximum(np.bincount(inverse, minlength=count), 1)
-
-
-def rock_stress(mesh: SplitMesh, scene: Scene, displacement: Floats) -> Floats:
-    """Stress (cells, 3), xx yy xy [stress], at cell centres; zero in rigid rock."""
-    stress = np.zeros((len(mesh.cells), 3))
-    given = scene.initial_stress
-    initial = np.zeros(3) if given is None else np.array([given.xx, given.yy, given.xy])
-    for number, name in enumerate(mesh.rocks):
-        rock = scene.rock[name]
-        if rock.rigid:
-            continue
-        of_rock = np.flatnonzero(mesh.cell_rock == number)
-        for group, nodes in by_shape(mesh.cells[of_rock]):
-            chosen = of_rock[group]
-            strain = solid.strain_at_centroid(mesh.points[nodes], displacement[nodes])
-            moduli = plane_strain_stiffness(
-                np.full(len(chosen), rock.youngs_modulus), np.full(len(chosen), rock.poissons_ratio)
-            )
-            stress[chosen] = solid.stress(strain, moduli, initial)
-    return stress

@@ -1,0 +1,123 @@
+"""What probes measure: which quantities a place has, and their values at a step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fracflow.elements import solid
+from fracflow.errors import InputError
+from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.mesh.locate import FracturePlace, RockPlace
+from fracflow.output import rock
+from fracflow.output.sampling import Snapshot
+from fracflow.scene import Scene
+
+Place = FracturePlace | RockPlace
+MOTION = ("displacement", "velocity", "acceleration")
+JOINT = ("slip", "opening", "slip_rate", "shear_traction", "normal_traction", "plastic_slip", "strength")
+FLUID = ("pressure", "flow_rate")
+SOLID = ("strain", "stress")
+
+
+def available(scene: Scene, mesh: SplitMesh, place: Place) -> tuple[str, ...]:
+    """Quantities that a place has."""
+    if isinstance(place, RockPlace):
+        return MOTION + (SOLID if rock.deforms(mesh, scene)[place.cells].any() else ())
+    tables = [scene.fracture_named(mesh.fractures[f]) for f in np.unique(mesh.joint_fracture[place.joints])]
+    aperture = ("aperture",) if all(table.aperture is not None for table in tables) else ()
+    weight = scene.fluid.specific_weight if scene.fluid is not None else None
+    fluid = (*FLUID, *(("head",) if weight else ())) if scene.has_flow else ()
+    return (*MOTION, "displacement_bottom", *JOINT, *aperture, *fluid)
+
+
+def refuse_missing(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place]) -> None:
+    """Raise InputError for the first quantity that a probe asks for and its place does not have."""
+    for probe in scene.probe:
+        has = available(scene, mesh, places[probe.name])
+        for quantity in probe.quantities or ():
+            if quantity not in has:
+                where = _where(mesh, places[probe.name])
+                raise InputError(
+                    f"probe.{probe.name}.quantities: {quantity}: {_why(scene, mesh, places[probe.name], quantity)};"
+                    f" {where} has {', '.join(has)}"
+                )
+
+
+def _where(mesh: SplitMesh, place: Place) -> str:
+    if isinstance(place, RockPlace):
+        return f"the rock {mesh.rocks[mesh.cell_rock[place.cells[0]]]} there"
+    return f"the fracture {mesh.fractures[mesh.joint_fracture[place.joints[0]]]} there"
+
+
+def _why(scene: Scene, mesh: SplitMesh, place: Place, quantity: str) -> str:
+    where = _where(mesh, place)
+    if isinstance(place, RockPlace):
+        return f"{where} is rigid" if quantity in SOLID else f"belongs to a fracture, and the probe sits in {where}"
+    if quantity in SOLID:
+        return f"belongs to the rock, and the probe sits on {where}"
+    if quantity == "aperture":
+        return f"{where} is given none"
+    return "needs [fluid] with specific_weight" if scene.has_flow else "the scene models no flow: it needs a [fluid]"
+
+
+def probe_record(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place], snapshot: Snapshot) -> dict[str, Any]:
+    """History entries ``probe/NAME/QUANTITY`` of all probes.
+
+    On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace; what
+    belongs to joints is the mean over those that end there. In the rock, strain and stress are means by area over the
+    cells around the node, sigma_0 being that of the node itself.
+    """
+    record: dict[str, Any] = {}
+    for probe in scene.probe:
+        place = places[probe.name]
+        if isinstance(place, FracturePlace):
+            values = _on_fracture(scene, place, snapshot)
+        else:
+            values = _in_rock(scene, mesh, place, snapshot, wants_strain(probe.quantities))
+        names: Sequence[str] = probe.quantities or available(scene, mesh, place)
+        record |= {f"probe/{probe.name}/{name}": values[name] for name in names}
+    return record
+
+
+def wants_strain(quantities: Sequence[str] | None) -> bool:
+    """Whether a probe in the rock asks for strain or stress."""
+    return quantities is None or not set(SOLID).isdisjoint(quantities)
+
+
+def _moves(node: int, snapshot: Snapshot) -> dict[str, Floats]:
+    return dict(zip(MOTION, snapshot.nodes[node], strict=True))
+
+
+def _on_fracture(scene: Scene, place: FracturePlace, snapshot: Snapshot) -> dict[str, Any]:
+    values: dict[str, Any] = _moves(place.nodes[1], snapshot)
+    values["displacement_bottom"] = snapshot.nodes[place.nodes[0]][0]
+    values |= snapshot.at_ends(place.joints, place.ends)
+    if "pressure" in values and scene.fluid is not None and scene.fluid.specific_weight:
+        values["head"] = values["pressure"] / scene.fluid.specific_weight
+    return values
+
+
+def _in_rock(scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapshot, strained: bool) -> dict[str, Any]:
+    values: dict[str, Any] = _moves(place.node, snapshot)
+    return values | _in_cells(scene, mesh, place, snapshot) if strained else values
+
+
+def _in_cells(scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapshot) -> dict[str, Any]:
+    """Strain and stress (4,): xx, yy, zz, xy."""
+    able = rock.deforms(mesh, scene)[place.cells]
+    if not able.any():
+        return {}
+    cells, corners = place.cells[able], place.corners[able]
+    nodes, inverse = np.unique(corners[corners >= 0], return_inverse=True)
+    local = np.full(corners.shape, -1)
+    local[corners >= 0] = inverse
+    points, moved = mesh.points[nodes], np.array([snapshot.nodes[int(node)][0] for node in nodes])
+    strains = rock.strain(points, local, moved)
+    moduli = (rock.properties(mesh, scene, key, cells) for key in ("youngs_modulus", "poissons_ratio"))
+    change = rock.stress_change(strains, *moduli)
+    area = rock.per_cell(local, lambda _, corner: solid.area(points[corner]))
+    mean = area / area.sum()
+    return {"strain": mean @ strains, "stress": mean @ change + rock.initial_components(scene, place.point)}
