@@ -1,4 +1,4 @@
-"""The command line: fracflow run, resume, check, mesh, picture, schema."""
+"""The command line: fracflow run, resume, check, mesh, picture, export, schema."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
-    from fracflow import run as runner
+    from fracflow.run import run
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [])
-    folder = output or Path("runs") / default_name(scene)
+    folder = output or Path("runs") / given.name
     console = Console(quiet=comm.rank > 0, highlight=False)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True)
     if (folder / "history.h5").exists():
         console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True)
-    watched(given, folder, console, comm, lambda tick: runner.run(given, folder, comm, tick))
+    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick))
 
 
 @app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -57,14 +57,14 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
-    from fracflow import run as runner
+    from fracflow.run import resume
     from fracflow.scene import load
 
     comm = MPI.COMM_WORLD
     if not (folder / "scene.toml").is_file():
         raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
     console = Console(quiet=comm.rank > 0, highlight=False)
-    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: runner.resume(folder, comm, tick))
+    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))
 
 
 def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: Callable[[Tick], Totals]) -> None:
@@ -98,11 +98,6 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
     if totals is not None:
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts)
-
-
-def default_name(scene: Path) -> str:
-    """Name of a run's folder: that of the scene, or of its folder where the file is called scene.toml."""
-    return scene.stem if scene.stem != "scene" else scene.resolve().parent.name
 
 
 def show(folder: Path, console: Console, pictures: bool) -> None:
@@ -161,6 +156,23 @@ def picture(folder: Annotated[Path, typer.Argument(help="a run folder")]) -> Non
     from fracflow.output.pictures import draw
 
     for path in draw(folder):
+        typer.echo(str(path))
+
+
+@app.command()
+def export(
+    folder: Annotated[Path, typer.Argument(help="a run folder")],
+    as_csv: Annotated[bool, typer.Option("--csv", help="comma-separated values, the unit in each column's head")] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="a folder, by default FOLDER/csv; or NAME.csv, all in one table")
+    ] = None,
+) -> None:
+    """Write the history of a run for other programs: steps, energies and each probe."""
+    from fracflow.output.export import export_csv
+
+    if not as_csv:
+        raise InputError("export: no format is named; give --csv")
+    for path in export_csv(folder, output):
         typer.echo(str(path))
 
 

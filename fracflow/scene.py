@@ -118,6 +118,11 @@ class Scene(Part):
         return self._file.name
 
     @property
+    def name(self) -> str:
+        """The name of the scene's file without its ending, or of its folder where the file is called scene.toml."""
+        return self._file.stem if self._file.stem != "scene" else self._file.resolve().parent.name
+
+    @property
     def folder(self) -> Path:
         """The folder that file names in the scene are relative to."""
         return self._file.absolute().parent

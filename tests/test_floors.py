@@ -23,7 +23,7 @@ FLOORS = (
     ({"coupling"},),
     ({"output"},),
     ({"plan*", "run*"},),
-    ({"cli", "__main__"},),
+    ({"cli", "__main__"}, {"api"}),
 )
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
 PLAIN = {"laws", "elements"}  # NumPy only

@@ -27,8 +27,9 @@ _OWN_FILES = (
     "fields/*.h5",
     "fields/*.part",
     "pictures/*.png",
+    "csv/*.csv",
 )
-_OWN_FOLDERS = ("fields", "pictures")
+_OWN_FOLDERS = ("fields", "pictures", "csv")
 
 
 def write_atomic(path: Path, text: str) -> None:

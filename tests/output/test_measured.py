@@ -217,8 +217,10 @@ DRY = CRACK.split("[fluid]")[0] + "[[support]]" + CRACK.split("[[support]]", 1)[
     ],
 )
 def test_a_quantity_that_a_place_has_not_is_refused(ran, text, at, quantity, message):
-    text = text.split("[[probe]]")[0] + f'[[probe]]\nname = "p"\nat = {at}\nquantities = ["{quantity}"]\n' + (
-        '[[stage]]\nkind = "quasi-static"\ntime_step = 1\nsteps = 1\n'
+    text = (
+        text.split("[[probe]]")[0]
+        + f'[[probe]]\nname = "p"\nat = {at}\nquantities = ["{quantity}"]\n'
+        + ('[[stage]]\nkind = "quasi-static"\ntime_step = 1\nsteps = 1\n')
     )
     with pytest.raises(InputError, match=rf"probe\.p\.quantities: {quantity}: .*{message}"):
         ran(text)

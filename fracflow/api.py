@@ -1,0 +1,157 @@
+"""The program from Python: load a scene, run it, open what a run left."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow.errors import InputError, Interrupted, SolveError
+from fracflow.output.events import read_events
+from fracflow.output.export import export_csv
+from fracflow.output.history import read_attributes, read_history
+
+if TYPE_CHECKING:
+    from fracflow.scene import Scene
+
+__all__ = ["Run", "load", "open", "run"]
+
+Arrays = dict[str, NDArray[Any]]
+_EVENT = {"kind": "U8", "node": np.int64, **dict.fromkeys(("x", "y", "start", "end", "slip", "peak_slip_rate"), float)}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run left in its ``folder``; n is the number of states on record, the initial one with them.
+
+    Numbers are in the scene's own units. Histories are read when first asked for, and then kept: open a folder again
+    to see how far a run has got meanwhile.
+    """
+
+    folder: Path
+
+    @cached_property
+    def history(self) -> Arrays:
+        """All histories by their keys in history.h5: arrays (n, ...). Raises InputError if there is none."""
+        return read_history(self.folder / "history.h5")
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Time (n,) of each state; the states of a search for failure share theirs."""
+        return self.history["time"]
+
+    @property
+    def energy(self) -> Arrays:
+        """Energy books by entry, (n,) each: running totals per unit thickness [force length / length]."""
+        return self._part("energy/")
+
+    @property
+    def steps(self) -> Arrays:
+        """What each step cost and how it ended, (n,) each: dt, stage, kind, newton, slipping, open, ..."""
+        return self._part("step/")
+
+    @property
+    def probes(self) -> tuple[str, ...]:
+        """Names of the probes, in alphabetical order."""
+        return tuple(
+            sorted({key[len("probe/") :].rpartition("/")[0] for key in self.history if key.startswith("probe/")})
+        )
+
+    def probe(self, name: str) -> Arrays:
+        """Histories of a probe by quantity; raises InputError for a name that is none.
+
+        (n, 2), x and y: displacement, displacement_bottom [length], velocity [length/time], acceleration.
+        (n,) on fractures: slip, plastic_slip, opening, aperture, head [length], slip_rate [length/time],
+        shear_traction, normal_traction (effective, tension positive), strength, pressure [stress], flow_rate
+        [length**3/time], over the whole flow_depth.
+        (n, 4) in the rock, xx, yy, zz, xy: strain (xy half the engineering shear) and total stress [stress].
+        """
+        found = self._part(f"probe/{name}/")
+        if not found:
+            raise InputError(f"{self.folder}: has no probe {name!r} (it has: {', '.join(self.probes) or 'none'})")
+        return found
+
+    @property
+    def events(self) -> NDArray[Any]:
+        """What slipped or opened: a structured array (events,).
+
+        kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
+        way), slip [length], peak_slip_rate [length/time]. Raises InputError if there is no events.csv.
+        """
+        rows = read_events(self.folder / "events.csv")
+        longest = {key: max([1, *(len(row[key]) for row in rows)]) for key in ("fracture", "probe")}
+        dtype = np.dtype([*_EVENT.items(), *((key, f"U{size}") for key, size in longest.items())])
+        values = [tuple(np.nan if row[key] is None else row[key] for key in dtype.names or ()) for row in rows]
+        return np.array(values, dtype=dtype)
+
+    @property
+    def plan(self) -> list[dict[str, Any]]:
+        """The decision record: what was modelled or left out, by which criterion. Raises InputError without plan.json."""
+        path = self.folder / "plan.json"
+        try:
+            decisions: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: is no readable plan ({error}); name the folder of a run") from error
+        return decisions
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Names of the units of length, force and time; empty strings for a scene without units."""
+        return dict(json.loads(read_attributes(self.folder / "history.h5").get("units", "{}")))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as it was run, with every default."""
+        return load(self.folder / "scene.toml")
+
+    def export_csv(self, output: str | Path | None = None) -> list[Path]:
+        """Write the histories as CSV and return the files; see ``fracflow export --csv``."""
+        return export_csv(self.folder, output)
+
+    def _part(self, prefix: str) -> Arrays:
+        return {
+            key[len(prefix) :]: values
+            for key, values in self.history.items()
+            if key.startswith(prefix) and "/" not in key[len(prefix) :].removeprefix("control/")
+        }
+
+
+def load(path: str | Path, overrides: tuple[str, ...] | list[str] = ()) -> Scene:
+    """Read a scene; ``overrides`` are as with --set: "path.to.key=value". Raises InputError of one line."""
+    from fracflow.scene import load
+
+    return load(path, list(overrides))
+
+
+def run(scene: Scene, out: str | Path | None = None) -> Run:
+    """Run a scene and give what it left in the folder ``out``, by default runs/<name of the scene>.
+
+    Under mpirun every rank must call it, and may use what it gives. What an earlier run left in the folder is replaced; no
+    pictures are drawn (``fracflow picture FOLDER``).
+    Raises, on every rank, InputError, SolveError (``open`` gives what was reached) and Interrupted.
+    """
+    from fracflow._petsc import MPI
+    from fracflow.run import run
+
+    folder = Path("runs") / scene.name if out is None else Path(out)
+    failure: SolveError | Interrupted | None = None
+    try:
+        run(scene, folder, MPI.COMM_WORLD)
+    except (SolveError, Interrupted) as error:
+        failure = error
+    MPI.COMM_WORLD.barrier()  # no rank reads before rank 0 has closed the files
+    if failure is not None:
+        raise failure
+    return Run(folder)
+
+
+def open(folder: str | Path) -> Run:
+    """Open the folder of a run, finished, stopped or still under way. Raises InputError if it holds none."""
+    if not (Path(folder) / "history.h5").is_file():
+        raise InputError(f"{folder}: holds no run of fracflow; name the folder of one")
+    return Run(Path(folder))
