@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from fracflow.run_record import Totals
     from fracflow.scene import Scene
 
+USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
 Overrides = Annotated[
@@ -36,6 +38,7 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
+    from fracflow.output.folder import check_folder
     from fracflow.run import run
     from fracflow.scene import load
     from fracflow.scene_advice import advice
@@ -43,6 +46,7 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [])
     folder = output or Path("runs") / given.name
+    check_folder(folder)
     console = Console(quiet=comm.rank > 0, highlight=False)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True)
@@ -57,10 +61,12 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
+    from fracflow.output.folder import check_folder
     from fracflow.run import resume
     from fracflow.scene import load
 
     comm = MPI.COMM_WORLD
+    check_folder(folder, resume=True)
     if not (folder / "scene.toml").is_file():
         raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
     console = Console(quiet=comm.rank > 0, highlight=False)
@@ -82,7 +88,8 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
     from fracflow.coupling.defaults import forget
 
     totals, failure = None, None
-    with Progress(*columns, console=Console(stderr=True, quiet=comm.rank > 0), transient=True) as bar:
+    screen = Console(stderr=True, quiet=comm.rank > 0)
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
         task = bar.add_task(scene.title or str(folder), total=total or None)
         try:
             totals = job(lambda stage, time, state: bar.advance(task))
@@ -200,8 +207,10 @@ def petsc_options(petsc: object, words: list[str]) -> None:
     words = [word for word in words if word != "--"]
     while words:
         key = words.pop(0)
-        if not key.startswith("-"):
-            raise InputError(f"command line: {key}: not a PETSc option; they start with - and follow --")
+        if not re.fullmatch("-[A-Za-z].*", key):
+            raise InputError(
+                f"command line: {key}: neither an option of fracflow (see --help) nor one of PETSc, such as -solid_pc_type lu"
+            )
         is_value = bool(words) and (not words[0].startswith("-") or words[0][1:2].isdigit())
         database.setValue(key.lstrip("-"), words.pop(0) if is_value else "")
         database.setValue("options_left", "")
@@ -210,7 +219,12 @@ def petsc_options(petsc: object, words: list[str]) -> None:
 def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
     try:
-        app(standalone_mode=True)
+        sys.exit(app(standalone_mode=False))
+    except USAGE as error:
+        message = error.format_message() or "no command"  # type: ignore[attr-defined]
+        _stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
+    except typer.Abort:
+        _stop("interrupted", 130)
     except InputError as error:
         _stop(str(error), 2)
     except SolveError as error:
@@ -238,9 +252,10 @@ def _abort() -> None:
 def _stop(message: str, code: int) -> None:
     rank = 0
     if "fracflow._petsc" in sys.modules:
-        from fracflow._petsc import MPI
+        from fracflow._petsc import MPI, PETSc
 
         rank = MPI.COMM_WORLD.rank
+        PETSc.Options().delValue("options_left")  # a run that has not ended used few of its options
     if rank == 0:
         print(f"fracflow: {' '.join(message.split())}", file=sys.stderr, flush=True)
     sys.exit(code)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -14,6 +15,7 @@ from fracflow._petsc import MPI
 from fracflow.assembly.loads import Loads, Prescribed, assemble_loads
 from fracflow.assembly.operators import Operators, assemble
 from fracflow.assembly.properties import initial_pressure
+from fracflow.coupling.defaults import set_defaults
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
@@ -75,8 +77,23 @@ def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
     return result
 
 
+@contextmanager
+def naming(scene: Scene) -> Iterator[None]:
+    """Let every InputError of what is done inside name the scene's file."""
+    try:
+        yield
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if scene.source in text else f"{scene.source}: {text}") from None
+
+
 def read_split(scene: Scene) -> SplitMesh:
     """Read or build the mesh and split it. Raises InputError."""
+    with naming(scene):
+        return _read_split(scene)
+
+
+def _read_split(scene: Scene) -> SplitMesh:
     names = [name for name in scene.fracture if name != "default"]
     if scene.mesh_path is not None:
         raw = read_mesh(scene.mesh_path, [*names, *(["default"] if "default" in scene.fracture else [])])
@@ -184,6 +201,12 @@ def prepare(
 
     saved, cell_rank  mesh and partition of an earlier run, on rank 0
     """
+    with naming(scene):
+        set_defaults(scene.petsc)
+        return _prepare(scene, comm, saved, cell_rank)
+
+
+def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None) -> Model:
     mesh = on_root(comm, lambda: saved or read_split(scene))
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None

@@ -137,7 +137,8 @@ def _settle(model: Model, motion: Motion, traction: Floats, pressure: PETSc.Vec)
     allowed.destroy()
     if count:
         raise InputError(
-            f"initial state: out of balance at {count} unknowns, at {', '.join(names) or 'nodes inside the rock'}: a side that"
+            f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
+            f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
             ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
             " initial tractions must be those of initial_stress and fluid.initial_pressure; a [body_force] must balance the"
             ' gradient of initial_stress; or let a first [[stage]] with kind = "equilibrate" find the state that is'

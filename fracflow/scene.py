@@ -23,6 +23,7 @@ from fracflow.scene_materials import BodyForce, Fluid, Fracture, Initial, Initia
 from fracflow.scene_tables import (
     Accuracy,
     Geometry,
+    Line,
     Mesh,
     Method,
     Option,
@@ -44,7 +45,7 @@ class Scene(Part):
     """A scene: geometry, materials, what is held, loaded and pumped, and the stages of the run."""
 
     version: str = Field(default=__version__, description="version of fracflow that wrote the file")
-    title: str = Field(default="", description="one line for reports")
+    title: Line = Field(default="", description="one line for reports")
     units: str = Field(
         default="SI",
         description='units of plain numbers: "SI", LENGTH-FORCE-TIME such as "ft-lbf-s", or "none"',

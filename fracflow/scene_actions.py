@@ -69,6 +69,12 @@ class Tie(Part):
     on: Names = Field(max_length=2, description="one side, or two that a translation brings to coincide (periodic)")
     components: tuple[Literal["x", "y"], ...] = Field(default=("x", "y"), min_length=1, description="what is tied")
 
+    @model_validator(mode="after")
+    def _consistent(self) -> Tie:
+        if len(set(self.on)) < len(self.on):
+            raise fault("names one side twice; give it once to let it move as one, or two that face each other", key="on")
+        return self
+
 
 class Load(Part):
     """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; or a force on rocks."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from fracflow.tables import FractureEnd, Place
 if TYPE_CHECKING:
     from fracflow.scene import Scene
 
+MOST_STEPS = 1e9
 Fault = tuple[tuple[int | str, ...], str]
 
 
@@ -28,6 +30,13 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
         for index, name in enumerate(names):
             if name is not None and name in names[:index]:
                 yield (key, index, "name"), "stands twice; names must differ"
+    for option in scene.petsc:
+        if not re.fullmatch(r"[A-Za-z]\S*", option):
+            yield ("petsc", option), "is no name of a PETSc option; give it without dash, such as solid_pc_type"
+    in_history = [(("probe", i, "name"), probe.name) for i, probe in enumerate(scene.probe)]
+    for path, name in (*in_history, *((("control", name), name) for name in scene.control)):
+        if "/" in name or name in ("", ".", ".."):
+            yield path, "is no name for the history, where / divides; leave out slashes, and no . or .. alone"
 
 
 def _geometry(scene: Scene) -> Iterator[Fault]:
@@ -110,6 +119,8 @@ def _actions(scene: Scene) -> Iterator[Fault]:
             yield ("stage", index, "end"), f"must be later than the start of the stage, {clock:g}"
         bounded = clock is not None and stage.until is None
         steps = stage.step_count(clock) if bounded and clock is not None else None
+        if steps is not None and steps > MOST_STEPS:
+            yield ("stage", index, "time_step"), f"would take {steps:.2g} steps; raise it, or end the stage earlier"
         clock = clock + steps * stage.time_step if clock is not None and steps and stage.time_step else None
 
 

@@ -84,6 +84,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         "model_attributes_type": "must be a table",
         "string_too_short": "must not be empty",
         "too_short": "must not be empty",
+        "string_pattern_mismatch": "must be one line without control characters",
         "too_long": f"must have at most {context.get('max_length')} entries",
         "greater_than_equal": f"out of range; must be at least {context.get('ge')}",
     }

@@ -26,7 +26,9 @@ from fracflow.units import (
 
 Points = tuple[tuple[float, float], ...]
 Count = Annotated[int, Field(strict=True, ge=1)]
-Name = Annotated[str, Field(min_length=1)]
+PLAIN_TEXT = r"[^\x00-\x1f\x7f]+"  # line ends and NUL have no place in names, of files least of all
+Name = Annotated[str, Field(min_length=1, pattern=f"^{PLAIN_TEXT}$")]
+Line = Annotated[str, Field(pattern=f"^({PLAIN_TEXT})?$")]
 Fraction = Annotated[float, Quantity(above=0.0, below=1.0)]
 Stress = Annotated[float, Quantity(STRESS)]
 Size = Annotated[float, Quantity(LENGTH, above=0.0)]

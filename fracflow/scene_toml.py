@@ -23,15 +23,17 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file; raises InputError where there is none, or where it is not TOML."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        raise InputError(f"{path}: no such scene file") from None
+        raise InputError(f"{path}: no such scene file; give the path of a TOML file") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path.name}: not UTF-8 text") from None
+        raise InputError(f"{path}: cannot be read: {error.strerror}; give the path of a TOML file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path.name}: not UTF-8 text: {error.reason} at byte {error.start}; save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path.name}: not valid TOML: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise InputError(f"{path.name}: not valid TOML: brackets too deep inside each other; close them") from None
 
 
 def override(data: dict[str, Any], setting: str) -> None:
@@ -55,7 +57,7 @@ def parse_value(text: str) -> Any:
     """Read the value of ``--set`` as TOML; what is not TOML is a string."""
     try:
         values = tomllib.loads(f"value = {text.strip()}")
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return text.strip()
     return values["value"] if len(values) == 1 else text.strip()
 

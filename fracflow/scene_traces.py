@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from fracflow.errors import InputError
 from fracflow.scene_errors import nearest, one_line
 from fracflow.scene_materials import Fracture
-from fracflow.scene_tables import ALTERNATIVES, with_default_fracture
+from fracflow.scene_tables import ALTERNATIVES, PLAIN_TEXT, with_default_fracture
 from fracflow.scene_toml import write_value
-from fracflow.units import UnitSystem
+from fracflow.units import HUGE, UnitSystem
 
 POINT, SEGMENT = ("x", "y"), ("x1", "y1", "x2", "y2")
 PROPERTIES = tuple(Fracture.model_fields)
@@ -88,8 +88,8 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """
     geometry = data.get("geometry")
     name = geometry.get("fractures_csv") if isinstance(geometry, Mapping) else None
-    if not isinstance(geometry, Mapping) or not isinstance(name, str) or not name:
-        return dict(data)
+    if not isinstance(geometry, Mapping) or not isinstance(name, str) or not re.fullmatch(PLAIN_TEXT, name):
+        return dict(data)  # the scene tells what is wrong with it, if anything
     path = (file.absolute().parent / name).resolve()
     rows = read_traces_csv(path)
     inside = {key: value for key, value in geometry.items() if key != "fractures_csv"}
@@ -130,9 +130,10 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file of traces") from None
+        raise InputError(f"{path}: no such file of traces; geometry.fractures_csv names it from the scene's folder") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}; give a UTF-8 text file") from None
+        why = error.strerror if isinstance(error, OSError) else f"not UTF-8: {error.reason} at byte {error.start}"
+        raise InputError(f"{path}: cannot be read: {why}; give a UTF-8 text file") from None
     head = next((line for line in text.splitlines() if line.strip()), "")
     reader = csv.reader(text.splitlines(), delimiter=max(",;\t", key=head.count), skipinitialspace=True, strict=True)
     rows = []
@@ -165,8 +166,8 @@ def _number(word: str, key: str, where: str) -> float:
         value = float(word)
     except ValueError:
         raise InputError(f'{where}: {key} = "{word}": is no number; decimals take a point') from None
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {key} = {word}: must be finite")
+    if not abs(value) <= HUGE:
+        raise InputError(f"{where}: {key} = {word}: must be finite, and at most {HUGE:g}")
     return value
 
 

@@ -44,6 +44,7 @@ EXAMPLES = {
     TIME: "10 ms",
     ANGLE: "30 deg",
 }
+HUGE = 1e100  # beyond it the square of a number may be none; no quantity of the field comes near
 _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 
 
@@ -149,9 +150,9 @@ class Quantity:
         elif isinstance(value, bool) or not isinstance(value, int | float):
             raise fault(f"must be {what_fits(self.dimension, system)}")
         else:
-            number = float(value)
-        if not math.isfinite(number):
-            raise fault("must be finite")
+            number = float(value) if abs(value) <= HUGE else math.inf
+        if not abs(number) <= HUGE:
+            raise fault(f"must be finite, and at most {HUGE:g}")
         self._check_range(number)
         return number
 
@@ -162,6 +163,8 @@ class Quantity:
             ("below", self.below, operator.lt),
             ("at most", self.at_most, operator.le),
         )
+        if 0.0 in (self.above, self.at_least) and 0.0 < number < 1.0 / HUGE:
+            raise fault(f"out of range; must be at least {1.0 / HUGE:g}" + (" or 0" if self.above is None else ""))
         given = [(word, limit, holds) for word, limit, holds in rules if limit is not None]
         if not all(holds(number, limit) for _, limit, holds in given):
             words = " and ".join(f"{word} {limit:g}" for word, limit, _ in given)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from fracflow._petsc import PETSc
+from fracflow.errors import InputError
 
 Value = str | float | int | bool
 
@@ -86,3 +87,21 @@ def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
         if not database.hasName(key):
             database.setValue(key, value)
             _ours.add(key)
+    _try_options()
+
+
+def _try_options() -> None:
+    """Raise InputError where PETSc does not know a type or cannot read a number, before anything is written."""
+    for prefix in (*OPTIONS, *(f"monolithic_fieldsplit_{part}" for part in ("solid", "flow"))):
+        solver = PETSc.SNES().create(comm=PETSc.COMM_SELF)
+        solver.setOptionsPrefix(f"{prefix}_")
+        try:
+            solver.setFromOptions()
+            solver.getKSP().setFromOptions()
+        except PETSc.Error as error:
+            reason = str(error).splitlines()[-1].partition("] ")[2]
+            raise InputError(
+                f"PETSc option of -{prefix}_, in [petsc] or on the command line: {reason}; see PETSc's manual"
+            ) from None
+        finally:
+            solver.destroy()

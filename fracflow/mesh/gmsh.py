@@ -65,9 +65,9 @@ def run_worker(job: Mapping[str, Any], what: str) -> Elements:
         )
         report = folder / "error.txt"
         if report.exists():
-            raise InputError(f"{what}: Gmsh: {report.read_text(encoding='utf-8')}")
+            raise InputError(f"{what}: Gmsh: {report.read_text(encoding='utf-8')}; {_remedy(what)}")
         if done.returncode or not (folder / "mesh.npz").exists():
-            raise InputError(f"{what}: {_end_of(done)}")
+            raise InputError(f"{what}: {_end_of(done)}; {_remedy(what)}")
         with np.load(folder / "mesh.npz") as arrays:
             return Elements(
                 points=arrays["points"],
@@ -80,8 +80,14 @@ def run_worker(job: Mapping[str, Any], what: str) -> Elements:
             )
 
 
+def _remedy(what: str) -> str:
+    if what.endswith(".msh"):
+        return "save the mesh again"
+    return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
+
+
 def _end_of(done: subprocess.CompletedProcess[str]) -> str:
     if done.returncode < 0:
-        return f"Gmsh crashed (signal {-done.returncode}); simplify the geometry, or give a mesh (.msh)"
+        return f"Gmsh crashed (signal {-done.returncode})"
     lines = done.stderr.strip().splitlines()
-    return f"Gmsh failed: {lines[-1] if lines else f'exit code {done.returncode}'}"
+    return f"Gmsh failed: {lines[-1] if lines else 'it ended without a mesh'}"

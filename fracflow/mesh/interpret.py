@@ -61,6 +61,9 @@ def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawM
 
 
 def _plane(points: Floats, what: str) -> Floats:
+    if np.any(is_bad := ~np.all(np.isfinite(points), axis=1)):
+        where = points[np.argmax(is_bad)].tolist()
+        raise InputError(f"{what}: a node has the coordinates {where}, which are not finite; save the mesh again")
     if points.shape[1] == 3 and len(points):
         height = np.ptp(points[:, 2])
         if height > 1e-9 * np.ptp(points, axis=0).max():

@@ -10,6 +10,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 
+ROUND_OFF = 1e-6  # of the mesh's extent
 At = Sequence[float] | str | tuple[str, str]
 """Coordinates, the name of a point, or (fracture, "start" | "end")."""
 
@@ -95,10 +96,22 @@ def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None)
     return FracturePlace(flow, mesh.points[mesh.flow_origin[flow]], nodes, joints, ends)
 
 
+def _is_covered(points: Floats, cells: Ints, point: Floats) -> bool:
+    """Whether a point lies in one of the counter-clockwise cells, or nearer to it than round-off."""
+    corners = points[np.where(cells < 0, cells[:, :1], cells)]
+    sides = np.roll(corners, -1, axis=1) - corners
+    away = point - corners
+    turn = sides[..., 0] * away[..., 1] - sides[..., 1] * away[..., 0]
+    return bool(np.any(np.all(turn >= -ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1)))
+
+
 def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> RockPlace:
-    """The node nearest to ``at``, of the named rock where one is given."""
+    """The node nearest to ``at``, of the named rock where one is given. Raises InputError outside it."""
     point = coordinates(mesh, at, what)
     chosen = np.ones(len(mesh.cells), dtype=bool) if rock is None else mesh.cell_rock == mesh.rocks.index(rock)
+    if not _is_covered(mesh.points, mesh.cells[chosen], point):
+        inside = "the mesh" if rock is None else f'rock "{rock}"'
+        raise InputError(f"{what}: at = {point.tolist()}: is outside {inside}; move it in")
     nodes = np.unique(mesh.cells[chosen])
     nodes = nodes[nodes >= 0]
     node = int(nodes[np.argmin(np.linalg.norm(mesh.points[nodes] - point, axis=1))])

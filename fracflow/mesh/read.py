@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ SNAP = 0.05  # of the size at fractures: under what a digitised map is good for,
 LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
+MOST_CELLS = 1e8
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
 
 
@@ -67,8 +69,8 @@ def read_mesh(path: str | Path, fractures: Collection[str]) -> RawMesh:
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise InputError(f'{path}: unknown kind of file "{path.suffix}"; give a Gmsh .geo or .msh')
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
+    if not os.path.isfile(path):
+        raise InputError(f"{path}: no such file; mesh.file names it from the scene's folder")
     if path.suffix == ".geo" and path.read_bytes().rpartition(b"\n")[2].strip():
         # Gmsh says nothing and leaves the line out.
         raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
@@ -84,6 +86,7 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     for traces that cannot be made fit (``traces.tidy``).
     """
     domain = np.asarray(geometry.domain, dtype=float)
+    _check_sizes(geometry, polygon_area(domain))
     traces = [(name, np.asarray(points, dtype=float)) for name, points in geometry.traces]
     sides = side_names(domain)
     _check_traces(traces, (geometry.rock, *sides))
@@ -129,6 +132,17 @@ def side_names(domain: Floats) -> list[str]:
     return [places[tuple(np.sign(np.round(place / extent, 6)).astype(int).tolist())] for place in middle]
 
 
+def _check_sizes(geometry: GeometrySpec, area: float) -> None:
+    """Raise InputError for mesh sizes that no machine could serve."""
+    length = sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in geometry.traces)
+    fine = geometry.size_at_fractures or geometry.size
+    counts = {"size": area / geometry.size**2, "size_at_fractures": length / fine}
+    for key, count in counts.items():
+        if count > MOST_CELLS:
+            value = fine if key == "size_at_fractures" else geometry.size
+            raise InputError(f"geometry.{key} = {value:g}: would take some {count:.1g} cells; raise it, or check the units")
+
+
 def _check_traces(traces: list[Trace], taken: Iterable[str]) -> None:
     """Raise InputError for the first trace without points, or without a name of its own."""
     names = set(taken)
@@ -167,8 +181,8 @@ def _read_msh2(path: Path) -> Elements:
     try:
         mesh = meshio.gmsh.read(path)
     except Exception as error:  # meshio raises whatever its parser meets
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a Gmsh mesh: {reason}") from error
+        reason = " ".join(str(error).split()) if isinstance(error, meshio.ReadError) else "it is cut off or damaged"
+        raise InputError(f"{path}: cannot be read as a Gmsh mesh: {reason}; save it again from Gmsh") from error
     groups = _groups_msh2(path)
     tags = mesh.cell_data.get("gmsh:physical", [np.zeros(len(block.data), np.int64) for block in mesh.cells])
     nodes = {kind: [np.zeros((0, CORNERS[kind]), np.int64)] for kind in KINDS}

@@ -60,6 +60,23 @@ def _plain(value: Any) -> Any:
     return str(value)
 
 
+def check_folder(path: Path, resume: bool = False) -> None:
+    """Look whether a run can be written to ``path``, changing nothing. Raises InputError as RunFolder does."""
+    try:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file; name a folder for the run")
+        is_run = (path / MARKER).exists()
+        if resume and not is_run:
+            raise InputError(f"{path}: holds no run of fracflow; name the folder of an earlier run")
+        if not is_run and path.exists() and any(path.iterdir()):
+            raise InputError(f"{path}: holds files that are no run's; name a new or empty folder")
+        above = next(each for each in (path.absolute(), *path.absolute().parents) if each.exists())
+        if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+            raise InputError(f"{path}: cannot be made in {above}; name a folder to write to")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; name a folder to write to") from error
+
+
 class RunFolder:
     """The folder of one run.
 
@@ -73,13 +90,7 @@ class RunFolder:
 
     def __init__(self, path: str | Path, resume: bool = False) -> None:
         self.path = Path(path)
-        if self.path.exists() and not self.path.is_dir():
-            raise InputError(f"{self.path}: is a file; name a folder for the run")
-        is_run = (self.path / MARKER).exists()
-        if resume and not is_run:
-            raise InputError(f"{self.path}: holds no run of fracflow; name the folder of an earlier run")
-        if not is_run and self.path.exists() and any(self.path.iterdir()):
-            raise InputError(f"{self.path}: holds files that are no run's; name a new or empty folder")
+        check_folder(self.path, resume)
         try:
             self._prepare(keep=resume)
         except OSError as error:
