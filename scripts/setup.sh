@@ -73,6 +73,7 @@ _fracflow_petsc_dir() {
 
 export PYTHONNOUSERSITE=1 # packages in ~/.local would come before the system's numpy
 export OMP_NUM_THREADS=1 MPLBACKEND=Agg
+export OMPI_MCA_mpi_yield_when_idle=1 # ranks that wait leave the cores to others
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1
 unset PYTHONHOME
 

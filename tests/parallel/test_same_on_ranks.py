@@ -22,7 +22,7 @@ SHORTER = {"report_5_4": ("--set", "stage.failure.steps=40")}
 UNSETTLED = 1e-9
 KEPT = (
     "PATH", "HOME", "PETSC_DIR", "PYTHONPATH", "PYTHONNOUSERSITE", "OMP_NUM_THREADS", "MPLBACKEND", "OMPI_ALLOW_RUN_AS_ROOT",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe", "OMPI_MCA_mpi_yield_when_idle",
 )  # fmt: skip
 
 
