@@ -250,12 +250,10 @@ def _abort() -> None:
 
 
 def _stop(message: str, code: int) -> None:
-    rank = 0
-    if "fracflow._petsc" in sys.modules:
-        from fracflow._petsc import MPI, PETSc
+    from fracflow._petsc import MPI, PETSc
 
-        rank = MPI.COMM_WORLD.rank
-        PETSc.Options().delValue("options_left")  # a run that has not ended used few of its options
-    if rank == 0:
+    if code == 2:
+        PETSc.Options().delValue("options_left")  # what has not begun has used few of its options
+    if MPI.COMM_WORLD.rank == 0:
         print(f"fracflow: {' '.join(message.split())}", file=sys.stderr, flush=True)
     sys.exit(code)

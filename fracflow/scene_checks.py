@@ -35,8 +35,8 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
             yield ("petsc", option), "is no name of a PETSc option; give it without dash, such as solid_pc_type"
     in_history = [(("probe", i, "name"), probe.name) for i, probe in enumerate(scene.probe)]
     for path, name in (*in_history, *((("control", name), name) for name in scene.control)):
-        if "/" in name or name in ("", ".", ".."):
-            yield path, "is no name for the history, where / divides; leave out slashes, and no . or .. alone"
+        if not {"", ".", ".."}.isdisjoint(name.split("/")):
+            yield path, "is no name for the history, where / divides; put more than dots before and after it"
 
 
 def _geometry(scene: Scene) -> Iterator[Fault]:
