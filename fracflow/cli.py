@@ -255,5 +255,6 @@ def _stop(message: str, code: int) -> None:
     if code == 2:
         PETSc.Options().delValue("options_left")  # what has not begun has used few of its options
     if MPI.COMM_WORLD.rank == 0:
-        print(f"fracflow: {' '.join(message.split())}", file=sys.stderr, flush=True)
+        line = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
+        print(f"fracflow: {line}", file=sys.stderr, flush=True)
     sys.exit(code)

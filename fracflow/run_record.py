@@ -17,6 +17,7 @@ from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
+from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
 from fracflow.plan import as_records, decide, factorisations
@@ -120,6 +121,8 @@ class Files:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
+        if notes is not None:
+            read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
         self.folder = RunFolder(folder, resume=notes is not None)
         if notes is None:
             save_mesh(self.mesh, self.folder / "mesh.h5")

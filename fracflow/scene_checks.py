@@ -109,6 +109,10 @@ def _actions(scene: Scene) -> Iterator[Fault]:
     for index, load in enumerate(scene.load):
         if load.traction == "initial-stress" and scene.initial_stress is None:
             yield ("load", index, "traction"), "needs the table [initial_stress]"
+    rigid = {name for name, rock in scene.rock.items() if rock.rigid}
+    for index, support in enumerate(scene.support):
+        if "rotation" in support.components and rigid.isdisjoint(support.on):
+            yield ("support", index, "components"), "only a rigid rock has a rotation; leave it out"
     clock: float | None = 0.0
     for index, stage in enumerate(scene.stage):
         if index and stage.kind == "equilibrate":

@@ -22,6 +22,7 @@ from fracflow.state import Forces, Motion, Past, Sections, State
 
 Arrays = dict[str, NDArray[Any]]
 SOLID = {"displacement": "motion", "velocity": "motion", "acceleration": "motion", "load": "forces", "support": "forces"}
+NOTES = ("time", "controls", "energy", "limited", "stage", "progress", "totals", "finished", "ranks", "log_bytes", "events")
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
@@ -42,6 +43,8 @@ def read_notes(path: Path) -> dict[str, Any]:
     try:
         with h5py.File(path, "r") as file:
             notes: dict[str, Any] = json.loads(file.attrs["notes"])
+            for key in NOTES:
+                notes[key]
             return notes
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: is no checkpoint ({error}); start the run again with fracflow run") from error
@@ -84,9 +87,10 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
 
 
 def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]) -> State:
-    """The state that was saved, spread over the ranks of now. Collective."""
+    """The state that was saved, spread over the ranks of now. Raises InputError for that of another mesh. Collective."""
     blocks, layout = operators.blocks, operators.layout
-    places, _ = _solid_places(blocks)
+    places, total = _solid_places(blocks)
+    _check_lengths(arrays, operators, total)
 
     def solid(name: str) -> PETSc.Vec:
         vector = layout.solid_vector()
@@ -119,6 +123,21 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         limited=tuple(notes["limited"]),
         friction=at_sections("friction"),
     )
+
+
+def _check_lengths(arrays: Arrays, operators: Operators, unknowns: int) -> None:
+    sizes = operators.blocks.sizes
+    lengths = dict.fromkeys(SOLID, unknowns) | dict.fromkeys(FLOW if operators.flow is not None else (), sizes.flow_nodes)
+    lengths |= {f"sections/{field.name}": sizes.joints for field in fields(Sections) if field.name != "past"}
+    for number, group in enumerate(operators.joints.laws):
+        lengths |= {f"past/{number}/{name}": sizes.joints for name in group.law.history}
+    for name, length in lengths.items():
+        found = len(arrays[name]) if name in arrays else 0
+        if found != length:
+            raise InputError(
+                f"checkpoint.h5: is no checkpoint of this mesh ({name} has {found} rows, not {length});"
+                " start the run again with fracflow run"
+            )
 
 
 def _solid_places(blocks: Blocks) -> tuple[Ints, int]:
