@@ -62,7 +62,7 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
 
     petsc_options(PETSc, context.args)
     from fracflow.output.folder import check_folder
-    from fracflow.run import resume
+    from fracflow.run import has_ended, resume
     from fracflow.scene import load
 
     comm = MPI.COMM_WORLD
@@ -70,6 +70,8 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     if not (folder / "scene.toml").is_file():
         raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
     console = Console(quiet=comm.rank > 0, highlight=False)
+    if has_ended(folder):
+        console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True)
     watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))
 
 
@@ -125,12 +127,13 @@ def check(
 ) -> None:
     """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
     from fracflow.plan import as_records, decide
-    from fracflow.run_check import sizes
+    from fracflow.run_check import set_up
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
     given = load(scene, set_ or [])
-    found, decisions, notes = sizes(given), decide(given), advice(given)
+    (found, moved), decisions = set_up(given), decide(given)
+    notes = [*advice(given), *moved]
     if as_json:
         typer.echo(json.dumps({"sizes": found, "plan": as_records(decisions), "notes": notes}, indent=1))
         return
@@ -169,9 +172,12 @@ def picture(folder: Annotated[Path, typer.Argument(help="a run folder")]) -> Non
 @app.command()
 def export(
     folder: Annotated[Path, typer.Argument(help="a run folder")],
-    as_csv: Annotated[bool, typer.Option("--csv", help="comma-separated values, the unit in each column's head")] = False,
+    as_csv: Annotated[
+        bool, typer.Option("--csv", help="comma-separated values, the unit in each column's head")
+    ] = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="a folder, by default FOLDER/csv; or NAME.csv, all in one table")
+        Path | None,
+        typer.Option("-o", "--output", help="a folder, by default FOLDER/csv; or NAME.csv, all in one table"),
     ] = None,
 ) -> None:
     """Write the history of a run for other programs: steps, energies and each probe."""

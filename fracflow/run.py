@@ -15,7 +15,7 @@ from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.run_equilibrate import equilibrate
 from fracflow.run_record import Recorder, Totals
 from fracflow.run_setup import Model, on_root, prepare
-from fracflow.run_start import rest
+from fracflow.run_start import rest, settle
 from fracflow.run_steps import Step, Stepping, run_stage, stepper_of
 from fracflow.run_watch import Watch, Wish
 from fracflow.scene import Scene, load
@@ -31,6 +31,7 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
     """
     began = clock.perf_counter()
     model = prepare(scene, comm)
+    settle(model)
     state = rest(model)
     recorder = Recorder(model, Path(folder), comm)
     sizes = model.operators.blocks.sizes
@@ -64,6 +65,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
     mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5"))
     model = prepare(scene, comm, mesh, cell_rank)
+    settle(model)
     step = Step(
         restore_state(model.operators, arrays, notes),
         notes["stage"], 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0), notes["progress"],
@@ -71,6 +73,12 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     recorder = Recorder(model, folder, comm, notes)
     recorder.log(f"resumed at time {step.state.time:.6g} on {comm.size} ranks")
     return _go(model, recorder, step, began, progress)
+
+
+def has_ended(folder: Path) -> bool:
+    """Whether the run in a folder came to the end of its last stage. Raises InputError for an unreadable checkpoint."""
+    saved = folder / "checkpoint.h5"
+    return saved.exists() and bool(read_notes(saved)["finished"])
 
 
 def _require(folder: Path) -> None:

@@ -7,22 +7,23 @@ from typing import Any
 from fracflow._petsc import MPI
 from fracflow.mesh.split import summary
 from fracflow.run_setup import prepare
-from fracflow.run_start import rest
+from fracflow.run_start import settle
 from fracflow.scene import Scene
 
 
-def sizes(scene: Scene) -> dict[str, Any]:
-    """Set a scene up as a run does, on one rank, and count. Raises InputError where it cannot be run."""
+def set_up(scene: Scene) -> tuple[dict[str, Any], list[str]]:
+    """Set a scene up as a run does, on one rank: its sizes, and what was moved to fit. InputError where it cannot be run."""
     model = prepare(scene, MPI.COMM_SELF)
-    rest(model).destroy()
+    settle(model)
     assert model.mesh is not None
     layout, start, steps = model.operators.layout, 0.0, 0
     for stage in scene.stage:
         count = stage.step_count(start) or 0
         steps, start = steps + count, start + count * (stage.time_step or 0.0)
-    return {
+    found = {
         **summary(model.mesh),
         "displacement unknowns": int(layout.solid_starts[-1]) - len(model.operators.blocks.solid.unused),
         "pressure unknowns": int(layout.flow_starts[-1]),
         "steps": steps,
     }
+    return found, [*model.mesh.notes, *model.placed.notes]

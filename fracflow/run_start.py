@@ -20,25 +20,61 @@ from fracflow.state import Forces, Motion, Sections, State
 EQUILIBRIUM = 1e-9  # of the natural force of a joint
 
 
+def settle(model: Model) -> None:
+    """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by.
+
+    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
+    differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start. The
+    operator ``prestress`` changes by it, so a run that goes on is settled too. A scene with a stage ``equilibrate`` is
+    left as it is. Raises InputError, on every rank. Collective.
+    """
+    if model.scene.equilibrates:
+        return
+    ops = model.operators
+    motion, sections, pressure = _unmoved(model)
+    balance, allowed = imbalance(model, motion.displacement, sections.traction, pressure), _slack(model)
+    motion.destroy()
+    pressure.destroy()
+    model.loads.release(balance)
+    bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
+    count = ops.blocks.comm.allreduce(int(bad.sum()))
+    names = _names_at(ops, np.flatnonzero(bad))
+    if not count and allowed.norm() > 0.0:
+        ops.prestress.axpy(-1.0, balance)
+    balance.destroy()
+    allowed.destroy()
+    if count:
+        raise InputError(
+            f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
+            f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
+            ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
+            " initial tractions must be those of initial_stress and fluid.initial_pressure; a [body_force] must balance the"
+            ' gradient of initial_stress; or let a first [[stage]] with kind = "equilibrate" find the state that is'
+        )
+
+
 def rest(model: Model) -> State:
-    """The state before the first step. Raises InputError, on every rank, where it is out of balance. Collective.
+    """The state before the first step, of a model that was settled. Collective.
 
     Fractures past their strength carry their initial tractions all the same: only a scene with a stage
     ``equilibrate`` comes here with any.
     """
     ops, scene = model.operators, model.scene
-    layout = ops.layout
-    motion = Motion(layout.solid_vector(), layout.solid_vector(), layout.solid_vector())
-    pressure = layout.flow_vector()
-    if ops.flow is not None:
-        pressure.setArray(initial_pressure(scene, ops.blocks.flow.points))
-    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest(), hold=True)
-    if not scene.equilibrates:
-        _settle(model, motion, sections.traction, pressure)
+    motion, sections, pressure = _unmoved(model)
     controls = {name: control.initial for name, control in scene.control.items()}
     holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
     state = State(0.0, motion, pressure, sections, holding, controls, empty_books(), friction=friction)
     return state if scene.initial is None else _moved(model, state)
+
+
+def _unmoved(model: Model) -> tuple[Motion, Sections, PETSc.Vec]:
+    ops, layout = model.operators, model.operators.layout
+    motion = Motion(layout.solid_vector(), layout.solid_vector(), layout.solid_vector())
+    pressure = layout.flow_vector()
+    if ops.flow is not None:
+        pressure.setArray(initial_pressure(model.scene, ops.blocks.flow.points))
+    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest(), hold=True)
+    return motion, sections, pressure
 
 
 def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.Vec) -> Forces:
@@ -117,32 +153,6 @@ def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure:
         balance.axpy(-1.0, term)
     term.destroy()
     return balance
-
-
-def _settle(model: Model, motion: Motion, traction: Floats, pressure: PETSc.Vec) -> None:
-    """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by. Collective.
-
-    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
-    differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start.
-    """
-    ops = model.operators
-    balance, allowed = imbalance(model, motion.displacement, traction, pressure), _slack(model)
-    model.loads.release(balance)
-    bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
-    count = ops.blocks.comm.allreduce(int(bad.sum()))
-    names = _names_at(ops, np.flatnonzero(bad))
-    if not count and allowed.norm() > 0.0:
-        ops.prestress.axpy(-1.0, balance)
-    balance.destroy()
-    allowed.destroy()
-    if count:
-        raise InputError(
-            f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
-            f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
-            ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
-            " initial tractions must be those of initial_stress and fluid.initial_pressure; a [body_force] must balance the"
-            ' gradient of initial_stress; or let a first [[stage]] with kind = "equilibrate" find the state that is'
-        )
 
 
 def _slack(model: Model) -> PETSc.Vec:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,14 @@ Past = tuple[Mapping[str, Floats], ...]
 """Histories of the joint sections, one mapping a law."""
 
 
+class MotionValues(NamedTuple):
+    """A motion's values on this rank (n,)."""
+
+    displacement: Floats
+    velocity: Floats
+    acceleration: Floats
+
+
 @dataclass(frozen=True)
 class Motion:
     """Displacement, velocity and acceleration of the solid unknowns."""
@@ -23,6 +31,10 @@ class Motion:
     displacement: PETSc.Vec
     velocity: PETSc.Vec
     acceleration: PETSc.Vec
+
+    def values(self) -> MotionValues:
+        """This rank's share as arrays, to read."""
+        return MotionValues(*(v.getArray(readonly=True) for v in (self.displacement, self.velocity, self.acceleration)))
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""

@@ -62,9 +62,9 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
     (``work_pressure``). Collective.
     """
     ops = operators
-    change = new.motion.displacement - old.motion.displacement
-    mean_acceleration = 0.5 * (new.motion.acceleration + old.motion.acceleration)
-    mean_pressure = 0.5 * (new.pressure + old.pressure)
+    change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
+    mean_acceleration = _sum(0.5, new.motion.acceleration, 0.5, old.motion.acceleration)
+    mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
     term = change.duplicate()
     parts = _joint_parts(ops, old, new)
     ops.mass.mult(mean_acceleration, term)
@@ -74,7 +74,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         parts["scheme"] = of_inertia - parts["kinetic"]
     else:
         parts["dropped"] = of_inertia  # of a stage before, let go in the first step
-    mean_displacement = 0.5 * (new.motion.displacement + old.motion.displacement)
+    mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
     parts["work_boundaries"] = 0.5 * sum(
@@ -88,6 +88,13 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         vector.destroy()
     totals = {name: old.energy[name] + parts.get(name, 0.0) for name in ENTRIES}
     return _with_residuals(totals)
+
+
+def _sum(first: float, a: PETSc.Vec, second: float, b: PETSc.Vec) -> PETSc.Vec:
+    result = a.copy()
+    result.scale(first)
+    result.axpy(second, b)
+    return result
 
 
 def switch(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
@@ -138,7 +145,7 @@ def _fluid_parts(
     The resting pressure is a dead load on the walls.
     """
     assert ops.flow is not None
-    rate, share, driving = pressure.duplicate(), dt / len(instants), pressure - ops.flow.resting
+    rate, share, driving = pressure.duplicate(), dt / len(instants), _sum(1.0, pressure, -1.0, ops.flow.resting)
 
     def volume(matrix: PETSc.Mat, motion: PETSc.Vec) -> float:
         matrix.multTranspose(motion, rate)

@@ -23,12 +23,14 @@ class HistoryFile:
     path   file to write; replaced if it exists
     attrs  metadata of the run (units, versions, ...); all but strings and numbers are stored as JSON
 
-    ``time`` is the last dataset that a record is written to: a step that has its time is complete.
+    ``time`` is the last dataset that a record is written to: a step that has its time is complete. Until the first
+    record the file is PATH.part, for HDF5 could not read it after a kill.
     """
 
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
-        self._file = h5py.File(self.path, "w", libver="latest")
+        self._part = self.path.with_name(self.path.name + ".part")
+        self._file = h5py.File(self._part, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
         self._rows = 0
         for name, value in (attrs or {}).items():
@@ -42,11 +44,11 @@ class HistoryFile:
         found = len(old.get("time", ()))
         if rows > found:
             raise InputError(f"{path}: has {found} steps, not {rows}; resume from an earlier one")
-        part = Path(path).with_name(Path(path).name + ".part")
-        history = cls(part, read_attributes(path))
-        history._fill({key: values[:rows] for key, values in old.items()})
-        os.replace(part, path)
-        history.path = Path(path)
+        history = cls(path, read_attributes(path))
+        if old:
+            history._create(old)
+            history._extend({key: values[:rows] for key, values in old.items()})
+            history._show()
         return history
 
     def append(self, record: Mapping[str, ArrayLike]) -> None:
@@ -62,10 +64,12 @@ class HistoryFile:
             odd = sorted(row.keys() ^ self._sets.keys())
             raise ValueError(f"history record: keys {odd} are not in every record; all must be in the first")
         self._extend(row)
+        self._show()
 
     def close(self) -> None:
         """Close the file; a closed history needs no SWMR reader."""
         self._file.close()
+        self._show()
 
     def __enter__(self) -> HistoryFile:
         return self
@@ -73,10 +77,9 @@ class HistoryFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _fill(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        if columns:
-            self._create(columns)
-            self._extend(columns)
+    def _show(self) -> None:
+        if self._part.exists():
+            os.replace(self._part, self.path)
 
     def _create(self, columns: Mapping[str, NDArray[Any]]) -> None:
         if "time" not in columns:

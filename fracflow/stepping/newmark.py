@@ -1,4 +1,4 @@
-"""(4.1)-(4.3) The Newmark family and its two limits without inertia, on arrays and PETSc Vecs alike."""
+"""(4.1)-(4.3) The Newmark family and its two limits without inertia, on arrays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Alphas:
 
 
 class HasMotion(Protocol):
-    """Displacement, velocity and acceleration, all arrays or all Vecs."""
+    """Displacement, velocity and acceleration, all arrays or all numbers."""
 
     @property
     def displacement(self) -> Any:
@@ -58,13 +58,13 @@ class Stepper(Protocol):
 
 
 def acceleration(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -> Any:
-    """(4.2e) a_new = a0 (d_new - d) - a2 v - a3 a; a new array or Vec."""
+    """(4.2e) a_new = a0 (d_new - d) - a2 v - a3 a."""
     change = displacement_new - motion_old.displacement
     return alphas.a0 * change - alphas.a2 * motion_old.velocity - alphas.a3 * motion_old.acceleration
 
 
 def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -> Any:
-    """(4.2f) v_new = a1 (d_new - d) - a4 v - a5 a; a new array or Vec."""
+    """(4.2f) v_new = a1 (d_new - d) - a4 v - a5 a."""
     change = displacement_new - motion_old.displacement
     return alphas.a1 * change - alphas.a4 * motion_old.velocity - alphas.a5 * motion_old.acceleration
 

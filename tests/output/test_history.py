@@ -41,6 +41,25 @@ def test_a_reader_beside_a_live_writer_sees_every_step(tmp_path):
             check(read_history(tmp_path / "h.h5"), i + 1)
 
 
+def test_a_history_is_there_once_it_can_be_read(tmp_path):
+    """Until its first record HDF5 could not read the file after a kill; so an earlier one stays until then."""
+    path = tmp_path / "h.h5"
+    for rows in (3, 5):
+        history = HistoryFile(path)
+        assert path.exists() == (rows == 5)
+        if path.exists():
+            check(read_history(path), 3)
+        for i in range(rows):
+            history.append(record(i))
+            check(read_history(path), i + 1)
+        history.close()
+    HistoryFile(tmp_path / "empty.h5").close()
+    assert read_history(tmp_path / "empty.h5") == {}
+    with HistoryFile.resume(tmp_path / "empty.h5", 0) as history:
+        history.append(record(0))
+    check(read_history(tmp_path / "empty.h5"), 1)
+
+
 WRITER = """
 import sys
 sys.path[:0] = {paths!r}

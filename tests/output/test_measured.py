@@ -1,5 +1,8 @@
 """Probes and fields against closed forms and the energy books."""
 
+import xml.etree.ElementTree as ElementTree
+
+import h5py
 import numpy as np
 import pytest
 
@@ -189,6 +192,23 @@ def test_densities_add_up_to_the_books(ran, overrides):
         assert share @ joint["stored_energy"] == pytest.approx(stored, abs=1e-9 * largest)
     for entry in ("rock_strain", "kinetic", "friction", "joint_shear"):
         assert np.abs(history[f"energy/{entry}"]).max() > 1e-6 * largest, entry
+
+
+def test_the_index_of_a_run_leads_to_its_fields(ran):
+    """Every array that rock.xdmf and fractures.xdmf name is there in the size they promise, and no field is left out."""
+    folder = ran(CRACK)
+    for family, least in (
+        ("rock", {"velocity", "strain_energy_density"}),
+        ("fractures", {"strength", "utilisation", "head"}),
+    ):
+        grids = ElementTree.parse(folder / f"{family}.xdmf").findall("Domain/Grid/Grid")
+        assert len(grids) == 11
+        for item in grids[-1].iter("DataItem"):
+            file, key = item.text.strip().split(":")
+            with h5py.File(folder / file) as data:
+                assert data[key].shape == tuple(map(int, item.get("Dimensions").split()))
+        _, point, cell = read_step(list_steps(folder, family)[-1][1])
+        assert least <= {field.get("Name") for field in grids[-1].findall("Attribute")} == {*point, *cell}
 
 
 def test_what_a_fracture_tells_agrees_with_the_law(ran):

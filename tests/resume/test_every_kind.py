@@ -18,6 +18,7 @@ MESHES = Path(__file__).parents[2] / "meshes"
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from physics.test_along_fractures import RIGID  # noqa: E402
 from physics.test_books import CRACK, DYNAMIC, QUASI  # noqa: E402
+from physics.test_depth import HEAVY  # noqa: E402
 from physics.test_supports import PERIODIC  # noqa: E402
 from physics.test_wells import PUMPED  # noqa: E402
 
@@ -40,6 +41,7 @@ CASES = {
     "stages": (CRACK + QUASI + DYNAMIC + QUASI, [], (3, 5, 8, 10, 12)),
     "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
     "wells at limits": (PUMPED, [], (3, 5)),
+    "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
     "rigid walls": (RIGID, ["fracture.slot.pressure=[[0, 0], [2, 1e4]]"], (1,)),
 }
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.output import read_events, read_history
+from fracflow.output import list_steps, read_events, read_history, read_step
 from fracflow.run import resume, run
 from fracflow.scene import load
 
@@ -79,6 +79,9 @@ def same(folder, whole):
     assert not differ
     assert (folder / "events.csv").read_text() == (whole / "events.csv").read_text()
     assert {p.name for p in (folder / "fields").iterdir()} == {p.name for p in (whole / "fields").iterdir()}
+    for _, path in list_steps(whole, "fractures"):
+        mine, theirs = read_step(folder / "fields" / path.name)[1], read_step(path)[1]
+        assert [k for k in theirs if not np.array_equal(mine[k], theirs[k], equal_nan=True)] == []
 
 
 def readable(folder):

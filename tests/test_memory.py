@@ -1,0 +1,36 @@
+"""What a run keeps for itself while it runs."""
+
+from pathlib import Path
+
+import pytest
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.run import run
+from fracflow.scene import load
+
+MESHES = Path(__file__).parents[1] / "meshes"
+
+
+@pytest.mark.parametrize(
+    "name, overrides",
+    [
+        ("crossings", []),
+        ("report_5_3", ["method.coupling=fixed-point", "fracture.fault.aperture=0.2 ft", "stage.failure.steps=3"]),
+        ("crossings", ["initial.velocity=[1e-6, 0]", "stage.0={kind = 'equilibrate', steps = 2}"]),
+    ],
+    ids=["default", "fixed-point", "equilibrate"],
+)
+def test_nothing_is_left_to_a_collection(name, overrides, shared_tmp, capfd):
+    """petsc4py keeps every object that was not destroyed until the end of the program, a few a step fill the memory."""
+    PETSc.garbage_cleanup()
+    left = []
+
+    def count(*_):
+        PETSc.garbage_view()
+        left.append(capfd.readouterr().out)
+
+    scene = load(MESHES / name / "scene.toml", ["output.pictures=false", "stage.1.steps=3", *overrides])
+    run(scene, shared_tmp / "out", progress=count)
+    assert len(left) > 3
+    assert left[0] or MPI.COMM_WORLD.rank
+    assert all("Total entries: 0" in text or not text for text in left), left[-1]
