@@ -89,7 +89,9 @@ class Recorder:
             return
         arrays = gather_state(self.model.operators, step.state)
         if self.files is not None and arrays is not None:
-            self.files.save(step, arrays, {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size})
+            self.files.save(
+                step, arrays, {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
+            )
 
     def finish(self, seconds: float) -> None:
         """Write plan.json and the last lines of the log."""

@@ -194,9 +194,7 @@ def closed_components(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
     return np.flatnonzero(np.isin(label, dry))
 
 
-def prepare(
-    scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None
-) -> Model:
+def prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 
     saved, cell_rank  mesh and partition of an earlier run, on rank 0

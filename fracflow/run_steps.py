@@ -86,7 +86,13 @@ class Stepping:
         reached = reached_before(loads, state)
         for _ in range(2 + 2 * len(loads.limits)):
             problem = StepProblem(
-                self.model.operators, self._limited(loads, reached), state, stepper.alphas(dt), time, controls, restraint
+                self.model.operators,
+                self._limited(loads, reached),
+                state,
+                stepper.alphas(dt),
+                time,
+                controls,
+                restraint,
             )
             try:
                 report = self._coupling(problem.loads).solve(problem)
@@ -123,7 +129,9 @@ class Stepping:
             motion.velocity.set(0.0)
         energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
         if not stepper.inertia:
-            return replace(state, motion=motion, pressure=state.pressure.copy(), forces=state.forces.copy(), energy=energy)
+            return replace(
+                state, motion=motion, pressure=state.pressure.copy(), forces=state.forces.copy(), energy=energy
+            )
         loads = self._limited(self._loads(stepper), reached_before(self._loads(stepper), state))
         now = Alphas(a4=-1.0)  # no change of displacement, the velocity as it is
         problem = StepProblem(ops, loads, replace(state, motion=motion), now, state.time, state.controls)

@@ -72,7 +72,9 @@ class Tie(Part):
     @model_validator(mode="after")
     def _consistent(self) -> Tie:
         if len(set(self.on)) < len(self.on):
-            raise fault("names one side twice; give it once to let it move as one, or two that face each other", key="on")
+            raise fault(
+                "names one side twice; give it once to let it move as one, or two that face each other", key="on"
+            )
         return self
 
 
@@ -119,7 +121,8 @@ class Well(Part):
     )
     control: Name | None = Field(default=None, description="name of the [control] whose factor multiplies flow_rate")
     maximum_pressure: Annotated[float, Quantity(STRESS)] | None = Field(
-        default=None, description="pressure that pumping must not exceed: the well then takes what it can [force/length**2]"
+        default=None,
+        description="pressure that pumping must not exceed: the well then takes what it can [force/length**2]",
     )
     minimum_pressure: Annotated[float, Quantity(STRESS)] | None = Field(
         default=None, description="pressure below which it must not draw: it then gives what it can [force/length**2]"

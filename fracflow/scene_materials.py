@@ -88,7 +88,9 @@ class InitialStress(Part):
     zz: Stress = Field(default=0.0, description="sigma_zz, out of plane [force/length**2]")
     xy: Stress = Field(default=0.0, description="sigma_xy [force/length**2]")
     gradient: StressGradient = Field(default_factory=StressGradient, description="change with depth")
-    datum: Position = Field(default=0.0, description="y at which the values above hold; the depth is datum - y [length]")
+    datum: Position = Field(
+        default=0.0, description="y at which the values above hold; the depth is datum - y [length]"
+    )
 
 
 class BodyForce(Part):
@@ -118,7 +120,8 @@ class Initial(InitialMotion):
     """[initial] A start away from the state that initial_stress and fluid.initial_pressure describe."""
 
     pressure: Annotated[float, Quantity(STRESS)] | None = Field(
-        default=None, description="pressure in all fractures at the start [force/length**2]; else fluid.initial_pressure"
+        default=None,
+        description="pressure in all fractures at the start [force/length**2]; else fluid.initial_pressure",
     )
     rock: dict[str, InitialMotion] = Field(default_factory=dict, description="rocks that start otherwise, by name")
 

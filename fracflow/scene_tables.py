@@ -133,7 +133,8 @@ class Output(Part):
         description="write whole fields every so many steps; 0 writes the first and the last state only",
     )
     checkpoint_every: Annotated[int, Field(strict=True, ge=0)] = Field(
-        default=0, description="save the state every so many steps; 0 leaves it to the clock, to signals and to failures"
+        default=0,
+        description="save the state every so many steps; 0 leaves it to the clock, to signals and to failures",
     )
     checkpoint_seconds: Annotated[float, Quantity(above=0.0)] = Field(
         default=60.0, description="save the state when so many seconds of wall clock have passed [s]"
@@ -166,7 +167,8 @@ class Geometry(Part):
         default=None, description="mesh size at fractures [length]; as size if not given"
     )
     size_at_tips: Size | None = Field(
-        default=None, description="mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given"
+        default=None,
+        description="mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given",
     )
     growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] = Field(
         default=0.3, description="growth of the mesh size per length away from the fractures [1]"

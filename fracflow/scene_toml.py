@@ -29,7 +29,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; give the path of a TOML file") from None
     except UnicodeDecodeError as error:
-        raise InputError(f"{path.name}: not UTF-8 text: {error.reason} at byte {error.start}; save it as UTF-8") from None
+        raise InputError(
+            f"{path.name}: not UTF-8 text: {error.reason} at byte {error.start}; save it as UTF-8"
+        ) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path.name}: not valid TOML: {' '.join(str(error).split())}") from None
     except RecursionError:

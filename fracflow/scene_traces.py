@@ -115,7 +115,9 @@ def _table(row: TraceRow, tables: Mapping[str, Any], where: str, units: Any) -> 
     shut = {key for pair in ALTERNATIVES if set(pair) & set(row.properties) for key in pair}
     table = {key: value for key, value in own.items() if key not in shut} if isinstance(own, Mapping) else {}
     table |= row.properties
-    filled = with_default_fracture({"fracture": {"default": tables.get("default"), row.name: table}})["fracture"][row.name]
+    filled = with_default_fracture({"fracture": {"default": tables.get("default"), row.name: table}})["fracture"][
+        row.name
+    ]
     try:
         Fracture.model_validate(filled, context={"units": UnitSystem.parse(units)})
     except ValidationError as error:
@@ -130,7 +132,9 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file of traces; geometry.fractures_csv names it from the scene's folder") from None
+        raise InputError(
+            f"{path}: no such file of traces; geometry.fractures_csv names it from the scene's folder"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else f"not UTF-8: {error.reason} at byte {error.start}"
         raise InputError(f"{path}: cannot be read: {why}; give a UTF-8 text file") from None

@@ -106,7 +106,7 @@ $Elements
 $EndElements
 """
 CELLS = MSH[MSH.index("1 3 2 1 1") : MSH.index("5 1 2 2 2")]
-NAMED = ('$PhysicalNames\n6\n', '$PhysicalNames\n7\n{} 9 "empty"\n')  # a group without elements
+NAMED = ("$PhysicalNames\n6\n", '$PhysicalNames\n7\n{} 9 "empty"\n')  # a group without elements
 V1 = "$NOD\n3\n1 0 0 0\n2 1 0 0\n3 0 1 0\n$ENDNOD\n$ELM\n1\n1 2 1 1 3 1 2 3\n$ENDELM\n"
 RUBBISH = bytes(range(256)) * 8
 
@@ -161,68 +161,158 @@ SCENES = {
     "a folder": ({"scene.toml": None}, "scene.toml: cannot be read: Is a directory; give the path of a TOML file"),
     "empty": ({"scene.toml": ""}, "scene.toml: stage: missing; a run needs at least one [[stage]] (and 2 more)"),
     "truncated": ({"scene.toml": SCENE[: SCENE.index(' GPa"')]}, "scene.toml: not valid TOML: … (at"),
-    "cut between tables": ({"scene.toml": SCENE[: SCENE.index("[[support]]")]}, "scene.toml: stage: missing; a run needs"),
+    "cut between tables": (
+        {"scene.toml": SCENE[: SCENE.index("[[support]]")]},
+        "scene.toml: stage: missing; a run needs",
+    ),
     "rubbish": ({"scene.toml": RUBBISH}, "scene.toml: not UTF-8 text: … at byte 128; save it as UTF-8"),
     "UTF-16": ({"scene.toml": SCENE.encode("utf-16")}, "scene.toml: not UTF-8 text: … at byte 0; save it as UTF-8"),
-    "Latin-1": ({"scene.toml": SCENE.replace("square", "Würfel").encode("latin-1")}, "not UTF-8 text: … save it as UTF-8"),
+    "Latin-1": (
+        {"scene.toml": SCENE.replace("square", "Würfel").encode("latin-1")},
+        "not UTF-8 text: … save it as UTF-8",
+    ),
     "a NUL": (scene("2700", "2700\0"), "scene.toml: not valid TOML: … (at line 11, column 15)"),
     "nested too deep": (scene('"A square with a fault"', "[" * 5000), "scene.toml: not valid TOML: brackets too deep"),
-    "a table twice": (scene("[fluid]", "[rock.rock]\n[fluid]"), "scene.toml: not valid TOML: Cannot declare … (at line 19"),
+    "a table twice": (
+        scene("[fluid]", "[rock.rock]\n[fluid]"),
+        "scene.toml: not valid TOML: Cannot declare … (at line 19",
+    ),
     "a title of two lines": (scene("A square", r"A\nsquare"), 'title = "A\\nsquare … must be one line'),
     "NaN": (scene("0.25", "nan"), "scene.toml: rock.rock.poissons_ratio = nan: must be finite"),
     "infinite": (scene("2700", "inf"), "scene.toml: rock.rock.density = inf: must be finite, and at most 1e+100"),
-    "a huge whole number": (scene("2700", "9" * 400), "scene.toml: rock.rock.density = 999… must be finite, and at most"),
-    "a huge number": (scene('"50 GPa"', "1e308"), "scene.toml: rock.rock.youngs_modulus = 1e308: must be finite, and at most"),
-    "a huge number in a unit": (scene('"50 GPa"', '"1e999 Pa"'), 'rock.rock.youngs_modulus = "1e999 Pa": must be finite'),
-    "a number that is almost zero": (scene('"1e-3 Pa s"', "1e-320"), "fluid.viscosity = 1e-320: … at least 1e-100 or 0"),
-    "a length in Pa": (scene('"1 mm"', '"1 Pa"'), 'fracture.fault.aperture = "1 Pa": "Pa" is not a unit of length; … "1 mm"'),
-    "unit unknown": (scene("50 GPa", "50 GPu"), 'youngs_modulus = "50 GPu": unknown unit "GPu"; must be a number in N/m**2 or'),
-    "negative aperture": (scene('"1 mm"', '"-1 mm"'), 'fracture.fault.aperture = "-1 mm": out of range; must be above 0'),
-    "a profile below zero": (scene('"1 mm"', "{along = [0, 3], value = [1, -1]}"), "fault.aperture = {along … must be above 0"),
+    "a huge whole number": (
+        scene("2700", "9" * 400),
+        "scene.toml: rock.rock.density = 999… must be finite, and at most",
+    ),
+    "a huge number": (
+        scene('"50 GPa"', "1e308"),
+        "scene.toml: rock.rock.youngs_modulus = 1e308: must be finite, and at most",
+    ),
+    "a huge number in a unit": (
+        scene('"50 GPa"', '"1e999 Pa"'),
+        'rock.rock.youngs_modulus = "1e999 Pa": must be finite',
+    ),
+    "a number that is almost zero": (
+        scene('"1e-3 Pa s"', "1e-320"),
+        "fluid.viscosity = 1e-320: … at least 1e-100 or 0",
+    ),
+    "a length in Pa": (
+        scene('"1 mm"', '"1 Pa"'),
+        'fracture.fault.aperture = "1 Pa": "Pa" is not a unit of length; … "1 mm"',
+    ),
+    "unit unknown": (
+        scene("50 GPa", "50 GPu"),
+        'youngs_modulus = "50 GPu": unknown unit "GPu"; must be a number in N/m**2 or',
+    ),
+    "negative aperture": (
+        scene('"1 mm"', '"-1 mm"'),
+        'fracture.fault.aperture = "-1 mm": out of range; must be above 0',
+    ),
+    "a profile below zero": (
+        scene('"1 mm"', "{along = [0, 3], value = [1, -1]}"),
+        "fault.aperture = {along … must be above 0",
+    ),
     "a profile that descends": (
         scene('"1 mm"', "{along = [3, 0], value = [1, 2]}"),
         "fracture.fault.aperture = {along = [3, 0], value = [1, 2]}: the distances of a table must ascend",
     ),
-    "times that descend": (scene("[0, 0], [1,", "[2, 0], [1,"), "well.well.flow_rate = [[2, 0], … the times of a table must ascend"),
-    "unit system unknown": (scene("title", 'units = "kg"\ntitle'), 'scene.toml: units = "kg": not a unit system; use "SI"'),
-    "key unknown": (scene("viscosity", "viscositty"), 'fluid.viscositty = "1e-3 Pa s": unknown key; did you mean "viscosity"?'),
-    "fractures of no geometry": (scene(TRACES, "fracture = []\n"), "fracture.fault: no fracture of that name in [geometry]"),
+    "times that descend": (
+        scene("[0, 0], [1,", "[2, 0], [1,"),
+        "well.well.flow_rate = [[2, 0], … the times of a table must ascend",
+    ),
+    "unit system unknown": (
+        scene("title", 'units = "kg"\ntitle'),
+        'scene.toml: units = "kg": not a unit system; use "SI"',
+    ),
+    "key unknown": (
+        scene("viscosity", "viscositty"),
+        'fluid.viscositty = "1e-3 Pa s": unknown key; did you mean "viscosity"?',
+    ),
+    "fractures of no geometry": (
+        scene(TRACES, "fracture = []\n"),
+        "fracture.fault: no fracture of that name in [geometry]",
+    ),
     "a default for no fractures": (
         scene(TRACES, "fracture = []\n", "fracture.fault", "fracture.default"),
         'scene.toml: well.well.at.fracture = "fault": not in the mesh; none is allowed here',
     ),
-    "a name twice": (scene(TRACES, TRACES * 2), 'geometry.fracture.fault.name = "fault": stands twice; names must differ'),
+    "a name twice": (
+        scene(TRACES, TRACES * 2),
+        'geometry.fracture.fault.name = "fault": stands twice; names must differ',
+    ),
     "a fracture called like a side": (
         {"scene.toml": SCENE.replace("fault", "west")},
         'scene.toml: geometry: fracture "west": the name is taken by another fracture, a side or the rock; choose another',
     ),
     "a probe called dot": (scene('"probe"', '"."'), 'probe...name = ".": is no name for the history'),
-    "a name with a NUL": (scene('"probe"', '"a\\u0000"'), 'name = "a\\u0000": must be one line without control characters'),
-    "mesh and geometry": (scene("[fluid]", '[mesh]\nfile = "a.msh"\n[fluid]'), "geometry: contradicts [mesh]; give one of them"),
+    "a name with a NUL": (
+        scene('"probe"', '"a\\u0000"'),
+        'name = "a\\u0000": must be one line without control characters',
+    ),
+    "mesh and geometry": (
+        scene("[fluid]", '[mesh]\nfile = "a.msh"\n[fluid]'),
+        "geometry: contradicts [mesh]; give one of them",
+    ),
     "domain crosses itself": (
         scene("[0, 0, 4, 4]", "[[0, 0], [4, 4], [4, 0], [0, 4]]"),
         "scene.toml: geometry.domain: the sides cross each other; list the corners in their order",
     ),
-    "domain without area": (scene("[0, 0, 4, 4]", "[[0, 2], [2, 2], [4, 2]]"), "geometry.domain: the corner (2, 2) is within"),
-    "domain inside out": (scene("[0, 0, 4, 4]", "[4, 4, 0, 0]"), "geometry.domain = [4, 4, 0, 0]: must be … xmin < xmax"),
+    "domain without area": (
+        scene("[0, 0, 4, 4]", "[[0, 2], [2, 2], [4, 2]]"),
+        "geometry.domain: the corner (2, 2) is within",
+    ),
+    "domain inside out": (
+        scene("[0, 0, 4, 4]", "[4, 4, 0, 0]"),
+        "geometry.domain = [4, 4, 0, 0]: must be … xmin < xmax",
+    ),
     "domain closed twice": (
         scene("[0, 0, 4, 4]", "[[0, 0], [4, 0], [4, 4], [0, 0]]"),
         "geometry.domain: the side that starts at (0, 0) is no longer than snap = 0.1",
     ),
-    "cells too many": (scene("size = 2", "size = 1e-6"), "geometry.size = 1e-06: would take some 2e+13 cells; raise it"),
-    "a trace of one point": (scene("[[1, 2], [4, 2]]", "[[1, 2]]"), "fault.points = [[1, 2]]: must be at least two points"),
-    "a trace of no length": (scene("[4, 2]]", "[1, 2]]"), "fault.points = [[1, 2], [1, 2]]: two points in a row are the same"),
-    "a trace of hardly any length": (scene("[4, 2]]", "[1, 2.01]]"), 'fracture "fault": is shorter than snap = 0.1; remove it'),
-    "a trace outside": (scene("[[1, 2], [4,", "[[10, 2], [14,"), 'fracture "fault": lies outside the domain; move or remove it'),
-    "a trace along a side": (scene("[[1, 2], [4, 2]]", "[[0, 0], [4, 0]]"), 'fracture "fault": runs along side south for 4'),
-    "a well off the fracture": (placed(END, "[1, 3.9]"), "well.well: at = [1.0, 3.9]: the nearest fracture is 2.15 away; move it"),
-    "a well on no fracture": (placed('"fault", end', '"fold", end'), 'well.well.at.fracture = "fold": not in the mesh; allowed: fault'),
-    "a probe outside": (placed("[3, 2]\n", "[3, 5]\n"), "scene.toml: probe.probe: at = [3.0, 5.0]: is outside the mesh; move it in"),
+    "cells too many": (
+        scene("size = 2", "size = 1e-6"),
+        "geometry.size = 1e-06: would take some 2e+13 cells; raise it",
+    ),
+    "a trace of one point": (
+        scene("[[1, 2], [4, 2]]", "[[1, 2]]"),
+        "fault.points = [[1, 2]]: must be at least two points",
+    ),
+    "a trace of no length": (
+        scene("[4, 2]]", "[1, 2]]"),
+        "fault.points = [[1, 2], [1, 2]]: two points in a row are the same",
+    ),
+    "a trace of hardly any length": (
+        scene("[4, 2]]", "[1, 2.01]]"),
+        'fracture "fault": is shorter than snap = 0.1; remove it',
+    ),
+    "a trace outside": (
+        scene("[[1, 2], [4,", "[[10, 2], [14,"),
+        'fracture "fault": lies outside the domain; move or remove it',
+    ),
+    "a trace along a side": (
+        scene("[[1, 2], [4, 2]]", "[[0, 0], [4, 0]]"),
+        'fracture "fault": runs along side south for 4',
+    ),
+    "a well off the fracture": (
+        placed(END, "[1, 3.9]"),
+        "well.well: at = [1.0, 3.9]: the nearest fracture is 2.15 away; move it",
+    ),
+    "a well on no fracture": (
+        placed('"fault", end', '"fold", end'),
+        'well.well.at.fracture = "fold": not in the mesh; allowed: fault',
+    ),
+    "a probe outside": (
+        placed("[3, 2]\n", "[3, 5]\n"),
+        "scene.toml: probe.probe: at = [3.0, 5.0]: is outside the mesh; move it in",
+    ),
     "a quantity of no place": (
         placed("[3, 2]\n", '[3, 2]\nquantities = ["strain"]\n'),
         "scene.toml: probe.probe.quantities: strain: belongs to the rock … fracture fault there has displacement",
     ),
-    "a support of no side": (placed('"east", ', '"eest", '), 'support.0.on = "eest": not in the mesh; did you mean "west"?'),
+    "a support of no side": (
+        placed('"east", ', '"eest", '),
+        'support.0.on = "eest": not in the mesh; did you mean "west"?',
+    ),
     "a load on a fracture": (
         placed("[[well]]", '[[load]]\non = "fault"\npressure = 1\n[[well]]'),
         'scene.toml: load.0.on = "fault": not in the mesh; allowed: east, north, south, west',
@@ -235,47 +325,98 @@ SCENES = {
         placed(HELD, 'on = "north"\n[[tie]]\non = ["west", "south"]'),
         'scene.toml: tie: the sides "west" and "south" do not face each other: 2 and 2 facets … mesh them alike',
     ),
-    "a tie to itself": (scene(HELD, f'{HELD}\n[[tie]]\non = ["west", "west"]'), 'tie.0.on = ["west", "west"]: names one side twice'),
-    "end and steps": (scene("steps = 1", "steps = 1\nend = 3"), "stage.0.steps = 1: contradicts end = 3; give one of them"),
-    "steps without end": (scene("steps = 1", "end = 1e20"), "stage.0.time_step = 1: would take 1e+20 steps; raise it, or end"),
+    "a tie to itself": (
+        scene(HELD, f'{HELD}\n[[tie]]\non = ["west", "west"]'),
+        'tie.0.on = ["west", "west"]: names one side twice',
+    ),
+    "end and steps": (
+        scene("steps = 1", "steps = 1\nend = 3"),
+        "stage.0.steps = 1: contradicts end = 3; give one of them",
+    ),
+    "steps without end": (
+        scene("steps = 1", "end = 1e20"),
+        "stage.0.time_step = 1: would take 1e+20 steps; raise it, or end",
+    ),
     "a table of stages": (scene("[[stage]]", "[stage]"), "scene.toml: stage: must be an array of tables [[stage]]"),
     "equilibrate at the end": (
         {"scene.toml": SCENE + '[[stage]]\nkind = "equilibrate"\nsteps = 3\n'},
         'stage.1.kind = "equilibrate": only the first stage can equilibrate',
     ),
-    "pumped without a drain": (placed("quasi-static", "steady"), "scene.toml: well.well: a steady stage pumps into fault … give one"),
+    "pumped without a drain": (
+        placed("quasi-static", "steady"),
+        "scene.toml: well.well: a steady stage pumps into fault … give one",
+    ),
     "past the strength": (
         placed("yy =", 'xy = "4 MPa"\nyy ='),
         "scene.toml: initial state: initial shear traction reaches the strength of fault: lower the shear stress",
     ),
-    "out of balance": (placed(HELD, 'on = "west"'), "scene.toml: initial state: out of balance at 4 unknowns, at east, north"),
-    "no name of an option": ({"scene.toml": SCENE + '[petsc]\n"" = 3\n'}, "is no name of a PETSc option; give it without dash"),
+    "out of balance": (
+        placed(HELD, 'on = "west"'),
+        "scene.toml: initial state: out of balance at 4 unknowns, at east, north",
+    ),
+    "no name of an option": (
+        {"scene.toml": SCENE + '[petsc]\n"" = 3\n'},
+        "is no name of a PETSc option; give it without dash",
+    ),
     "a type PETSc does not know": (
         {"scene.toml": SCENE + '[petsc]\nmonolithic_ksp_type = "gmress"\n'},
         "scene.toml: PETSc option of -monolithic_, in [petsc] or on the command line: … gmress; see PETSc's manual",
     ),
 }
 TABLES = {
-    "missing": (scene(TRACES, 'fractures_csv = "traces.csv"\n'), "traces.csv: no such file of traces; geometry.fractures_csv"),
+    "missing": (
+        scene(TRACES, 'fractures_csv = "traces.csv"\n'),
+        "traces.csv: no such file of traces; geometry.fractures_csv",
+    ),
     "a folder": (traces(None), "traces.csv: cannot be read: Is a directory; give a UTF-8 text file"),
     "empty": (traces(""), "traces.csv: is empty; its first line must name the columns, such as name,x,y"),
     "a head alone": (traces("name,x,y\n"), "traces.csv: has no rows below its first line; give at least one trace"),
     "rubbish": (traces(RUBBISH), "traces.csv: cannot be read: not UTF-8: … at byte 128; give a UTF-8 text file"),
-    "UTF-16": (traces("name,x,y\nfault,1,2\n".encode("utf-16")), "traces.csv: cannot be read: not UTF-8: … give a UTF-8"),
-    "truncated": (traces("name,x,y\nfault,1,2\nfault,4\n"), "traces.csv: line 3: has 2 fields, the first line names 3 columns"),
-    "an open quote": (traces('name,x,y\n"fault,1,2\n'), "traces.csv: line 2: unexpected end of data; give a plain table"),
+    "UTF-16": (
+        traces("name,x,y\nfault,1,2\n".encode("utf-16")),
+        "traces.csv: cannot be read: not UTF-8: … give a UTF-8",
+    ),
+    "truncated": (
+        traces("name,x,y\nfault,1,2\nfault,4\n"),
+        "traces.csv: line 3: has 2 fields, the first line names 3 columns",
+    ),
+    "an open quote": (
+        traces('name,x,y\n"fault,1,2\n'),
+        "traces.csv: line 2: unexpected end of data; give a plain table",
+    ),
     "NaN": (traces("name,x,y\nfault,1,nan\nfault,4,2\n"), "traces.csv: line 2: y = nan: must be finite"),
-    "huge": (traces("name,x,y\nfault,1,2\nfault,1e300,2\n"), "traces.csv: line 3: x = 1e300: must be finite, and at most 1e+100"),
-    "decimal commas": (traces("name;x;y\nfault;1,5;2\n"), 'traces.csv: line 2: x = "1,5": is no number; decimals take a point'),
-    "one point": (traces("name,x,y\nfault,1,2\n"), 'traces.csv: line 2: fracture "fault" has one point; a trace needs two'),
-    "no length": (traces("name,x,y\nfault,1,2\nfault,1,2\n"), 'traces.csv: line 3: "fault": the point [1.0, 2.0] stands twice'),
-    "no x": (traces("name,east,y\nfault,1,2\n"), "traces.csv: line 1: the columns are name,east,y; they must have name,x,y"),
+    "huge": (
+        traces("name,x,y\nfault,1,2\nfault,1e300,2\n"),
+        "traces.csv: line 3: x = 1e300: must be finite, and at most 1e+100",
+    ),
+    "decimal commas": (
+        traces("name;x;y\nfault;1,5;2\n"),
+        'traces.csv: line 2: x = "1,5": is no number; decimals take a point',
+    ),
+    "one point": (
+        traces("name,x,y\nfault,1,2\n"),
+        'traces.csv: line 2: fracture "fault" has one point; a trace needs two',
+    ),
+    "no length": (
+        traces("name,x,y\nfault,1,2\nfault,1,2\n"),
+        'traces.csv: line 3: "fault": the point [1.0, 2.0] stands twice',
+    ),
+    "no x": (
+        traces("name,east,y\nfault,1,2\n"),
+        "traces.csv: line 1: the columns are name,east,y; they must have name,x,y",
+    ),
     "aperture below zero": (
         traces("name,x,y,aperture\nfault,1,2,-1\nfault,4,2,\n"),
         'traces.csv: line 2: "fault": aperture = -1.0: out of range; must be above 0',
     ),
-    "a name apart": (traces("name,x,y\nfault,1,2\nb,1,1\nfault,4,2\n"), 'line 4: "fault" was given before; the rows of one'),
-    "a name unknown": (traces("name,x,y\nfold,1,2\nfold,4,2\n"), 'scene.toml: fracture.fold: missing; the fracture "fold" needs'),
+    "a name apart": (
+        traces("name,x,y\nfault,1,2\nb,1,1\nfault,4,2\n"),
+        'line 4: "fault" was given before; the rows of one',
+    ),
+    "a name unknown": (
+        traces("name,x,y\nfold,1,2\nfold,4,2\n"),
+        'scene.toml: fracture.fold: missing; the fracture "fold" needs',
+    ),
     "a path with a NUL": (
         scene(TRACES, 'fractures_csv = "a\\u0000.csv"\n'),
         'scene.toml: geometry.fractures_csv = "a\\u0000.csv": must be one line without control characters',
@@ -285,9 +426,15 @@ BROKEN = "square.msh: cannot be read as a Gmsh mesh: … save it again from Gmsh
 FLAT = "square.msh: the cell at (1, 1) is flat, folded or not convex; mesh it better"
 VERSION = "square.msh: is no Gmsh mesh of version 2 or 4; save it with Mesh.MshFileVersion = 4.1"
 MESHES = {
-    "missing": (scene(GEOMETRY, '[mesh]\nfile = "a.msh"\n'), "a.msh: no such file; mesh.file names it from the scene's folder"),
+    "missing": (
+        scene(GEOMETRY, '[mesh]\nfile = "a.msh"\n'),
+        "a.msh: no such file; mesh.file names it from the scene's folder",
+    ),
     "a folder": (mesh(None), "square.msh: no such file; mesh.file names it"),
-    "name too long": (scene(GEOMETRY, f'[mesh]\nfile = "{"a" * 300}.msh"\n'), "a.msh: no such file; mesh.file names it"),
+    "name too long": (
+        scene(GEOMETRY, f'[mesh]\nfile = "{"a" * 300}.msh"\n'),
+        "a.msh: no such file; mesh.file names it",
+    ),
     "another kind": (mesh("x", name="square.vtk"), 'square.vtk: unknown kind of file ".vtk"; give a Gmsh .geo or .msh'),
     "empty": (mesh(""), VERSION),
     "rubbish": (mesh(RUBBISH), VERSION),
@@ -300,11 +447,20 @@ MESHES = {
     "a node beyond all": (msh("1 2 5 4\n", f"1 2 5 {'9' * 20}\n"), BROKEN),
     "more elements than it has": (msh("$Elements\n14", "$Elements\n1400000000000"), BROKEN),
     "names in Latin-1": (mesh(change(MSH, '"rock"', '"Würfel"').encode("latin-1")), BROKEN),
-    "NaN": (msh("5 2 2 0", "5 nan 2 0"), "square.msh: a node has the coordinates [nan, 2.0, 0.0], which are not finite"),
-    "infinite": (msh("9 4 4 0", "9 inf 4 0"), "square.msh: a node has the coordinates [inf, 4.0, 0.0], which are not finite"),
+    "NaN": (
+        msh("5 2 2 0", "5 nan 2 0"),
+        "square.msh: a node has the coordinates [nan, 2.0, 0.0], which are not finite",
+    ),
+    "infinite": (
+        msh("9 4 4 0", "9 inf 4 0"),
+        "square.msh: a node has the coordinates [inf, 4.0, 0.0], which are not finite",
+    ),
     "an inverted cell": (msh("1 1 2 5 4\n", "1 1 5 2 4\n"), FLAT),
     "a flat cell": (msh("5 2 2 0", "5 0 2 0"), "square.msh: the cell at (0.5, 1) is flat, folded or not convex"),
-    "not in a plane": (msh("9 4 4 0", "9 4 4 1"), "square.msh: the mesh is not in a plane z = constant (z varies by 1)"),
+    "not in a plane": (
+        msh("9 4 4 0", "9 4 4 1"),
+        "square.msh: the mesh is not in a plane z = constant (z varies by 1)",
+    ),
     "tetrahedra": (msh("14 1 2 6 6 4 7", "14 4 2 1 1 1 2 4 5"), "square.msh: has elements of type tetra; use linear"),
     "second order": (msh("14 1 2 6 6 4 7", "14 8 2 6 6 1 7 4"), "square.msh: has elements of type line3; use linear"),
     "no cells": (msh("$Elements\n14", "$Elements\n10", CELLS, ""), "square.msh: has no cells; it needs a surface"),
@@ -313,14 +469,27 @@ MESHES = {
         "scene.toml: mesh: more than two cells share the edge at (2, 1); cells must not overlap",
     ),
     "a rock without a name": (msh('6\n2 1 "rock"\n', "5\n"), "square.msh: physical surface 1 has no name; give it one"),
-    "a cell of no rock": (msh("1 3 2 1 1", "1 3 2 0 0"), "square.msh: the cell at (1, 1) belongs to no physical surface; give"),
-    "a fracture through cells": (msh("2 2 4 5", "2 2 1 5"), 'fracture "fault": the facet (0, 0) to (2, 2) is no edge of the mesh'),
-    "a side on the fracture": (msh("3 3 1 2", "3 3 4 5"), 'side "south": the facet at (1, 2) is inside the mesh; name it as'),
-    "a fracture of another name": (msh('"fault"', '"fold"'), 'square.msh: no physical curve "fault" for the fracture of that name'),
+    "a cell of no rock": (
+        msh("1 3 2 1 1", "1 3 2 0 0"),
+        "square.msh: the cell at (1, 1) belongs to no physical surface; give",
+    ),
+    "a fracture through cells": (
+        msh("2 2 4 5", "2 2 1 5"),
+        'fracture "fault": the facet (0, 0) to (2, 2) is no edge of the mesh',
+    ),
+    "a side on the fracture": (
+        msh("3 3 1 2", "3 3 4 5"),
+        'side "south": the facet at (1, 2) is inside the mesh; name it as',
+    ),
+    "a fracture of another name": (
+        msh('"fault"', '"fold"'),
+        'square.msh: no physical curve "fault" for the fracture of that name',
+    ),
     "a group without cells as a rock": (
         mesh(
             change(MSH, NAMED[0], NAMED[1].format(2)),
-            "[rock.rock]", "[rock.empty]\nyoungs_modulus = 1e9\npoissons_ratio = 0.2\n[rock.rock]",
+            "[rock.rock]",
+            "[rock.empty]\nyoungs_modulus = 1e9\npoissons_ratio = 0.2\n[rock.rock]",
         ),
         'scene.toml: rock = "empty": not in the mesh; allowed: rock',
     ),
@@ -333,10 +502,19 @@ MESHES = {
         'scene.toml: support.0.on = "empty": not in the mesh; allowed: east, north, rock, south, west',
     ),
     "a geometry that is empty": (geo("\n"), "square.geo: has no cells; it needs a surface, meshed or to be meshed"),
-    "a geometry of bad syntax": (geo("Point(1) = {0, 0, 0;\n"), "square.geo: Gmsh: … line 1: syntax error (;); correct the file"),
+    "a geometry of bad syntax": (
+        geo("Point(1) = {0, 0, 0;\n"),
+        "square.geo: Gmsh: … line 1: syntax error (;); correct the file",
+    ),
     "a geometry of rubbish": (geo(RUBBISH + b"\n"), "square.geo: Gmsh: … line 1: syntax error"),
-    "a geometry without its last line end": (geo("Point(1) = {0, 0, 0};"), "square.geo: Gmsh would ignore the last line"),
-    "a geometry that includes nothing": (geo('Include "a.geo";\n'), "square.geo: Gmsh: Unable to open file … correct the file"),
+    "a geometry without its last line end": (
+        geo("Point(1) = {0, 0, 0};"),
+        "square.geo: Gmsh would ignore the last line",
+    ),
+    "a geometry that includes nothing": (
+        geo('Include "a.geo";\n'),
+        "square.geo: Gmsh: Unable to open file … correct the file",
+    ),
     "a geometry that ends Gmsh": (geo("Exit;\n"), "square.geo: Gmsh failed: it ended without a mesh; correct the file"),
     "a solid body": (
         geo('SetFactory("OpenCASCADE");\nBox(1) = {0, 0, 0, 1, 1, 1};\nPhysical Surface("rock") = {1:6};\n'),
@@ -348,27 +526,69 @@ COMMANDS = {
     "unknown": (call("rum"), "command line: No such command 'rum'. … see fracflow --help"),
     "no scene": (call("run"), "command line: Missing argument 'scene'; see fracflow --help"),
     "a word too many": (call("check", "scene.toml", "b"), "command line: … (b); see fracflow --help"),
-    "an option unknown": (call("check", "scene.toml", "--jason"), "command line: No such option: --jason … see fracflow --help"),
-    "an option misspelt": (call("run", "scene.toml", "--outptu", "x"), "command line: --outptu: neither an option of fracflow (see"),
-    "an option without value": (call("run", "scene.toml", "-o"), "command line: Option '-o' requires an argument; see fracflow"),
-    "a stray word for PETSc": (call("run", "scene.toml", "-o", "out", "--", "ksp_type"), "command line: ksp_type: neither"),
-    "--set without value": (override("stage.0.steps"), "--set stage.0.steps: must be path.to.key=value, such as stage.0"),
+    "an option unknown": (
+        call("check", "scene.toml", "--jason"),
+        "command line: No such option: --jason … see fracflow --help",
+    ),
+    "an option misspelt": (
+        call("run", "scene.toml", "--outptu", "x"),
+        "command line: --outptu: neither an option of fracflow (see",
+    ),
+    "an option without value": (
+        call("run", "scene.toml", "-o"),
+        "command line: Option '-o' requires an argument; see fracflow",
+    ),
+    "a stray word for PETSc": (
+        call("run", "scene.toml", "-o", "out", "--", "ksp_type"),
+        "command line: ksp_type: neither",
+    ),
+    "--set without value": (
+        override("stage.0.steps"),
+        "--set stage.0.steps: must be path.to.key=value, such as stage.0",
+    ),
     "--set without key": (override("=3"), "--set =3: must be path.to.key=value, such as"),
     "--set of no entry": (override("stage.7.steps=3"), "--set stage.7.steps=3: stage.7: no such entry; allowed: 0"),
     "--set of no key": (override("fluid.viscositty=3"), "scene.toml: fluid.viscositty = 3: unknown key; did you mean"),
-    "--set inside a value": (override("fluid.viscosity.x=3"), "--set fluid.viscosity.x=3: fluid.viscosity is a value, not a"),
-    "--set of bytes": (override("fluid.viscosity=\udcff"), "scene.toml: fluid.viscosity = … must be a number in N*s/m**2 or"),
+    "--set inside a value": (
+        override("fluid.viscosity.x=3"),
+        "--set fluid.viscosity.x=3: fluid.viscosity is a value, not a",
+    ),
+    "--set of bytes": (
+        override("fluid.viscosity=\udcff"),
+        "scene.toml: fluid.viscosity = … must be a number in N*s/m**2 or",
+    ),
     "to a file": (call("run", "scene.toml", "-o", "out", out="mine"), "out: is a file; name a folder for the run"),
-    "below a file": (call("run", "scene.toml", "-o", "f.txt/out", f_txt="mine"), "f.txt/out: cannot be made in … name a folder"),
-    "to a foreign folder": (call("run", "scene.toml", "-o", "."), ".: holds files that are no run's; name a new or empty folder"),
+    "below a file": (
+        call("run", "scene.toml", "-o", "f.txt/out", f_txt="mine"),
+        "f.txt/out: cannot be made in … name a folder",
+    ),
+    "to a foreign folder": (
+        call("run", "scene.toml", "-o", "."),
+        ".: holds files that are no run's; name a new or empty folder",
+    ),
     "to a name too long": (call("run", "scene.toml", "-o", "x" * 300), "File name too long; name a folder to write to"),
-    "resume of nothing": (call("resume", "nothing"), "nothing: holds no run of fracflow; name the folder of an earlier run"),
+    "resume of nothing": (
+        call("resume", "nothing"),
+        "nothing: holds no run of fracflow; name the folder of an earlier run",
+    ),
     "resume of a file": (call("resume", "scene.toml"), "scene.toml: is a file; name a folder"),
-    "resume of a scene's folder": (call("resume", "."), ".: holds no run of fracflow; name the folder of an earlier run"),
+    "resume of a scene's folder": (
+        call("resume", "."),
+        ".: holds no run of fracflow; name the folder of an earlier run",
+    ),
     "picture of nothing": (call("picture", "nothing"), "nothing/history.h5: no such file; name the folder of a run"),
-    "picture of a file": (call("picture", "scene.toml"), "scene.toml/history.h5: no such file; name the folder of a run"),
-    "picture of rubbish": (call("picture", ".", history_h5=RUBBISH), "history.h5: is no readable history … name a run's history.h5"),
-    "export of nothing": (call("export", "nothing", "--csv"), "nothing/history.h5: no such file; name the folder of a run"),
+    "picture of a file": (
+        call("picture", "scene.toml"),
+        "scene.toml/history.h5: no such file; name the folder of a run",
+    ),
+    "picture of rubbish": (
+        call("picture", ".", history_h5=RUBBISH),
+        "history.h5: is no readable history … name a run's history.h5",
+    ),
+    "export of nothing": (
+        call("export", "nothing", "--csv"),
+        "nothing/history.h5: no such file; name the folder of a run",
+    ),
     "export as nothing": (call("export", "."), "export: no format is named; give --csv"),
     "check of a bad scene": (
         {**scene("size = 2", "size = -2"), "words": ("check", "scene.toml", "--json")},
@@ -445,7 +665,14 @@ def test_one_line_and_nothing_written(name, tmp_path, monkeypatch, capfd):
         mesh(MSH.replace("\n", "\r\n")),
         msh("1 1 2 5 4\n", "1 4 5 2 1\n"),
     ],
-    ids=["a byte order mark", "line ends of Windows", "clockwise", "a table with a mark", "a mesh of Windows", "a clockwise cell"],
+    ids=[
+        "a byte order mark",
+        "line ends of Windows",
+        "clockwise",
+        "a table with a mark",
+        "a mesh of Windows",
+        "a clockwise cell",
+    ],
 )
 def test_what_is_odd_but_right(files, tmp_path, monkeypatch, capfd):
     """The cases above fail for what was changed in them: the scene itself runs, and so do these."""
@@ -501,10 +728,22 @@ def of_three(path):
 
 AGAIN = "start the run again with fracflow run"
 DAMAGES = {
-    "rubbish as checkpoint": ("checkpoint.h5", lambda path: path.write_bytes(RUBBISH), f"checkpoint.h5: is no checkpoint … {AGAIN}"),
-    "an empty checkpoint": ("checkpoint.h5", lambda path: path.write_bytes(b""), f"checkpoint.h5: is no checkpoint … {AGAIN}"),
+    "rubbish as checkpoint": (
+        "checkpoint.h5",
+        lambda path: path.write_bytes(RUBBISH),
+        f"checkpoint.h5: is no checkpoint … {AGAIN}",
+    ),
+    "an empty checkpoint": (
+        "checkpoint.h5",
+        lambda path: path.write_bytes(b""),
+        f"checkpoint.h5: is no checkpoint … {AGAIN}",
+    ),
     "half a checkpoint": ("checkpoint.h5", cut, f"checkpoint.h5: is no checkpoint … {AGAIN}"),
-    "a checkpoint without its stage": ("checkpoint.h5", without_note("stage"), f"checkpoint.h5: is no checkpoint … {AGAIN}"),
+    "a checkpoint without its stage": (
+        "checkpoint.h5",
+        without_note("stage"),
+        f"checkpoint.h5: is no checkpoint … {AGAIN}",
+    ),
     "a checkpoint without pressure": ("checkpoint.h5", without("pressure"), f"(pressure has 0 rows, not 3); {AGAIN}"),
     "a checkpoint of another mesh": ("checkpoint.h5", of_three, f"(displacement has 3 rows, not … {AGAIN}"),
     "no mesh": ("mesh.h5", Path.unlink, f"mesh.h5: is no saved mesh … {AGAIN}"),
@@ -512,7 +751,11 @@ DAMAGES = {
     "a mesh without cells": ("mesh.h5", without("cells"), f"mesh.h5: is no saved mesh … {AGAIN}"),
     "no history": ("history.h5", Path.unlink, "history.h5: no such file"),
     "rubbish as history": ("history.h5", lambda path: path.write_bytes(RUBBISH), "history.h5: is no readable history"),
-    "rubbish as scene": ("scene.toml", lambda path: path.write_bytes(RUBBISH), "scene.toml: not UTF-8 text: … save it as UTF-8"),
+    "rubbish as scene": (
+        "scene.toml",
+        lambda path: path.write_bytes(RUBBISH),
+        "scene.toml: not UTF-8 text: … save it as UTF-8",
+    ),
     "no scene": ("scene.toml", Path.unlink, "holds no run of fracflow that could go on; name the folder of one"),
 }
 
@@ -564,7 +807,13 @@ def test_in_processes_of_their_own(tmp_path):
         ranks = 2 if name == "mesh: an inverted cell" else 1
         folder = tmp_path / str(list(PROCESSES).index(name))
         folder.mkdir()
-        words = [*(["mpirun", "-n", str(ranks)] if ranks > 1 else []), sys.executable, "-m", "fracflow", *lay(folder, files)]
+        words = [
+            *(["mpirun", "-n", str(ranks)] if ranks > 1 else []),
+            sys.executable,
+            "-m",
+            "fracflow",
+            *lay(folder, files),
+        ]
         before = contents(folder)
         done = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=120)
         assert contents(folder) == before

@@ -38,7 +38,9 @@ def supported(
     if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
         bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
         column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
-        return {part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components}
+        return {
+            part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components
+        }
     if name in block.sides:
         nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
     elif name in block.rocks:

@@ -83,7 +83,9 @@ def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
     database = PETSc.Options()
     forget()
     tables = [OPTIONS, MULTIGRID] if is_large(unknowns) else [OPTIONS]
-    merged = {f"{prefix}_{key}": v for table in tables for prefix, options in table.items() for key, v in options.items()}
+    merged = {
+        f"{prefix}_{key}": v for table in tables for prefix, options in table.items() for key, v in options.items()
+    }
     for key, value in {**merged, **given}.items():
         if not database.hasName(key):
             database.setValue(key, value)

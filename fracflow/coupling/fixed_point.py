@@ -83,7 +83,7 @@ class FixedPoint:
                 " does not help"
             )
         return (
-            f'{at} did not converge in {len(changes)} cycles: {what}: raise accuracy.max_cycles, or set method.coupling'
+            f"{at} did not converge in {len(changes)} cycles: {what}: raise accuracy.max_cycles, or set method.coupling"
             ' = "monolithic"'
         )
 

@@ -117,7 +117,9 @@ class JoinedMatrix:
         held = np.zeros(self.layout.total, dtype=bool)
         held[self.fixed] = True
         if only is not None:
-            other, starts = ("flow", self.layout.flow_starts) if only == "solid" else ("solid", self.layout.solid_starts)
+            other, starts = (
+                ("flow", self.layout.flow_starts) if only == "solid" else ("solid", self.layout.solid_starts)
+            )
             numbers = np.arange(starts[-1])
             held[self.layout.flow_numbers(numbers) if other == "flow" else self.layout.solid_numbers(numbers)] = True
         return held

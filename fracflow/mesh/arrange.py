@@ -50,7 +50,9 @@ def sketch(domain: Floats, traces: list[Floats]) -> Sketch:
     rank = np.repeat([CORNER, FREE], [count, len(points) - count])
     nothing = np.zeros(0, dtype=np.int64)
     bends = (nothing, nothing, np.zeros(0))
-    return Sketch(points, points.copy(), np.arange(len(points)), rank, edges, owner.astype(np.int64), bends, len(points))
+    return Sketch(
+        points, points.copy(), np.arange(len(points)), rank, edges, owner.astype(np.int64), bends, len(points)
+    )
 
 
 def settle(lines: Sketch, snap: float, rounds: int) -> Sketch | None:
@@ -128,7 +130,9 @@ def cross(lines: Sketch, snap: float) -> Sketch:
     one, other, along_one, along_other = (part[inside] for part in (one, other, along_one, along_other))
     # On the straighter of the two, a side: its points must stay on it.
     on_one = (lines.owner[one] < 0)[:, None]
-    new = np.where(on_one, start[one] + along_one[:, None] * step[one], start[other] + along_other[:, None] * step[other])
+    new = np.where(
+        on_one, start[one] + along_one[:, None] * step[one], start[other] + along_other[:, None] * step[other]
+    )
     number = len(lines.points) + np.arange(len(new))
     rank = np.where((lines.owner[one] < 0) | (lines.owner[other] < 0), ON_SIDE, FREE)
     more = replace(

@@ -22,7 +22,10 @@ from fracflow.mesh.ties import representatives
 
 
 def distribute(
-    mesh: SplitMesh | None, comm: MPI.Comm, rigid_rocks: Collection[str] = (), ties: Ints | None = None,
+    mesh: SplitMesh | None,
+    comm: MPI.Comm,
+    rigid_rocks: Collection[str] = (),
+    ties: Ints | None = None,
     cell_rank: Ints | None = None,
 ) -> Blocks:
     """Send each rank its blocks. ``mesh`` is given on rank 0 and None elsewhere. Collective.

@@ -110,7 +110,11 @@ def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
     curves = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["traces"].values()]
     surface = geo.addPlaneSurface([geo.addCurveLoop([line for lines in round_it for line in lines])])
     around = [
-        (fine * scale, reach * scale, [geo.addPoint(*place, 0.0) for place in ((np.array(places) - corner) * scale).tolist()])
+        (
+            fine * scale,
+            reach * scale,
+            [geo.addPoint(*place, 0.0) for place in ((np.array(places) - corner) * scale).tolist()],
+        )
         for fine, reach, places in job["sources"]
     ]
     geo.synchronize()

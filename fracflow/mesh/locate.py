@@ -102,7 +102,9 @@ def _is_covered(points: Floats, cells: Ints, point: Floats) -> bool:
     sides = np.roll(corners, -1, axis=1) - corners
     away = point - corners
     turn = sides[..., 0] * away[..., 1] - sides[..., 1] * away[..., 0]
-    return bool(np.any(np.all(turn >= -ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1)))
+    return bool(
+        np.any(np.all(turn >= -ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1))
+    )
 
 
 def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> RockPlace:

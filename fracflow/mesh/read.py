@@ -140,7 +140,9 @@ def _check_sizes(geometry: GeometrySpec, area: float) -> None:
     for key, count in counts.items():
         if count > MOST_CELLS:
             value = fine if key == "size_at_fractures" else geometry.size
-            raise InputError(f"geometry.{key} = {value:g}: would take some {count:.1g} cells; raise it, or check the units")
+            raise InputError(
+                f"geometry.{key} = {value:g}: would take some {count:.1g} cells; raise it, or check the units"
+            )
 
 
 def _check_traces(traces: list[Trace], taken: Iterable[str]) -> None:

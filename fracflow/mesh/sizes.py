@@ -44,7 +44,9 @@ def sources(network: Network, fine: float, at_tips: float, per_gap: float, least
         if not len(wide):
             break
         if len(edge) + len(wide) > MOST:
-            raise InputError(f"geometry: cells down to {least:.3g} between near traces are too many; raise geometry.snap")
+            raise InputError(
+                f"geometry: cells down to {least:.3g} between near traces are too many; raise geometry.snap"
+            )
         more = edge[wide], (along[wide] + along[wide + 1]) / 2
         size = np.insert(size, wide + 1, size_at(*more))
         edge, along = (np.insert(old, wide + 1, new) for old, new in zip((edge, along), more, strict=True))

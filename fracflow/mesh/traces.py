@@ -121,7 +121,9 @@ def _check_domain(domain: Floats, snap: float) -> None:
         where = _spot(domain[touching[0]])
         raise InputError(f"geometry.domain: the corner {where} is within snap = {snap:.3g} of another side")
     if cross(alone, snap) is not alone or polygon_area(domain) <= snap * gaps.max():
-        raise InputError("geometry.domain: the sides cross each other; list the corners in their order round the domain")
+        raise InputError(
+            "geometry.domain: the sides cross each other; list the corners in their order round the domain"
+        )
 
 
 def _shallow_pairs(given: Sketch) -> set[tuple[int, int]]:
@@ -228,7 +230,9 @@ def _moves(lines: Sketch, given: Sketch, labels: _Labels, least: float) -> list[
             onto = f" onto {labels.all_of(others)}" if len(others) else ""
         else:
             what, onto = f"{labels.all_of(others)}: crossing", ""
-        notes.append(f"{what} {_spot(lines.first[point])} moved by {moved[point]:.3g} to {_spot(lines.points[here])}{onto}")
+        notes.append(
+            f"{what} {_spot(lines.first[point])} moved by {moved[point]:.3g} to {_spot(lines.points[here])}{onto}"
+        )
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
         if distance > least and point in at:
             notes.append(f"{labels(trace)}: bent by {distance:.3g} to {_spot(lines.points[point])}")

@@ -21,8 +21,26 @@ from fracflow.mesh.data import Ints
 from fracflow.state import Forces, Motion, Past, Sections, State
 
 Arrays = dict[str, NDArray[Any]]
-SOLID = {"displacement": "motion", "velocity": "motion", "acceleration": "motion", "load": "forces", "support": "forces"}
-NOTES = ("time", "controls", "energy", "limited", "stage", "progress", "totals", "finished", "ranks", "log_bytes", "events")
+SOLID = {
+    "displacement": "motion",
+    "velocity": "motion",
+    "acceleration": "motion",
+    "load": "forces",
+    "support": "forces",
+}
+NOTES = (
+    "time",
+    "controls",
+    "energy",
+    "limited",
+    "stage",
+    "progress",
+    "totals",
+    "finished",
+    "ranks",
+    "log_bytes",
+    "events",
+)
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
@@ -127,7 +145,9 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
 
 def _check_lengths(arrays: Arrays, operators: Operators, unknowns: int) -> None:
     sizes = operators.blocks.sizes
-    lengths = dict.fromkeys(SOLID, unknowns) | dict.fromkeys(FLOW if operators.flow is not None else (), sizes.flow_nodes)
+    lengths = dict.fromkeys(SOLID, unknowns) | dict.fromkeys(
+        FLOW if operators.flow is not None else (), sizes.flow_nodes
+    )
     lengths |= {f"sections/{field.name}": sizes.joints for field in fields(Sections) if field.name != "past"}
     for number, group in enumerate(operators.joints.laws):
         lengths |= {f"past/{number}/{name}": sizes.joints for name in group.law.history}

@@ -65,7 +65,8 @@ def make_sampler(operators: Operators, scene: Scene, places: Mapping[str, Fractu
 def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
     """Split nodes that the places need: faces of a fracture; a node of the rock with the corners of its cells."""
     parts = [
-        np.array(p.nodes) if isinstance(p, FracturePlace) else np.append(p.corners.ravel(), p.node) for p in places.values()
+        np.array(p.nodes) if isinstance(p, FracturePlace) else np.append(p.corners.ravel(), p.node)
+        for p in places.values()
     ]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *parts]))
 
@@ -126,7 +127,9 @@ def take(sampler: Sampler, state: State) -> Snapshot | None:
     blocks = sampler.operators.blocks
     table = joint_ends(sampler, state, sampler.names)
     ends = blocks.gather(blocks.joints.ids, table[:, :, : len(EVERY_STEP)], blocks.sizes.joints)
-    motion = _motion(sampler, (state.motion.displacement, state.motion.velocity, state.motion.acceleration), sampler.nodes)
+    motion = _motion(
+        sampler, (state.motion.displacement, state.motion.velocity, state.motion.acceleration), sampler.nodes
+    )
     here = (blocks.joints.ids[sampler.probed], table[sampler.probed], blocks.solid.node_ids[sampler.nodes], motion)
     parts = blocks.comm.gather(here, root=0)
     if parts is None or ends is None:

@@ -24,7 +24,12 @@ def test_small_size(tmp_path):
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
     command = [sys.executable, ROOT / "scripts/benches/size.py", "1000", "--ranks", "2", "--out", tmp_path]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=200, env=clean | {"PYTHONPATH": str(ROOT)}, stdin=subprocess.DEVNULL
+        command,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env=clean | {"PYTHONPATH": str(ROOT)},
+        stdin=subprocess.DEVNULL,
     )
     assert done.returncode == 0, done.stderr
     with (tmp_path / "size.csv").open(encoding="utf-8", newline="") as file:
@@ -44,7 +49,12 @@ def test_small_size(tmp_path):
     assert abs(cpu["whole"] - cpu["PETSc's solve"] - cpu["all outside the solve"]) <= rounding
     assert abs(sum(float(rows[part]["share"]) for part in PARTS) - 1.0) <= rounding
     assert float(rows["whole"]["rank0_GB"]) >= float(rows["read"]["rank0_GB"]) > 0.0
-    for key, said in {"machine": "GB", "versions": "PETSc 3.", "command": "scripts/bench size 1000", "ranks": "2"}.items():
+    for key, said in {
+        "machine": "GB",
+        "versions": "PETSc 3.",
+        "command": "scripts/bench size 1000",
+        "ranks": "2",
+    }.items():
         assert said in rows["whole"][key]
 
     facts = json.loads((tmp_path / "network-1000.json").read_text(encoding="utf-8"))["facts"]

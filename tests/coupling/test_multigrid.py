@@ -25,7 +25,11 @@ def test_rigid_motions_strain_neither_rock_nor_joints(scene, comm):
         motion.setArray(values)
         operators.stiffness.mult(motion, force)
         jump = np.abs(operators.joints.strain(motion)).max(initial=0.0)
-        return force.norm(PETSc.NormType.INFINITY), comm.allreduce(jump, op=MPI.MAX), motion.norm(PETSc.NormType.INFINITY)
+        return (
+            force.norm(PETSc.NormType.INFINITY),
+            comm.allreduce(jump, op=MPI.MAX),
+            motion.norm(PETSc.NormType.INFINITY),
+        )
 
     stiff = operators.stiffness.norm(PETSc.NormType.INFINITY)
     for values in motions.T:

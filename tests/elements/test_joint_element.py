@@ -135,7 +135,5 @@ def test_gauss_couples_ends_and_nodal_does_not():
     for rule, coupled in (("nodal", False), ("gauss2", True), ("one-point", True)):
         xi, weights = joint.RULES[rule]
         moduli = np.tile(np.eye(2), (1, len(xi), 1, 1))
-        tangent = joint.tangent(
-            joint.jump_operator(frame, xi), moduli, joint.section_length(length, weights)
-        )[0]
+        tangent = joint.tangent(joint.jump_operator(frame, xi), moduli, joint.section_length(length, weights))[0]
         assert (np.abs(tangent[0, 2]) > 1e-12) == coupled

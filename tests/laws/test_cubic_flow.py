@@ -27,12 +27,8 @@ def test_derivatives_and_symmetry(name):
     d1, d2 = np.random.default_rng(1).uniform(1e-3, 1.0, (2, 50))
     mean, slope_1, slope_2 = MEANS[name](d1, d2)
     step = 1e-7
-    assert np.allclose(
-        (MEANS[name](d1 + step, d2)[0] - MEANS[name](d1 - step, d2)[0]) / (2 * step), slope_1, atol=1e-7
-    )
-    assert np.allclose(
-        (MEANS[name](d1, d2 + step)[0] - MEANS[name](d1, d2 - step)[0]) / (2 * step), slope_2, atol=1e-7
-    )
+    assert np.allclose((MEANS[name](d1 + step, d2)[0] - MEANS[name](d1 - step, d2)[0]) / (2 * step), slope_1, atol=1e-7)
+    assert np.allclose((MEANS[name](d1, d2 + step)[0] - MEANS[name](d1, d2 - step)[0]) / (2 * step), slope_2, atol=1e-7)
     swapped = MEANS[name](d2, d1)
     assert np.allclose(swapped[0], mean) and np.allclose(swapped[1], slope_2)
     assert np.allclose(MEANS[name](d1, d1)[0], d1**3)

@@ -163,9 +163,7 @@ def test_rotation_of_shear(law):
     angle = 0.7
     turn = np.eye(3)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    turned_law = type(law)(
-        **{**vars(law), "initial_shear_traction": law.initial_shear_traction @ turn[:2, :2].T}
-    )
+    turned_law = type(law)(**{**vars(law), "initial_shear_traction": law.initial_shear_traction @ turn[:2, :2].T})
     past, turned_past = law.rest(SECTIONS, 3), law.rest(SECTIONS, 3)
     for strain in path(3):
         plain, turned = law.respond(strain, past), turned_law.respond(strain @ turn.T, turned_past)

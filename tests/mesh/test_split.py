@@ -98,9 +98,7 @@ def test_errors(change, message):
 
 def test_overlapping_or_clockwise_cells():
     raw = grid(4, 4, [ALONG_X])
-    twice = replace(
-        raw, cells=np.concatenate([raw.cells, raw.cells[4:5]]), cell_rock=np.zeros(17, dtype=np.int64)
-    )
+    twice = replace(raw, cells=np.concatenate([raw.cells, raw.cells[4:5]]), cell_rock=np.zeros(17, dtype=np.int64))
     with pytest.raises(InputError, match="more than two cells share the edge"):
         split(twice)
     cells = raw.cells.copy()

@@ -72,7 +72,9 @@ def test_a_trace_cut_by_a_domain_with_a_notch_has_two_parts(cells):
     check(raw, mesh)
     found = summary(mesh)
     assert (found["blocks"], found["lengths"]["a"]) == (3, pytest.approx(2)) and areas(mesh).sum() == pytest.approx(12)
-    assert raw.notes == ('fracture "a": cut at (0, 3), (1, 3), (3, 3), (4, 3), where it leaves the domain; 4 is left out',)
+    assert raw.notes == (
+        'fracture "a": cut at (0, 3), (1, 3), (3, 3), (4, 3), where it leaves the domain; 4 is left out',
+    )
 
 
 @BOTH
@@ -147,7 +149,10 @@ def test_refused_by_name(traces, message):
     ("domain", "message"),
     [
         ([[0, 0], [4, 4], [4, 0], [0, 4]], "geometry.domain: the sides cross each other"),
-        ([[0, 0], [4, 0], [4, 0.01], [0, 4]], r"geometry.domain: the side that starts at \(4, 0\) is no longer than snap"),
+        (
+            [[0, 0], [4, 0], [4, 0.01], [0, 4]],
+            r"geometry.domain: the side that starts at \(4, 0\) is no longer than snap",
+        ),
         ([[0, 0], [2, 0], [4, 0]], "geometry.domain"),
         ([[0, 0], [4, 0], [2, 0.01], [4, 4], [0, 4]], r"geometry.domain: the corner \(2, 0.01\) is within snap"),
     ],
@@ -162,4 +167,6 @@ def test_traces_that_cross_slowly_share_what_is_too_narrow():
     end = 1.9 * np.array([np.cos(np.radians(1)), np.sin(np.radians(1))])
     found = network([[[0.1, 2], [3.9, 2]], [2 - end, 2 + end], [[2.3, 1], [2.3, 3]]], snap=0.01)
     assert any('"b": shares 0.3 from (2, 2) to (2.3, 2) with fracture "a", which keeps it' in n for n in found.notes)
-    assert not np.any(found.owner[np.all(np.abs(found.points[found.edges].mean(axis=1) - [2.15, 2]) < 0.01, axis=1)] == 1)
+    assert not np.any(
+        found.owner[np.all(np.abs(found.points[found.edges].mean(axis=1) - [2.15, 2]) < 0.01, axis=1)] == 1
+    )

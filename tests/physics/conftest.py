@@ -59,7 +59,9 @@ def run_scene(shared_tmp):
             for family in ("rock", "fractures"):
                 last = sorted((folder / "fields").glob(f"{family}_0*.h5"))[-1]
                 with h5py.File(last) as f:
-                    fields[family] = {key: item[()] for part in ("point", "cell") for key, item in f.get(part, {}).items()}
+                    fields[family] = {
+                        key: item[()] for part in ("point", "cell") for key, item in f.get(part, {}).items()
+                    }
             found = read_history(folder / "history.h5"), read_events(folder / "events.csv"), fields
         return Ran(*comm.bcast(found))
 

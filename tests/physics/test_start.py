@@ -57,9 +57,7 @@ def test_rigid_body_starts_moving(run_scene):
 
 def test_fault_past_its_strength_slips_to_equilibrium(run_scene):
     """Row between fixed walls: the traction falls from tau_0 to the strength f, slip (tau_0 - f) h/G: springs in series."""
-    scene = PERIODIC.replace("displacement = {x = 1e-4, y = 0}", "").replace(
-        "xx = -1e6", "xx = -1e6\nxy = 0.8e6"
-    )
+    scene = PERIODIC.replace("displacement = {x = 1e-4, y = 0}", "").replace("xx = -1e6", "xx = -1e6\nxy = 0.8e6")
     with pytest.raises(InputError, match="strength of joint"):
         run_scene(scene)
     found = run_scene(scene, 'stage=[{kind = "equilibrate"}, {kind = "steady", time_step = 1, steps = 1}]')

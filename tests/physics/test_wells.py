@@ -8,8 +8,9 @@ from fracflow.errors import InputError
 from .test_along_fractures import RIGID
 
 PUMPED = (
-    RIGID.replace("{along = [0, 3], value = [\"1 mm\", \"0.25 mm\"]}", '"1 mm"')
-    .replace("time_step = 1\nsteps = 2", "time_step = 1\nsteps = 6")
+    RIGID.replace('{along = [0, 3], value = ["1 mm", "0.25 mm"]}', '"1 mm"').replace(
+        "time_step = 1\nsteps = 2", "time_step = 1\nsteps = 6"
+    )
     + """
 [[well]]
 name = "in"
@@ -46,7 +47,9 @@ def test_a_well_draws_no_lower_than_its_lowest_pressure(run_scene):
         "well.in.minimum_pressure=-5e4",
     )
     asked = -np.interp(found.history["time"], [0, 3, 6], [0, 3e-3, 0])
-    assert found.probe("quarter", "flow_rate") == pytest.approx(np.maximum(asked, -5e4 / RESISTANCE), rel=1e-9, abs=1e-18)
+    assert found.probe("quarter", "flow_rate") == pytest.approx(
+        np.maximum(asked, -5e4 / RESISTANCE), rel=1e-9, abs=1e-18
+    )
 
 
 def test_limits_the_wrong_way_round_are_refused(run_scene):

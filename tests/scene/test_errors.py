@@ -126,9 +126,7 @@ def test_several_errors_are_counted_and_spelling_comes_first(make):
 def test_geometry_names(make):
     text = without(make.text, "[mesh]")
     geometry = "geometry={domain=[0,0,1,1],size=1,fracture=[{name='fault',points=[[0,0],[1,1]]}]}"
-    with pytest.raises(
-        InputError, match=r'rock.granite: unknown name; the rock of .geometry. is called "rock"'
-    ):
+    with pytest.raises(InputError, match=r'rock.granite: unknown name; the rock of .geometry. is called "rock"'):
         make(geometry, text=text)
     text = text.replace("rock.granite", "rock.rock")
     assert make(geometry, text=text).geometry.domain == ((0, 0), (1, 0), (1, 1), (0, 1))
@@ -164,9 +162,7 @@ def test_mesh_names(make):
     }
     scene = make()
     scene.check_mesh_names(**names)
-    with pytest.raises(
-        InputError, match=r'scene.toml: load.0.on = "north": not in the mesh; did you mean "south"'
-    ):
+    with pytest.raises(InputError, match=r'scene.toml: load.0.on = "north": not in the mesh; did you mean "south"'):
         scene.check_mesh_names(**names | {"sides": ("west", "south")})
     with pytest.raises(InputError, match=r"fracture.joint: missing; the mesh has a fracture"):
         scene.check_mesh_names(**names | {"fractures": ("fault", "joint")})

@@ -25,15 +25,11 @@ def test_units_become_plain_numbers(make):
     assert scene.fluid.viscosity == pytest.approx(1e-3)
     assert scene.well[0].flow_rate(0.0) == pytest.approx(3e-3)
     assert scene.stage[1].time_step == pytest.approx(0.01)
-    assert make("fracture.fault.friction_angle_deg=0.5 rad").fracture["fault"].friction == pytest.approx(
-        math.tan(0.5)
-    )
+    assert make("fracture.fault.friction_angle_deg=0.5 rad").fracture["fault"].friction == pytest.approx(math.tan(0.5))
 
 
 def test_foot_pound_second(make):
-    scene = make(
-        "units=ft-lbf-s", "rock.granite.density=5.12 slug/ft^3", "fluid.specific_weight=62.4 lbf/ft^3"
-    )
+    scene = make("units=ft-lbf-s", "rock.granite.density=5.12 slug/ft^3", "fluid.specific_weight=62.4 lbf/ft^3")
     assert scene.rock["granite"].density == pytest.approx(5.12, rel=1e-6)
     assert scene.fluid.specific_weight == pytest.approx(62.4, rel=1e-12)
     assert scene.rock["granite"].youngs_modulus == pytest.approx(50e9 / 47.88025898, rel=1e-8)
@@ -51,9 +47,7 @@ def test_table_interpolates_and_takes_the_mean_at_jumps():
 
 def test_tables_of_a_scene(make):
     rate = (
-        make('well.node2.flow_rate={time=["0 s", "1 min"], value=["1 l/s", 2], interpolation="step"}')
-        .well[0]
-        .flow_rate
+        make('well.node2.flow_rate={time=["0 s", "1 min"], value=["1 l/s", 2], interpolation="step"}').well[0].flow_rate
     )
     assert rate == TimeTable((0.0, 60.0), (pytest.approx(1e-3), 2.0), "step")
     traction = make("load.0.traction=[[[0, 0], [1, 2]], '1 MPa']").load[0].traction
@@ -103,9 +97,7 @@ def test_names_paths_and_flow(make, tmp_path):
     assert scene.stage[0].takes_no_time and scene.stage[1].step_count(0.0) == 300
 
 
-@pytest.mark.parametrize(
-    ("end", "step", "count"), [(20, 0.1, 200), (0.3, 0.1, 3), (1, 0.3, 4), (3, 0.01, 300)]
-)
+@pytest.mark.parametrize(("end", "step", "count"), [(20, 0.1, 200), (0.3, 0.1, 3), (1, 0.3, 4), (3, 0.01, 300)])
 def test_steps_cover_the_stage(make, end, step, count):
     assert make(f"stage.1.end={end}", f"stage.1.time_step={step}").stage[1].step_count(0.0) == count
 
@@ -122,9 +114,7 @@ def test_report_model_resolves_methods(make):
 
 
 def test_dump_loads_again(make, tmp_path):
-    scene = make(
-        "model=report", 'title=a "b" \\ c', "well.node2.flow_rate=[[0,1],[0,2],[3,1e-7]]", "units=ft-lbf-s"
-    )
+    scene = make("model=report", 'title=a "b" \\ c', "well.node2.flow_rate=[[0,1],[0,2],[3,1e-7]]", "units=ft-lbf-s")
     text = scene.dump_toml()
     assert make(text=text) == scene
     assert make(text=text).dump_toml() == text
@@ -191,12 +181,8 @@ def test_report_scenes_hold_the_data_of_the_text():
             scene.rock["rock"],
         )
         assert (stress.xx, stress.yy, stress.zz, stress.xy) == (-2e5, -6e5, -2e5, shear)
-        assert (rock.youngs_modulus, rock.poissons_ratio, rock.density) == pytest.approx(
-            (5e8, 0.25, 5.12), rel=1e-6
-        )
-        assert (fault.normal_stiffness, fault.shear_stiffness, fault.aperture) == pytest.approx(
-            (1e8, 1e8, 0.01)
-        )
+        assert (rock.youngs_modulus, rock.poissons_ratio, rock.density) == pytest.approx((5e8, 0.25, 5.12), rel=1e-6)
+        assert (fault.normal_stiffness, fault.shear_stiffness, fault.aperture) == pytest.approx((1e8, 1e8, 0.01))
         assert (fault.friction_angle_deg, fault.cohesion, fault.stick_slip_ratio) == (40, 0, ratio)
         assert (fluid.viscosity, fluid.specific_weight) == pytest.approx((0.235e-4, 62.4))
         assert (fluid.initial_pressure, fluid.flow_depth) == pytest.approx((0.3e5, 100))

@@ -119,7 +119,10 @@ def test_settings_go_over_the_table(write, tmp_path):
         ("name,x1,y1,x2,y2\na,0,1,2,3\na,4,4,5,5\n", 'line 3: "a" goes on at'),
         ("name,x,y,apperture\na,0,1,2\n", 'line 1: unknown column "apperture"; did you mean "aperture"'),
         ("name,x,y,x\na,0,1,2\n", 'line 1: the column "x" stands twice'),
-        ("name,x,y,aperture\na,0,1,1 mm\na,2,3,2 mm\n", 'line 3: aperture = "2 mm": it is "1 mm" in the first row of "a"'),
+        (
+            "name,x,y,aperture\na,0,1,1 mm\na,2,3,2 mm\n",
+            'line 3: aperture = "2 mm": it is "1 mm" in the first row of "a"',
+        ),
         ("name,x,y,aperture\na,0,1,\na,2,3,2 mm\n", 'line 3: aperture = "2 mm": it is empty in the first row'),
         ("name,x,y,aperture\na,0,1,2 Pa\na,2,3,\n", 'line 2: "a": aperture = "2 Pa": "Pa" is not a unit of length'),
         ("name,x,y,aperture\na,0,1,-1\na,2,3,\n", 'line 2: "a": aperture = -1.0: out of range; must be above 0'),

@@ -78,9 +78,7 @@ def test_newmark_satisfies_its_formulas():
 
 
 def test_flags_and_coefficients():
-    assert Newmark().alphas(0.1) == Alphas(
-        pytest.approx(400), pytest.approx(20), pytest.approx(40), 1.0, 1.0, 0.0
-    )
+    assert Newmark().alphas(0.1) == Alphas(pytest.approx(400), pytest.approx(20), pytest.approx(40), 1.0, 1.0, 0.0)
     assert STEPPERS["steady"]().alphas(0.1) == Alphas()
     assert STEPPERS["backward-euler"]().alphas(0.1) == Alphas(a1=10.0)
     for stepper in STEPPERS.values():
