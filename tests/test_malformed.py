@@ -1,4 +1,3 @@
-
 """Bad input through the command line: exit code 2, one line that names file, key, value and remedy, nothing written."""
 
 from __future__ import annotations

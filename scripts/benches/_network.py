@@ -53,9 +53,7 @@ def make(cells: int, path: Path) -> None:
     gmsh.option.setNumber("General.Terminal", 0)
     occ, network = gmsh.model.occ, traces()
     square = occ.addRectangle(0, 0, 0, EXTENT, EXTENT)
-    lines = [
-        occ.addLine(*(occ.addPoint(float(x), float(y), 0) for x, y in ends)) for ends in network.values()
-    ]
+    lines = [occ.addLine(*(occ.addPoint(float(x), float(y), 0) for x, y in ends)) for ends in network.values()]
     _, became = occ.fragment([(2, square)], [(1, line) for line in lines])
     occ.synchronize()
     gmsh.model.addPhysicalGroup(2, [tag for dim, tag in became[0] if dim == 2], name="rock")
@@ -64,7 +62,9 @@ def make(cells: int, path: Path) -> None:
     for name, axis, place in (("west", 0, 0), ("east", 0, EXTENT), ("south", 1, 0), ("north", 1, EXTENT)):
         low, high = [-1.0] * 3, [EXTENT + 1.0] * 3
         low[axis], high[axis] = place - 1.0, place + 1.0
-        gmsh.model.addPhysicalGroup(1, [tag for _, tag in gmsh.model.getEntitiesInBoundingBox(*low, *high, 1)], name=name)
+        gmsh.model.addPhysicalGroup(
+            1, [tag for _, tag in gmsh.model.getEntitiesInBoundingBox(*low, *high, 1)], name=name
+        )
     size = np.sqrt(EXTENT**2 / cells / SHAPE)
     for end in ("Min", "Max"):
         gmsh.option.setNumber(f"Mesh.MeshSize{end}", size)

@@ -41,8 +41,12 @@ PARTS = {
     "balances": ["coupling.newton:Newton._function", "coupling.newton:Newton._pre_check"],
     SOLVE: ["coupling.newton:Newton.solve"],
     "energy books": ["run_steps:book", "coupling.step_problem:StepProblem.accept"],
-    "output": ["run_record:Recorder.__init__", "run_record:Recorder.record", "run_record:Recorder.last",
-               "run_record:Recorder.finish"],
+    "output": [
+        "run_record:Recorder.__init__",
+        "run_record:Recorder.record",
+        "run_record:Recorder.last",
+        "run_record:Recorder.finish",
+    ],
     "checkpoint": ["run_record:Recorder.save"],
 }
 """Part -> the functions it consists of, module:name."""
@@ -150,8 +154,12 @@ def measure(cells: int, ranks: int, out: Path, options: list[str], overrides: li
     result = out / f"network-{cells}.json"
     result.unlink(missing_ok=True)
     command = [sys.executable, __file__, "--worker", str(scene), str(out / f"run-{cells}"), str(result), *overrides]
-    clean = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
-    subprocess.run(["mpirun", "-n", str(ranks), *command], check=True, env=clean | {"PETSC_OPTIONS": shlex.join(options)})
+    clean = {
+        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
+    }
+    subprocess.run(
+        ["mpirun", "-n", str(ranks), *command], check=True, env=clean | {"PETSC_OPTIONS": shlex.join(options)}
+    )
     return json.loads(result.read_text(encoding="utf-8"))
 
 
@@ -190,7 +198,9 @@ def machine() -> dict[str, str]:
     from fracflow import __version__
 
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines() if Path("/proc/cpuinfo").exists() else []
-    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+    model = next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine()
+    )
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1024**3
     return {
         "machine": f"{os.cpu_count()} x {model}, {memory:.0f} GB, {platform.platform(terse=True)}",
@@ -205,7 +215,15 @@ def show(cells: int, rows: list[dict[str, Any]], found: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table(title=f"{rows[0]['cells']} triangles ({cells} asked for)", title_justify="left")
-    for name in ("part", "CPU [s]", "wall [s]", "share", "peak, rank 0 [GB]", "other ranks [GB]", "Gmsh's process [GB]"):
+    for name in (
+        "part",
+        "CPU [s]",
+        "wall [s]",
+        "share",
+        "peak, rank 0 [GB]",
+        "other ranks [GB]",
+        "Gmsh's process [GB]",
+    ):
         table.add_column(name, justify="left" if name == "part" else "right")
     for row in rows:
         if row["part"] == "all outside the solve":

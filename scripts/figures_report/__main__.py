@@ -8,12 +8,10 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+from sheets import ROOT, Check, judge
 
 from figures_report import fault, finer_fault, oscillator, rupture
-from figures_report.common import ROOT, Check, runner
+from figures_report.common import runner
 
 
 def draw_all(folder: Path, only: set[str]) -> list[Check]:
@@ -37,13 +35,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", default=[], metavar="GROUP", help="of the modules")
     given = parser.parse_args()
     checks = draw_all(given.output, set(given.only))
-    table = Table("figure", "found", "bar", "")
-    for check in sorted(checks, key=lambda check: int(check.name.split()[0].rstrip(":,"))):
-        value = check.value if isinstance(check.value, str) else f"{check.value:.4g}"
-        table.add_row(escape(check.name), value, escape(check.bar), "ok" if check.ok else "[red]missed[/red]")
-    Console(highlight=False, width=None if sys.stdout.isatty() else 140).print(table)
-    print(f"{len(list(given.output.glob('fig_*.png')))} figures, PNG and CSV, in {given.output}")
-    return 0 if checks and all(check.ok for check in checks) else 1
+    return judge(sorted(checks, key=lambda check: int(check.name.split()[0].rstrip(":,"))), given.output)
 
 
 if __name__ == "__main__":

@@ -6,24 +6,9 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from sheets import NODE_COLOURS, STYLE, Check, save, sheet, write_csv
 
-from figures_report.common import (
-    NODE_COLOURS,
-    RECONSTRUCTED,
-    STYLE,
-    Check,
-    Run,
-    Runner,
-    command,
-    name_ends,
-    phases,
-    probe,
-    save,
-    sheet,
-    slipped,
-    thick,
-    write_csv,
-)
+from figures_report.common import RECONSTRUCTED, Run, Runner, command, name_ends, phases, probe, slipped, thick
 from figures_report.setup_panel import draw_setup
 
 SCENE = "report_5_3"

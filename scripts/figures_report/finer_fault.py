@@ -6,32 +6,9 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from sheets import GREEN, HALO, INK, NODE_COLOURS, ORANGE, PALE, PINK, STYLE, Check, Floats, save, sheet, write_csv
 
-from figures_report.common import (
-    GREEN,
-    HALO,
-    INK,
-    NODE_COLOURS,
-    ORANGE,
-    PALE,
-    PINK,
-    RECONSTRUCTED,
-    STYLE,
-    Check,
-    Floats,
-    Run,
-    Runner,
-    command,
-    dynamic,
-    name_ends,
-    phases,
-    probe,
-    save,
-    sheet,
-    slipped,
-    thick,
-    write_csv,
-)
+from figures_report.common import RECONSTRUCTED, Run, Runner, command, dynamic, name_ends, phases, probe, slipped, thick
 from figures_report.setup_panel import draw_setup
 
 SCENE = "report_5_4"

@@ -7,27 +7,9 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, STYLE, Check, Floats, save, sheet, write_csv
 
-from figures_report.common import (
-    BLUE,
-    GREEN,
-    HALO,
-    INK,
-    ORANGE,
-    PALE,
-    RECONSTRUCTED,
-    ROOT,
-    STYLE,
-    Check,
-    Floats,
-    Runner,
-    command,
-    probe,
-    runner,
-    save,
-    sheet,
-    write_csv,
-)
+from figures_report.common import RECONSTRUCTED, Runner, command, probe, runner
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.run_setup import prepare

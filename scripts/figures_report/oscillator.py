@@ -6,31 +6,9 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from sheets import AMBER, BLUE, GREEN, HALO, INK, ORANGE, PALE, STYLE, Check, Floats, plain, save, sheet, write_csv
 
-from figures_report.common import (
-    AMBER,
-    BLUE,
-    GREEN,
-    HALO,
-    INK,
-    ORANGE,
-    PALE,
-    RECONSTRUCTED,
-    STYLE,
-    Check,
-    Floats,
-    Run,
-    Runner,
-    command,
-    energy,
-    phases,
-    plain,
-    probe,
-    save,
-    shade,
-    sheet,
-    write_csv,
-)
+from figures_report.common import RECONSTRUCTED, Run, Runner, command, energy, phases, probe, shade
 
 SCENE = "report_5_2"
 PLASTIC, LINEAR = ("model=report",), ("model=report", "fracture.default.law=linear")

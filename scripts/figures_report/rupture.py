@@ -6,18 +6,10 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from sheets import AMBER, BLUE, GREEN, HALO, NODE_COLOURS, ORANGE, PALE, STYLE, Check, save, sheet, write_csv
 
 from figures_report.common import (
-    AMBER,
-    BLUE,
-    GREEN,
-    HALO,
-    NODE_COLOURS,
-    ORANGE,
-    PALE,
     RECONSTRUCTED,
-    STYLE,
-    Check,
     Run,
     Runner,
     command,
@@ -27,12 +19,9 @@ from figures_report.common import (
     name_ends,
     phases,
     probe,
-    save,
     shade,
-    sheet,
     slipped,
     thick,
-    write_csv,
 )
 from figures_report.setup_panel import draw_setup
 

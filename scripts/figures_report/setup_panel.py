@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from sheets import AMBER, BLUE, HALO, INK, ORANGE, PALE, ROOT
 
-from figures_report.common import AMBER, BLUE, HALO, INK, ORANGE, PALE, ROOT, Run, dynamic, probe
+from figures_report.common import Run, dynamic, probe
 
 
 def draw_setup(mesh_axes: Axes, pressure_axes: Axes, scene: str, run: Run, wells: Mapping[str, float]) -> None:

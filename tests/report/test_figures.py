@@ -3,7 +3,8 @@
 import sys
 
 import pytest
-from figures_report import __main__, common, fault, finer_fault, oscillator, rupture
+from figures_report import __main__, fault, finer_fault, oscillator, rupture
+from sheets import Check
 
 pytestmark = pytest.mark.serial
 FIGURES = {oscillator: (12, 13, 14), fault: (15,), finer_fault: (16, 17, 18, 19), rupture: (20, 21, 22, 23)}
@@ -28,6 +29,6 @@ def test_figures_and_their_bars(group, ran, tmp_path):
 @pytest.mark.parametrize(("ok", "code"), [(True, 0), (False, 1)])
 def test_a_red_bar_is_exit_code_1(ok, code, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(sys, "argv", ["figures", "-o", str(tmp_path), "--only", "fault"])
-    monkeypatch.setattr(fault, "draw", lambda folder, run: [common.Check("15 slips", 4.0, "3", ok)])
+    monkeypatch.setattr(fault, "draw", lambda folder, run: [Check("15 slips", 4.0, "3", ok)])
     assert __main__.main() == code
     assert ("missed" in capsys.readouterr().out) == (not ok)

@@ -1,0 +1,1 @@
+"""Maps of where each method works: measured colour, predicted boundary on top."""
