@@ -8,9 +8,11 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.energy import Scheme, book, dissipated, empty_books, put_in
+from fracflow.assembly.joints import implied_tractions
 from fracflow.assembly.operators import Operators
-from fracflow.assembly.properties import initial_pressure
+from fracflow.assembly.properties import initial_pressure, initial_stress
 from fracflow.assembly.solid import nodal_force
+from fracflow.elements import joint
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats
 from fracflow.run_setup import Model
@@ -156,14 +158,25 @@ def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure:
 
 
 def _slack(model: Model) -> PETSc.Vec:
-    """What the integration rules may differ by on each unknown: gradient times the square of a joint's length. Collective."""
-    ops, given, fluid = model.operators, model.scene.initial_stress, model.scene.fluid
-    steepest = 0.0 if given is None else max(abs(v) for v in given.gradient.model_dump().values())
-    steepest += 0.0 if fluid is None else abs(fluid.pressure_gradient)
-    joints, points = ops.blocks.joints, ops.blocks.solid.points
-    length = np.linalg.norm(points[joints.bottom[:, 1]] - points[joints.bottom[:, 0]], axis=1)
+    """What the rules of integration may differ by on each unknown. Collective.
+
+    Over a joint of length L tractions linear between t_1 and t_2 give each end L (2 t_1 + t_2)/6, and L t_1/2 by the
+    nodal rule: |t_2 - t_1| L/6 apart at most, likewise the pressures. A joint whose given tractions are not those that
+    stress and pressure imply has no slack.
+    """
+    ops, scene = model.operators, model.scene
+    joints, dim, natural = ops.blocks.joints, ops.blocks.sizes.dim, joint.RULES[scene.method.quadrature][0]
+    ends = ops.blocks.solid.points[joints.bottom]
+    frame, length = joint.frame(ends)
+    stress = initial_stress(scene, ends)[..., :dim, :dim]
+    change = np.abs(np.einsum("jki,ji->jk", stress[:, 1] - stress[:, 0], frame[:, -1]))
+    change += np.abs(np.diff(initial_pressure(scene, ends), axis=1) * frame[:, -1])
+    off = np.abs(ops.joints.initial - implied_tractions(ops.blocks, scene, natural))
+    is_implied = (
+        off.reshape(len(length), len(natural) * dim).max(axis=1, initial=0.0) <= EQUILIBRIUM * ops.scales.pressure
+    )
     faces = np.concatenate([joints.bottom, joints.top], axis=1)
-    share = np.broadcast_to((steepest * length**2)[:, None, None], (*faces.shape, ops.blocks.sizes.dim))
+    share = np.broadcast_to((change * (is_implied * length)[:, None] / 6.0)[:, None], (*faces.shape, dim))
     return nodal_force(ops.blocks, faces, share.copy(), ops.expand)
 
 

@@ -160,8 +160,8 @@ def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:
     return tuple(groups)
 
 
-def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
-    """(2.14) Initial effective tractions (s, dim): of the initial stress, plus the initial pressure; overrides after."""
+def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
+    """(2.14) Effective tractions (s, dim) that the initial stress and the initial pressure make, joint frame [stress]."""
     block, dim, points = blocks.joints, blocks.sizes.dim, len(natural)
     ends = blocks.solid.points[block.bottom]
     frame, _ = joint.frame(ends)
@@ -169,6 +169,12 @@ def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     sigma = initial_stress(scene, place)[:, :dim, :dim]
     traction = joint.traction_from_stress(np.repeat(frame, points, axis=0), sigma)
     traction[:, -1] += initial_pressure(scene, place)
+    return traction
+
+
+def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
+    """Initial effective tractions (s, dim): those implied (2.14), or what the fractures' tables give in their place."""
+    traction = implied_tractions(blocks, scene, natural)
     normal, shear = (
         along_fractures(blocks, scene, f"initial_{part}_traction", natural).ravel() for part in ("normal", "shear")
     )

@@ -25,6 +25,8 @@ CANCELLATION = 1e-4
 state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have. So does that of the last
 pressures in a network that comes to rest."""
 TINY = 1e-300  # a network of closed fractures has no terms
+LEAST_DRIVE = 1e-8
+"""Share of the natural pressure that drives at least: a network come to rest has nothing but round-off to balance."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,7 @@ class StepProblem:
         speed.destroy()
         # what an element carries at full pressure: the size of the terms whose difference is its flow
         size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
+        size = np.maximum(size, LEAST_DRIVE * self.operators.scales.pressure)
         through = (self.conduction.conductance[:, None] * size).max(initial=0.0)
         return [*terms, self.operators.layout.comm.allreduce(float(through), op=MPI.MAX)]
 

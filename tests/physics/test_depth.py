@@ -71,6 +71,32 @@ def test_lithostatic_and_hydrostatic_state_stays(run_scene, model):
     assert stress[:, 1, 1].max() <= -2e5 and stress[:, 1, 1].min() >= -2e5 - 24.525e3 * 8
 
 
+def test_shear_stress_that_grows_with_depth(run_scene):
+    """sigma_xy = g (datum - y) pulls with -g along x: a body force g holds it, and tractions follow (2.14)."""
+    slope = ["initial_stress.gradient.xy=2e3", "body_force.x=2e3"]
+    loads = "stage=[{kind = 'steady', time_step = 1, steps = 1}]"
+    found = run_scene(HEAVY, *slope, loads, "probe.deep.at={fracture = 'flat', end = 'start'}")
+    assert np.abs(found.fields["rock"]["displacement"]).max() <= 1e-9 * 4e5 / 50e9
+    stress, s = found.fields["rock"]["stress"].reshape(-1, 3, 3), np.array([7, 2]) / np.hypot(7, 2)
+    assert 0.0 < stress[:, 0, 1].min() < 2e3 and 14e3 < stress[:, 0, 1].max() < 16e3
+    depth, n = 8 - 3, np.array([-s[1], s[0]])
+    sigma = np.array([[-1e5 - 15e3 * depth, 2e3 * depth], [2e3 * depth, -2e5 - 24.525e3 * depth]])
+    assert found.probe("deep", "shear_traction")[-1] == pytest.approx(s @ sigma @ n, rel=1e-9)
+    with pytest.raises(InputError, match="out of balance"):
+        run_scene(HEAVY, slope[0], "body_force.x=-2e3", loads)
+
+
+@pytest.mark.parametrize("given", ["normal_traction=-250e3", "shear_traction=1e3"])
+def test_tractions_that_the_stress_does_not_imply_are_refused(run_scene, given):
+    """A flat fracture at half the depth: f_n0 = -298100 + 49240 = -248860 Pa and no shear; other than that is named."""
+    flat = ["geometry.fracture.flat.points=[[1, 4], [9, 4]]", "geometry.fracture.steep.points=[[5, 0], [5, 8]]"]
+    right = ["fracture.flat={initial_normal_traction=-248860, initial_shear_traction=0}"]
+    found = run_scene(HEAVY, *flat, *right)
+    assert np.abs(found.fields["rock"]["displacement"]).max() <= 1e-9 * 4e5 / 50e9
+    with pytest.raises(InputError, match=r"out of balance .* at .*flat"):
+        run_scene(HEAVY, *flat, *right, f"fracture.flat.initial_{given}")
+
+
 def test_weight_that_the_stress_does_not_carry_is_refused(run_scene):
     with pytest.raises(InputError, match="out of balance"):
         run_scene(HEAVY, "body_force.gravity=9")

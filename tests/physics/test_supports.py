@@ -152,3 +152,29 @@ steps = 1
 def test_sides_that_do_not_face_each_other_are_refused(run_scene):
     with pytest.raises(InputError, match='"west" and "north" do not face each other'):
         run_scene(PERIODIC, 'tie=[{on = ["west", "north"]}]')
+
+
+def test_a_force_on_a_rock_is_shared_by_its_area(run_scene):
+    """A free rock, cut over the ranks: every point accelerates by F / (rho A), without a wave."""
+    scene = (
+        ROCK
+        + """
+[geometry]
+domain = [0, 0, 6, 4]
+size = 0.8
+[[load]]
+on = "rock"
+force = [3e4, -6e4]
+[[probe]]
+name = "corner"
+at = [6, 4]
+[[stage]]
+kind = "dynamic"
+time_step = 1e-3
+steps = 3
+"""
+    )
+    found = run_scene(scene)
+    expected = np.array([3e4, -6e4]) / (2500 * 24)
+    assert found.probe("corner", "acceleration")[1:] == pytest.approx(np.tile(expected, (3, 1)), rel=1e-9)
+    assert found.closes()

@@ -26,16 +26,28 @@ pressure = 0
 RESISTANCE = 12 * 1e-3 * 3 / 1e-9  # 12 mu L / d^3
 
 
-def test_a_well_takes_what_its_highest_pressure_lets_in(run_scene):
-    """q = min(asked, p_max / R), R = 12 mu L/d^3: up to the limit, along it, and down again."""
-    found = run_scene(PUMPED)
+@pytest.mark.parametrize("depth", [1, 7])
+def test_a_well_takes_what_its_highest_pressure_lets_in(run_scene, depth):
+    """q = min(asked, p_max / R), R = 12 mu L/d^3 over the depth: up to the limit, along it, and down again."""
+    found = run_scene(PUMPED, f"fluid.flow_depth={depth}", f"well.in.flow_rate=[[0, 0], [3, {3e-3 * depth}], [6, 0]]")
     time = found.history["time"]
     asked = np.interp(time, [0, 3, 6], [0, 3e-3, 0])
     expected = np.minimum(asked, 5e4 / RESISTANCE)
     assert 5e4 / RESISTANCE < 2e-3  # some steps are at the limit, some are not
     assert np.sum(asked > expected) >= 2 and np.sum((asked > 0) & (asked <= expected)) >= 2
-    assert found.probe("quarter", "flow_rate") == pytest.approx(expected, rel=1e-9, abs=1e-18)
+    assert found.probe("quarter", "flow_rate") == pytest.approx(depth * expected, rel=1e-9, abs=1e-17)
     assert found.closes()
+
+
+@pytest.mark.parametrize("model", ["default", "report"])
+def test_a_well_that_is_shut_in_leaves_the_network_at_rest(run_scene, model):
+    """No flow, step after step: nothing but round-off is left to balance, and that is no reason to fail."""
+    found = run_scene(
+        PUMPED, "well.in.flow_rate=[[0, 0], [1, 3e-4], [2, 0], [12, 0]]", "stage.0.steps=12", f"model={model}"
+    )
+    flow = found.probe("quarter", "flow_rate")
+    assert flow[1] == pytest.approx(3e-4, rel=1e-9)
+    assert np.abs(flow[2:]).max() <= 1e-11 * flow[1]
 
 
 def test_a_well_draws_no_lower_than_its_lowest_pressure(run_scene):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.output import read_history
+from fracflow.output import list_steps, read_history, read_step
 from fracflow.output.checkpoint import read_notes
 from fracflow.run import resume, run
 from fracflow.scene import load
@@ -61,6 +61,12 @@ def differences(one, other, ranks):
     return found
 
 
+def last_fields(folder, family):
+    """The last fields of a run, named as histories are."""
+    _, point, cell = read_step(list_steps(folder, family)[-1][1])
+    return {f"/{name}": values for name, values in {**point, **cell}.items()}
+
+
 class Stop(Exception):
     """Out of a run, as a fault would."""
 
@@ -95,3 +101,6 @@ def test_a_run_cut_anywhere_ends_as_the_whole_one(case, shared_tmp):
             assert "resumed at time" in (folder / "log.txt").read_text()
             assert one.keys() == other.keys()
             assert not differences(one, other, comm.size), cut
+            for family in ("rock", "fractures"):
+                last = [last_fields(where, family) for where in (folder, shared_tmp / "whole")]
+                assert not differences(*last, comm.size), cut
