@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import glob
 import os
+import signal
 import sys
+import threading
 
 from fracflow.errors import InputError
 
@@ -36,8 +38,12 @@ try:
     import petsc4py
     from mpi4py import MPI
 
+    _on_broken_pipe = signal.getsignal(signal.SIGPIPE)
     petsc4py.init()
     from petsc4py import PETSc
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGPIPE, _on_broken_pipe)  # PETSc takes `| head` for a crash
 except ImportError as error:
     _reason = " ".join(str(error).split())
     raise InputError(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -138,7 +140,7 @@ def check(
         typer.echo(json.dumps({"sizes": found, "plan": as_records(decisions), "notes": notes}, indent=1))
         return
     for key, value in found.items():
-        typer.echo(f"{key}: {value}")
+        typer.echo(f"{key}: {shown(value)}")
     for decision in decisions:
         verb = "left out" if decision.left_out else "kept"
         typer.echo(f"{decision.part}: {verb} ({decision.criterion}: {decision.value})")
@@ -157,7 +159,14 @@ def mesh_command(scene: SceneFile, set_: Overrides = None) -> None:
     for note in split.notes:
         typer.echo(note)
     for key, value in summary(split).items():
-        typer.echo(f"{key}: {value:.4g}" if isinstance(value, float) else f"{key}: {value}")
+        typer.echo(f"{key}: {shown(value)}")
+
+
+def shown(value: Any) -> str:
+    """A count, a number or a table of numbers as the terminal shows it."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {shown(each)}" for name, each in value.items())
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 @app.command()
@@ -224,6 +233,7 @@ def petsc_options(petsc: object, words: list[str]) -> None:
 
 def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
+    warnings.formatwarning = lambda message, *_: f"note: {message}\n"
     try:
         sys.exit(app(standalone_mode=False))
     except USAGE as error:
@@ -239,6 +249,9 @@ def main() -> None:
         _stop(str(error), 130)
     except KeyboardInterrupt:
         _stop("interrupted before the first step", 130)
+    except BrokenPipeError:  # whoever read has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
     except Exception:
         _abort()
 

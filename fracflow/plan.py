@@ -29,7 +29,7 @@ def decide(scene: Scene) -> list[Decision]:
     )  # fmt: skip
     kinds = sorted({stage.kind for stage in scene.stage})
     inertia = Decision(
-        "inertia", not scene.has_dynamics, "a dynamic stage in the scene", ", ".join(kinds), "dynamic",
+        "inertia", not scene.has_dynamics, "a dynamic stage in the scene", f"stages {', '.join(kinds)}", "dynamic",
         "slip in stages without inertia is that of a slow process: up to half of the dynamic one",
     )  # fmt: skip
     return [flow, inertia]

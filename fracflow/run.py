@@ -71,7 +71,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
         notes["stage"], 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0), notes["progress"],
     )  # fmt: skip
     recorder = Recorder(model, folder, comm, notes)
-    recorder.log(f"resumed at time {step.state.time:.6g} on {comm.size} ranks")
+    recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
     return _go(model, recorder, step, began, progress)
 
 

@@ -114,6 +114,7 @@ class Recorder:
         if self.files is not None:
             self.files.history.close()
             self.files.events.close()
+            self.files.folder.close()
 
 
 class Files:
@@ -141,7 +142,10 @@ class Files:
         self.history = HistoryFile(path, about) if notes is None else HistoryFile.resume(path, notes["totals"]["steps"])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
         points = self.mesh.points[self.mesh.flow_origin[flow]]
-        named = {p.flow: name for name, p in model.placed.probes.items() if isinstance(p, FracturePlace)}
+        on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
+        places = {name: p for name, p in model.placed.probes.items() if isinstance(p, FracturePlace)}
+        nearest = {name: self.mesh.fractures[self.mesh.joint_fracture[p.joints[0]]] for name, p in places.items()}
+        named = {(on[name] or nearest[name], p.flow): name for name, p in places.items()}
         self.events = EventLog(
             self.folder / "events.csv",
             FractureNodes(
@@ -149,7 +153,7 @@ class Files:
                 self.mesh.flow_origin[flow],
                 points[:, 0],
                 points[:, 1],
-                [named.get(int(n), "") for n in flow],
+                [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],
             ),
         )
         if notes is not None:
@@ -199,10 +203,13 @@ class Files:
         def brought(name: str, any_of: bool = False) -> Any:
             return sampling.at_nodes(snapshot, name, self.inverse, self.count, any_of)
 
+        # A tip has no jump: what its law does with a stress past its strength is no slip.
+        parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
+
         self.events.update(
             state.time,
-            brought("sliding", True).astype(bool),
-            brought("open", True).astype(bool),
+            parts & brought("sliding", True).astype(bool),
+            parts & brought("open", True).astype(bool),
             brought("plastic_slip"),
             brought("slip_rate"),
         )

@@ -108,6 +108,7 @@ def _read_split(scene: Scene) -> SplitMesh:
                 geometry.size,
                 geometry.size_at_fractures,
                 geometry.cells,
+                next(iter(scene.rock)),
                 size_at_tips=geometry.size_at_tips,
                 growth=geometry.growth,
                 snap=geometry.snap,

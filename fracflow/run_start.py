@@ -10,12 +10,13 @@ from fracflow._petsc import PETSc
 from fracflow.assembly.energy import Scheme, book, dissipated, empty_books, put_in
 from fracflow.assembly.joints import implied_tractions
 from fracflow.assembly.operators import Operators
-from fracflow.assembly.properties import initial_pressure, initial_stress
+from fracflow.assembly.properties import body_force, initial_pressure, initial_stress
 from fracflow.assembly.solid import nodal_force
 from fracflow.elements import joint
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats
 from fracflow.run_setup import Model
+from fracflow.scene import Scene
 from fracflow.scene_materials import InitialMotion
 from fracflow.state import Forces, Motion, Sections, State
 
@@ -51,8 +52,22 @@ def settle(model: Model) -> None:
             f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
             ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
             " initial tractions must be those of initial_stress and fluid.initial_pressure; a [body_force] must balance the"
-            ' gradient of initial_stress; or let a first [[stage]] with kind = "equilibrate" find the state that is'
+            f" gradient of initial_stress{_uncarried(model.scene)}; or let a first [[stage]] with kind = 'equilibrate' find"
+            " the state that is"
         )
+
+
+def _uncarried(scene: Scene) -> str:
+    """What is missing to div sigma_0 + b = 0, of each rock."""
+    given = scene.initial_stress
+    xy, yy = (given.gradient.xy, given.gradient.yy) if given is not None else (0.0, 0.0)
+    found = []
+    for name in scene.rock:
+        force = body_force(scene, name)
+        for component, slope, value in (("xy", xy, force[0]), ("yy", yy, force[1])):
+            if abs(slope - value) > EQUILIBRIUM * max(abs(slope), abs(value)):
+                found.append(f"gradient.{component} = {slope:.6g}, but the weight of {name} needs {value:.6g}")
+    return f" ({'; '.join(found)})" if found else ""
 
 
 def rest(model: Model) -> State:

@@ -15,8 +15,9 @@ USUAL = {
         "normal_stiffness": (STIFFNESS, 1e6, 1e16),
         "shear_stiffness": (STIFFNESS, 1e5, 1e16),
         "aperture": (LENGTH, 1e-7, 0.1),
+        "friction_coefficient": ("", 0.01, 2.0),
     },
-    "fluid": {"viscosity": (VISCOSITY, 1e-5, 1e2), "density": (DENSITY, 0.1, 3e3)},
+    "fluid": {"viscosity": (VISCOSITY, 1e-5, 0.5), "density": (DENSITY, 0.1, 3e3)},
 }
 
 

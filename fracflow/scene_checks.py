@@ -70,9 +70,8 @@ def _geometry(scene: Scene) -> Iterator[Fault]:
     for name in scene.fracture:
         if name not in (*traces, "default"):
             yield ("fracture", name), f"no fracture of that name in [geometry]; {nearest(name, traces)}"
-    for name in scene.rock:
-        if name != "rock":
-            yield ("rock", name), 'unknown name; the rock of [geometry] is called "rock"'
+    for name in list(scene.rock)[1:]:
+        yield ("rock", name), f"is one too many; [geometry] has one rock, here {next(iter(scene.rock))}"
 
 
 def _materials(scene: Scene) -> Iterator[Fault]:

@@ -210,4 +210,19 @@ def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
         shut = {key for pair in ALTERNATIVES if set(pair) & set(table) for key in pair}
         return {key: value for key, value in default.items() if key not in shut} | table
 
-    return {**data, "fracture": {name: filled(table) for name, table in tables.items()}}
+    whole = {name: filled(table) for name, table in tables.items()}
+    if _is_spare(data, tables, default):
+        del whole["default"]
+    return {**data, "fracture": whole}
+
+
+def _is_spare(data: dict[str, Any], tables: dict[str, Any], default: dict[str, Any]) -> bool:
+    """Whether [fracture.default] only fills: every trace has a table of its own with a key that it has not."""
+    geometry = data.get("geometry")
+    traces = geometry.get("fracture", ()) if isinstance(geometry, dict) else ()
+    names = (
+        [trace.get("name") for trace in traces if isinstance(trace, dict)] if isinstance(traces, list | tuple) else []
+    )
+    own = [tables.get(name) for name in names if isinstance(name, str)]
+    more = [set(table) - set(default) for table in own if isinstance(table, dict)]
+    return bool(names) and len(more) == len(names) and bool(set.intersection(*more))

@@ -69,7 +69,8 @@ def fracture_end(mesh: SplitMesh, fracture: str, end: str, what: str) -> int:
     here, there = (0, 1) if end == "start" else (1, 0)
     ends = np.setdiff1d(nodes[:, here], nodes[:, there])
     if len(ends) != 1:
-        raise InputError(f'{what}: fracture "{fracture}" has {len(ends)} {end}s; give coordinates instead')
+        places = ", ".join("[{:.6g}, {:.6g}]".format(*mesh.points[node, :2]) for node in ends[:5]) or "none"
+        raise InputError(f'{what}: fracture "{fracture}" has {len(ends)} {end}s; give coordinates instead ({places})')
     return int(ends[0])
 
 

@@ -23,12 +23,13 @@ def corner_angles(points: Floats, cells: Ints) -> Floats:
 
 
 def worst_cells(points: Floats, cells: Ints) -> dict[str, float]:
-    """Smallest and largest corner angle of padded cells [degree], and the part of cells with a corner under 20."""
+    """Smallest and largest corner angle of padded cells [degree], and the parts of cells with a corner under 20, over 150."""
     count = np.sum(cells >= 0, axis=1)
     angles = [corner_angles(points, cells[count == k][:, :k]) for k in np.unique(count).tolist()]
-    least = np.concatenate([a.min(axis=1) for a in angles])
+    least, most = (np.concatenate([getattr(a, which)(axis=1) for a in angles]) for which in ("min", "max"))
     return {
         "smallest angle": float(least.min()),
-        "largest angle": float(max(a.max() for a in angles)),
+        "largest angle": float(most.max()),
         "cells under 20 degrees": float(np.mean(least < 20.0)),
+        "cells over 150 degrees": float(np.mean(most > 150.0)),
     }

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -66,6 +67,8 @@ def check_folder(path: Path, resume: bool = False) -> None:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; name a folder for the run")
         is_run = (path / MARKER).exists()
+        if is_run:
+            _taken(path).close()
         if resume and not is_run:
             raise InputError(f"{path}: holds no run of fracflow; name the folder of an earlier run")
         if not is_run and path.exists() and any(path.iterdir()):
@@ -77,6 +80,23 @@ def check_folder(path: Path, resume: bool = False) -> None:
         raise InputError(f"{path}: {error.strerror}; name a folder to write to") from error
 
 
+def _taken(path: Path) -> TextIO:
+    """The marker of a run folder, made and locked until it is closed. Raises InputError where another run holds it."""
+    marker = (path / MARKER).open("a+", encoding="utf-8")
+    try:
+        fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        marker.seek(0)
+        owner = marker.read().strip().rpartition("process ")[2] or "another"
+        marker.close()
+        raise InputError(
+            f"{path}: a run is under way there (process {owner}); wait for its end, or name another folder"
+        ) from None
+    except OSError:
+        pass  # a file system without locks
+    return marker
+
+
 class RunFolder:
     """The folder of one run.
 
@@ -84,8 +104,8 @@ class RunFolder:
             any other file stays
     resume  keep the earlier run's files and go on
 
-    Raises InputError if ``path`` is a file, or holds files but no run of fracflow, or (with ``resume``) no
-    run at all.
+    Until it is closed no other run may have the folder. Raises InputError if ``path`` is a file, or holds files but no
+    run of fracflow, or (with ``resume``) no run at all, or if another run is under way in it.
     """
 
     def __init__(self, path: str | Path, resume: bool = False) -> None:
@@ -98,7 +118,10 @@ class RunFolder:
 
     def _prepare(self, keep: bool) -> None:
         self.path.mkdir(parents=True, exist_ok=True)
-        (self.path / MARKER).write_text("run folder of fracflow\n", encoding="utf-8")
+        self._marker = _taken(self.path)
+        self._marker.truncate(0)
+        self._marker.write(f"run folder of fracflow, last written to by process {os.getpid()}\n")
+        self._marker.flush()
         if not keep:
             for pattern in _OWN_FILES:
                 for file in self.path.glob(pattern):
@@ -107,6 +130,10 @@ class RunFolder:
                 folder = self.path / name
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()
+
+    def close(self) -> None:
+        """Let other runs have the folder."""
+        self._marker.close()
 
     def __truediv__(self, name: str) -> Path:
         return self.path / name

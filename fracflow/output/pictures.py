@@ -7,33 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fracflow.output.look import COLOURS, INK, PALE, STYLE, fonts, one_note_on_letters
 from fracflow.output.rundata import PROBE_QUANTITIES, RunData, load_run_data
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, distinct to colour-blind readers and in grey
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-INK, PALE = "#222222", "#9a9a9a"
-_STYLE = {
-    "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.6,
-    "lines.solid_capstyle": "round",
-    "legend.frameon": False,
-    "savefig.dpi": 200,
-}
 _ENERGIES = (
     ("kinetic", "kinetic"),
     ("friction", "friction"),
@@ -43,6 +23,7 @@ _ENERGIES = (
     ("viscous", "viscous"),
 )
 _MAX_LINES = 7
+_MOST_FIRST = 5  # more than these at once is no place where it began
 
 
 def draw(folder: str | Path) -> list[Path]:
@@ -55,7 +36,7 @@ def draw(folder: str | Path) -> list[Path]:
     run = load_run_data(folder)
     pictures = Path(folder) / "pictures"
     pictures.mkdir(exist_ok=True)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context({**STYLE, "font.family": fonts()}), one_note_on_letters():
         drawn = {"overview": _overview(run), "probes": _probes(run)}
         paths = [_save(figure, pictures / f"{name}.png") for name, figure in drawn.items() if figure]
     return paths
@@ -150,7 +131,7 @@ def _draw_map(axes: Axes, run: RunData) -> None:
 
 def _draw_marks(axes: Axes, run: RunData) -> None:
     first = run.first_events()
-    if first:
+    if 0 < len(first) <= _MOST_FIRST:
         x, y = np.array([(event["x"], event["y"]) for event in first]).T
         axes.plot(x, y, "*", ms=11, mfc="#D55E00", mec="white", mew=0.8, zorder=6.5, label="slipped first")
     looks = ((run.wells, "v", "#56B4E9", "well", 11), (run.probes, "o", "white", "probe", 5))
@@ -248,7 +229,8 @@ def _draw_energy(axes: Axes, run: RunData) -> None:
     changes = {label: run.history[key] - run.history[key][start] for label, key in keys.items()}
     scale = max((np.abs(values[start:]).max() for values in changes.values()), default=0.0)
     lines = {label: v for label, v in changes.items() if np.abs(v[start:]).max() > 1e-3 * scale}
-    title = "Energy since the dynamics began" if run.has_dynamics else "Energy since the start"
+    settled = "Energy since equilibrium" if start else "Energy since the start"
+    title = "Energy since the dynamics began" if run.has_dynamics else settled
     _draw_lines(axes, run, lines, title, "change", "energy", slice(start, None))
     if lines:
         axes.axhline(0.0, color=PALE, lw=0.8, zorder=1)
@@ -286,7 +268,7 @@ def _probes(run: RunData) -> Figure | None:
     figure.suptitle(f"{run.title}: probes", fontsize=13, fontweight="bold", x=0.01, ha="left")
     grid = figure.subplots(rows, 2, squeeze=False).ravel()
     for axes, (key, kind) in zip(grid, shown.items(), strict=False):
-        word = key.replace("_", " ")
+        word = {"displacement": "length of the displacement"}.get(key, key.replace("_", " "))
         lines = {name: run.probe(name, key) for name in run.probes_with(key)}
         _draw_lines(axes, run, lines, word.capitalize(), word, kind, run.settled)
     for axes in grid[len(shown) :]:

@@ -31,7 +31,7 @@ PROBE_QUANTITIES = {
     "pressure": "stress",
     "flow_rate": "flow rate",
 }
-_DYNAMIC = 2
+_DYNAMIC, _EQUILIBRATE = 2, 3
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class FractureFields:
 
 @dataclass(frozen=True)
 class RunData:
-    """All that is drawn. ``start`` is the step the dynamics begin from, 0 without dynamics."""
+    """All that is drawn. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium."""
 
     title: str
     units: dict[str, str]
@@ -189,8 +189,11 @@ def load_run_data(folder: str | Path) -> RunData:
     history, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
     if not len(history.get("time", ())):
         raise InputError(f"{folder}: has no finished step; run it first")
-    dynamic = np.flatnonzero(history.get("step/kind", np.array([])) == _DYNAMIC)
-    start = max(0, int(dynamic[0]) - 1) if len(dynamic) else 0
+    kind = history.get("step/kind", np.array([]))
+    dynamic, found = np.flatnonzero(kind == _DYNAMIC), np.flatnonzero(kind == _EQUILIBRATE)
+    start = (
+        max(0, int(dynamic[0]) - 1) if len(dynamic) else int(found[-1]) if len(found) < len(kind) and len(found) else 0
+    )
     events = read_events(folder / "events.csv") if (folder / "events.csv").exists() else []
     seen = {event["probe"]: (event["x"], event["y"]) for event in events if event["probe"]}
     return RunData(

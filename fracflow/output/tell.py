@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fracflow.output.events import read_events
+from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.history import read_attributes, read_history
 
 BOOKS = (
@@ -18,6 +19,25 @@ BOOKS = (
     "work_boundaries", "work_wells", "work_pressure", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
 MOST_EVENTS = 20
+
+
+def _nearest(folder: Path) -> str:
+    """Where the last fields of the fractures are nearest to their strength."""
+    steps = list_steps(folder, "fractures")
+    if not steps:
+        return ""
+    points, _, about = read_mesh(folder, "fractures")
+    _, at_points, at_cells = read_step(steps[-1][1])
+    share = np.asarray(at_points["utilisation"]).ravel()
+    if not np.any(np.isfinite(share) & (share > 0.0)):
+        return ""
+    nearest = int(np.nanargmax(np.where(np.isfinite(share), share, np.nan)))
+    name = json.loads(about["fractures"])[int(np.asarray(at_cells["fracture"])[nearest // 2])]
+    x, y = points[nearest, :2]
+    return (
+        f"; nearest to it at the end is {name} at ({x:.6g}, {y:.6g}), |f_s|/f_sy = {share[nearest]:.4g}: more steps,"
+        " more pressure or a larger increment_per_step may reach it"
+    )
 
 
 def tell(folder: Path, console: Console) -> None:
@@ -34,7 +54,7 @@ def tell(folder: Path, console: Console) -> None:
     console.print(table)
     events = read_events(folder / "events.csv")
     if not events:
-        console.print("nothing slipped or opened")
+        console.print(f"nothing slipped or opened{_nearest(folder)}", soft_wrap=True)
         return
     heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
     slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")

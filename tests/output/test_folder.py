@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -26,11 +28,26 @@ def test_an_earlier_run_is_replaced_but_other_files_stay(tmp_path):
     (folder / "fields").mkdir()
     for name in ("history.h5", "fields/rock_000001.h5", "fields/notes.txt", "rock.xdmf", "mine.csv"):
         (folder / name).write_text("")
-    RunFolder(tmp_path / "run", resume=True)
+    folder.close()
+    RunFolder(tmp_path / "run", resume=True).close()
     assert (folder / "history.h5").exists()
-    RunFolder(tmp_path / "run")
+    RunFolder(tmp_path / "run").close()
     left = {path.name for path in folder.path.rglob("*") if path.is_file()}
     assert left == {".fracflow", "notes.txt", "mine.csv"}
+
+
+def test_a_folder_has_one_run_at_a_time(tmp_path):
+    """A second process would write over the first one's files; a killed one leaves no lock behind."""
+    hold = "import sys; from fracflow.output.folder import RunFolder; f = RunFolder(sys.argv[1]); print(1, flush=True); input()"
+    command = [sys.executable, "-c", hold, str(tmp_path / "run")]
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert other.stdout.readline() == b"1\n"
+    for resume in (False, True):
+        with pytest.raises(InputError, match=rf"run: a run is under way there .process {other.pid}."):
+            RunFolder(tmp_path / "run", resume=resume)
+    other.kill()
+    other.wait()
+    RunFolder(tmp_path / "run").close()
 
 
 def test_foreign_folders_are_left_alone(tmp_path):

@@ -146,3 +146,40 @@ steps = 30
     pressure = run_scene(scene).probe("far", "pressure")
     assert pressure[0] == 2e6 and np.all(np.diff(pressure) <= 1e-6)
     assert pressure[-1] == pytest.approx(1e6, rel=1e-3)
+
+
+def test_events_are_of_the_fracture_that_slips(run_scene):
+    """Of two crossing fractures one is past its strength: no event names the other, a tip, or a probe of the other."""
+    scene = (
+        ROCK
+        + JOINT
+        + """
+[geometry]
+domain = [0, 0, 8, 8]
+size = 1
+fracture = [{name = "weak", points = [[2, 4], [6, 4]]}, {name = "strong", points = [[4, 2], [4, 6]]}]
+[fracture.strong]
+cohesion = "1 GPa"
+[initial_stress]
+xx = -5e6
+yy = -5e6
+xy = 4e6
+[[support]]
+on = ["west", "east", "south", "north"]
+[[probe]]
+name = "crossing"
+at = [4, 4]
+on = "strong"
+[[stage]]
+kind = "equilibrate"
+[[stage]]
+kind = "quasi-static"
+time_step = 1
+steps = 1
+"""
+    )
+    found = run_scene(scene)
+    assert len(found.events) >= 3
+    assert {event["fracture"] for event in found.events} == {"weak"}
+    assert {event["probe"] for event in found.events} == {""}
+    assert all(2 < event["x"] < 6 for event in found.events)

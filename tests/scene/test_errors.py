@@ -126,9 +126,8 @@ def test_several_errors_are_counted_and_spelling_comes_first(make):
 def test_geometry_names(make):
     text = without(make.text, "[mesh]")
     geometry = "geometry={domain=[0,0,1,1],size=1,fracture=[{name='fault',points=[[0,0],[1,1]]}]}"
-    with pytest.raises(InputError, match=r'rock.granite: unknown name; the rock of .geometry. is called "rock"'):
-        make(geometry, text=text)
-    text = text.replace("rock.granite", "rock.rock")
+    with pytest.raises(InputError, match=r"rock.slate: is one too many; .geometry. has one rock, here granite"):
+        make(geometry, "rock.slate={rigid=true}", text=text)
     assert make(geometry, text=text).geometry.domain == ((0, 0), (1, 0), (1, 1), (0, 1))
     with pytest.raises(InputError, match=r"fracture.fold: missing; the fracture .fold. needs a table"):
         make(geometry.replace("'fault'", "'fold'"), text=text)

@@ -162,3 +162,15 @@ def test_scenes_that_make_no_sense(write, change, message):
     with pytest.raises(InputError, match=message) as caught:
         write(TABLE, SCENE.replace('fractures_csv = "traces.csv"', change))
     assert "\n" not in str(caught.value)
+
+
+def test_a_property_that_every_trace_has_need_not_be_in_the_default(write):
+    """The default then only fills; one trace without it is named."""
+    table = "name,x1,y1,x2,y2,aperture\nA,1,1,2,2,1 mm\nB,3,1,4,4,{}\n"
+    scene = SCENE.partition("[fracture.Berta]")[0].replace('aperture = "1 mm"\n', "")
+    found = write(table.format("2 mm"), scene)
+    assert {name: found.fracture_named(name).aperture for name in "AB"} == {"A": 1e-3, "B": 2e-3}
+    with pytest.raises(
+        InputError, match=r"fracture.(B|default).aperture: missing; the law hyperbolic-coulomb needs it"
+    ):
+        write(table.format(""), scene)
