@@ -32,16 +32,16 @@ def equilibrate(
     loads, count = _resting_fluid(model), stage.steps or 1
     held_back = imbalance(model, state.motion.displacement, state.sections.traction, state.pressure)
     model.loads.release(held_back)
-    for n in range(1, count + 1):
-        restraint = held_back.copy()
-        restraint.scale(1.0 - n / count)
-        try:
-            new, report = stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
-        finally:
-            restraint.destroy()
-        state = new
-        yield Step(new, number, 0.0, report, DONE if n == count else None)
-    held_back.destroy()
+    restraint = held_back.duplicate()
+    try:
+        for n in range(1, count + 1):
+            held_back.copy(restraint)
+            restraint.scale(1.0 - n / count)
+            state, report = stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
+            yield Step(state, number, 0.0, report, DONE if n == count else None)
+    finally:
+        held_back.destroy()
+        restraint.destroy()
     log(f"equilibrium: {_summary(model, state)}")
 
 

@@ -132,7 +132,7 @@ class Files:
             self.folder.write_text("scene.toml", model.scene.dump_toml(folder.resolve()))
             self.folder.write_plan(as_records(decide(model.scene)))
         else:
-            self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"])
+            self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
         system = model.scene.unit_system
         probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
         wells = {name: self.mesh.points[self.mesh.flow_origin[n]].tolist() for name, n in model.placed.wells.items()}

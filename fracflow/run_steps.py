@@ -11,7 +11,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.energy import Scheme, book, dissipated, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
-from fracflow.coupling.initial import initial_acceleration, initial_pressure
+from fracflow.coupling.initial import initial_acceleration, starting_pressure
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.run_setup import Model
@@ -138,7 +138,7 @@ class Stepping:
         try:
             problem.evaluate()
             if problem.residual.flow > self.model.scene.accuracy.residual:
-                initial_pressure(self.model.scene, ops, loads, problem)
+                starting_pressure(self.model.scene, ops, loads, problem)
                 problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
             pressure, forces = problem.pressure.copy(), problem.forces(motion)
@@ -164,8 +164,9 @@ def utilisation(model: Model, state: State) -> float:
 class _Search:
     """How far the control may rise: states tried from one start, and how far each is from the strength sought."""
 
-    def __init__(self, stepping: Stepping, state: State, stage: Stage) -> None:
+    def __init__(self, stepping: Stepping, state: State, stage: Stage, log: Callable[[str], None]) -> None:
         assert stage.control is not None
+        self.log = log
         self.stepping, self.state, self.stage, self.control = stepping, state, stage, stage.control
         self.tried: dict[float, tuple[State, StepReport]] = {}
         self.failure: SolveError | None = None
@@ -178,6 +179,7 @@ class _Search:
                 self.tried[value] = self.stepping.step(self.state, Steady(), self.state.time, 0.0, controls)
             except SolveError as error:
                 self.failure = error
+                self.log(f"no state found at control.{self.control} = {value:.12g}, taken as past failure: {error}")
                 return self.stage.tolerance
         return min(utilisation(self.stepping.model, self.tried[value][0]), 1.0) - (1.0 - self.stage.tolerance)
 
@@ -223,7 +225,7 @@ def search_incipient(
         return
     increment = progress.get("increment", model.scene.control[control].increment)
     for _ in range(DOUBLINGS):
-        search, high = _Search(stepping, state, stage), low + increment
+        search, high = _Search(stepping, state, stage, log), low + increment
         if search.excess(high) >= 0.0:
             break
         state, report = search.tried.pop(high)

@@ -109,7 +109,7 @@ class Joints:
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
-        """(2.31) ``result`` += G' W f. Collective."""
+        """(2.15)-(2.19), (2.31) ``result`` += G' W f: forces that resist, tension's +n on top. Collective."""
         tractions = self.jump.createVecLeft()
         tractions.setArray((self.weights[:, None] * traction).ravel())
         self.jump.multTransposeAdd(tractions, result, result)

@@ -14,7 +14,7 @@ from fracflow.errors import SolveError
 from fracflow.scene import Scene
 
 
-def initial_pressure(scene: Scene, operators: Operators, loads: Loads, problem: StepProblem) -> None:
+def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem: StepProblem) -> None:
     """(4.1e) H_0 = K_F^-1 (Q_0 - B_F' v_0), for wells that pump from the first instant. Raises SolveError. Collective."""
     matrix = JoinedMatrix(operators, loads)
     newton = Newton(scene, matrix, "flow", "flow")

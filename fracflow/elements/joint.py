@@ -70,16 +70,6 @@ def traction_from_stress(frame: Floats, stress: Floats) -> Floats:
     return traction
 
 
-def force(jump_operator: Floats, traction: Floats, weight: Floats) -> Floats:
-    """(2.15)-(2.19), (2.31) Internal nodal forces (n, 4 dim), global axes, per unit thickness.
-
-    traction (n, q, dim) [stress], weight (n, q) [length]. Tension gives +n on top, -n on bottom, as forces
-    internal to the joint: they resist, so they stand on the left of (2.38).
-    """
-    nodal: Floats = np.einsum("nqij,nqi->nj", jump_operator, weight[..., None] * traction)
-    return nodal
-
-
 def tangent(jump_operator: Floats, moduli: Floats, weight: Floats) -> Floats:
     """(2.20)-(2.23), (2.32) Tangent (n, 4 dim, 4 dim); moduli d traction / d strain (n, q, dim, dim)."""
     joints, _, _, dofs = jump_operator.shape

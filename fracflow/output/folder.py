@@ -156,10 +156,15 @@ class RunFolder:
         path = self.path / "log.txt"
         return path.stat().st_size if path.exists() else 0
 
-    def cut_back(self, steps: int, log_bytes: int) -> None:
-        """Take away fields and lines of the log that came after so many steps and bytes."""
+    def cut_back(self, steps: int, log_bytes: int, every: int) -> None:
+        """Take away fields and lines of the log that came after so many steps and bytes.
+
+        ``every`` is the number of steps from one file of fields to the next, 0 for the first step's alone: one that is
+        out of turn was left where an earlier run ended.
+        """
         for file in (self.path / "fields").glob("*_[0-9]*.h5"):
-            if int(file.stem.rpartition("_")[2]) >= steps:
+            number = int(file.stem.rpartition("_")[2])
+            if number >= steps or (number % every if every else number):
                 file.unlink()
         if self.log_bytes() > log_bytes:
             os.truncate(self.path / "log.txt", log_bytes)
