@@ -13,7 +13,7 @@ from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.run_equilibrate import equilibrate
-from fracflow.run_record import Recorder, Totals
+from fracflow.run_record import Recorder, Totals, watches_spurious
 from fracflow.run_setup import Model, on_root, prepare
 from fracflow.run_start import rest, settle
 from fracflow.run_steps import Step, Stepping, run_stage, stepper_of
@@ -41,6 +41,8 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
     )
     for line in (*(model.mesh.notes if model.mesh is not None else ()), *model.placed.notes):
         recorder.log(line)
+    if watches_spurious(scene):
+        recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
     step = Step(state, 0, 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)

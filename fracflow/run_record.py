@@ -11,7 +11,8 @@ import numpy as np
 
 from fracflow import __version__
 from fracflow._petsc import MPI
-from fracflow.assembly.energy import ENTRIES
+from fracflow.assembly.energy import ENTRIES, spurious_share
+from fracflow.assembly.flow import is_transposed
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
@@ -23,10 +24,19 @@ from fracflow.output.rock import rock_fields
 from fracflow.plan import as_records, decide, factorisations
 from fracflow.run_setup import Model, on_root
 from fracflow.run_steps import Step
+from fracflow.scene import Scene
 from fracflow.state import State
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3}
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
+
+
+SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
+
+
+def watches_spurious(scene: Scene) -> bool:
+    """Whether pressure force and film storage are not transposed, so that the books have a spurious entry."""
+    return scene.has_flow and not is_transposed(scene.method.storage)
 
 
 @dataclass
@@ -38,6 +48,8 @@ class Totals:
     factorisations: int = 0
     narrowest: float = np.inf
     narrow_time: float = np.nan
+    spurious: float = 0.0
+    spurious_time: float = np.nan
 
 
 class Recorder:
@@ -63,11 +75,23 @@ class Recorder:
             if margin < self.totals.narrowest:
                 self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
             self.files.append(step, snapshot, margin)
+        self._watch_spurious(step)
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self.totals.steps += 1
         self.totals.newton += step.report.newton
         self.totals.factorisations += step.report.factorisations
+
+    def _watch_spurious(self, step: Step) -> None:
+        share, totals = spurious_share(step.state.energy), self.totals
+        if share > totals.spurious:
+            if totals.spurious <= SPURIOUS < share:
+                self.log(
+                    f'time {step.state.time:.6g}: method.storage = "{self.model.scene.method.storage}" has made'
+                    f" {share:.1e} of the largest entry of the energy books out of nothing (limit {SPURIOUS:g}):"
+                    ' energy/spurious has it; method.storage = "lumped" makes none'
+                )
+            totals.spurious, totals.spurious_time = share, step.state.time
 
     def last(self, step: Step) -> None:
         """Write the fields of the state that a run ends with, unless they were. Collective."""
@@ -100,6 +124,11 @@ class Recorder:
             self.log(
                 f"smallest slip margin {totals.narrowest:.1e} at time {totals.narrow_time:.6g}:"
                 " what follows there is not settled by arithmetic"
+            )
+        if watches_spurious(self.model.scene):
+            self.log(
+                f"spurious work of the coupling: at most {totals.spurious:.1e} of the largest entry of the energy books"
+                + (f", at time {totals.spurious_time:.6g}" if totals.spurious else "")
             )
         self.log(
             f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
@@ -174,7 +203,7 @@ class Files:
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
-        notes["limited"] = list(state.limited)
+        notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
 

@@ -18,8 +18,8 @@ from fracflow.run_setup import Model
 from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
-from fracflow.state import Motion, State, StepReport
-from fracflow.stepping import STEPPERS, Alphas, BackwardEuler, Steady, Stepper
+from fracflow.state import Memory, Motion, State, StepReport
+from fracflow.stepping import STEPPERS, Alphas, Steady, Stepper, first
 
 Progress = Mapping[str, float]
 DONE: Progress = {"done": 1.0}
@@ -47,7 +47,7 @@ def stepper_of(scene: Scene, stage: Stage) -> Stepper:
     if stage.kind == "dynamic":
         stepper: Stepper = STEPPERS[method.stepper](beta=method.newmark_beta, gamma=method.newmark_gamma)
         return stepper
-    return BackwardEuler() if stage.kind == "quasi-static" else Steady()
+    return STEPPERS[method.film]() if stage.kind == "quasi-static" else Steady()
 
 
 class Stepping:
@@ -81,7 +81,10 @@ class Stepping:
 
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
-        loads, scheme = loads or self._loads(stepper), Scheme(stepper.inertia, stepper.storage, stepper.balance)
+        last = state.memory.time_step
+        rule = stepper if last > 0.0 else first(stepper)
+        alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
+        loads, scheme = loads or self._loads(rule), Scheme(rule.inertia, rule.storage, rule.balance)
         fluid = self.model.scene.fluid
         reached = reached_before(loads, state)
         for _ in range(2 + 2 * len(loads.limits)):
@@ -89,7 +92,7 @@ class Stepping:
                 self.model.operators,
                 self._limited(loads, reached),
                 state,
-                stepper.alphas(dt),
+                alphas,
                 time,
                 controls,
                 restraint,
@@ -103,7 +106,9 @@ class Stepping:
             if now == reached:
                 energy = book(self.model.operators, state, new, dt, scheme)
                 limited = tuple(sorted(limit.well for limit in now))
-                return replace(new, energy=energy, limited=limited, friction=dissipated(state, new)), report
+                memory = _remember(state, new, dt) if stepper.memory else Memory()
+                friction = dissipated(state, new)
+                return replace(new, energy=energy, limited=limited, friction=friction, memory=memory), report
             new.destroy()
             reached = now
         refuse_cycle(reached, time)
@@ -129,9 +134,8 @@ class Stepping:
             motion.velocity.set(0.0)
         energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
         if not stepper.inertia:
-            return replace(
-                state, motion=motion, pressure=state.pressure.copy(), forces=state.forces.copy(), energy=energy
-            )
+            pressure, forces = state.pressure.copy(), state.forces.copy()
+            return replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy, memory=Memory())
         loads = self._limited(self._loads(stepper), reached_before(self._loads(stepper), state))
         now = Alphas(a4=-1.0)  # no change of displacement, the velocity as it is
         problem = StepProblem(ops, loads, replace(state, motion=motion), now, state.time, state.controls)
@@ -145,12 +149,21 @@ class Stepping:
             sections = problem.sections
         finally:
             problem.destroy()
-        return replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces, energy=energy)
+        start = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces, energy=energy)
+        return replace(start, memory=Memory())
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
         for coupling in self._couplings.values():
             coupling.destroy()
+
+
+def _remember(old: State, new: State, dt: float) -> Memory:
+    """The mean velocity of the step between two states."""
+    velocity = new.motion.displacement.duplicate()
+    before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
+    velocity.setArray((after - before) / dt)
+    return Memory(dt, velocity)
 
 
 def utilisation(model: Model, state: State) -> float:

@@ -56,15 +56,21 @@ class Method(Part):
         default="nodal",
         description="points where a joint keeps its state: its ends (2.30), two Gauss points, its middle",
     )
-    storage: Literal["lumped", "report", "consistent"] = Field(
+    storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = Field(
         default="lumped",
-        description="matrices of pressure force and film storage; report: (2.37) with (3.16)",
+        description="matrices of pressure force and film storage; lumped, consistent (2.37) and averaging (3.16) use one for"
+        " both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: what these two make of nothing is booked",
     )
     conductance: Literal["exact", "report"] = Field(
         default="exact",
         description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
     )
     mass: Literal["lumped", "consistent"] = Field(default="lumped", description="mass matrix of the rock")
+    film: Literal["backward-euler", "bdf2", "trapezoid"] = Field(
+        default="backward-euler",
+        description="time integrator of quasi-static stages: first order and monotone, or second order; trapezoid rings for"
+        " time steps above two drainage times; the first step of a stage is one of backward Euler",
+    )
     stepper: Literal["newmark"] = Field(default="newmark", description="time integrator of dynamic stages (4.1)-(4.3)")
     newmark_beta: Annotated[float, Quantity(above=0.0, at_most=0.5)] = Field(
         default=0.25, description="beta of (4.1) [1]; 1/4 is the trapezoidal rule"

@@ -85,6 +85,23 @@ class Forces:
 
 
 @dataclass(frozen=True)
+class Memory:
+    """What a rule without inertia remembers of the step before, in the same stage.
+
+    time_step  its length, 0 where there was none [time]
+    velocity   the mean velocity over it of the solid unknowns [length/time]
+    """
+
+    time_step: float = 0.0
+    velocity: PETSc.Vec | None = None
+
+    def destroy(self) -> None:
+        """Free the vector; its owner calls it."""
+        if self.velocity is not None:
+            self.velocity.destroy()
+
+
+@dataclass(frozen=True)
 class State:
     """Everything at the end of a step.
 
@@ -103,12 +120,14 @@ class State:
     energy: Mapping[str, float]
     limited: tuple[str, ...] = ()
     friction: Floats = field(default_factory=lambda: np.zeros(0))
+    memory: Memory = Memory()
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""
         self.motion.destroy()
         self.pressure.destroy()
         self.forces.destroy()
+        self.memory.destroy()
 
 
 @dataclass(frozen=True)

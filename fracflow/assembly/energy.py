@@ -118,6 +118,12 @@ def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
     }
 
 
+def spurious_share(totals: Mapping[str, float]) -> float:
+    """What a coupling of matrices that are not transposed has made of nothing, over the largest entry of the books."""
+    largest = max(abs(totals[name]) for name in (*STORED, *WORK))
+    return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
+
+
 def dissipated(old: State, new: State) -> Floats:
     """(2.27b) with (2.33b): what friction has dissipated at each section (s,) after a step from ``old`` [energy/area]."""
     work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
@@ -140,31 +146,35 @@ def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
 def _fluid_parts(
     ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, storage: bool
 ) -> dict[str, float]:
-    """Terms of the balance (3.20), which holds at ``instants``, times the mean pressure that drives in the step.
+    """Terms of the balance (3.20) times the pressure that drives, both as means over the ``instants`` where it holds.
 
-    The resting pressure is a dead load on the walls.
+    The walls are pushed by the mean ``pressure`` of the step: what the storage of (3.20) and their motion make of these
+    two pressures and of the rule's velocities is the scheme's. The resting pressure is a dead load on the walls.
     """
     assert ops.flow is not None
     rate, share, driving = pressure.duplicate(), dt / len(instants), _sum(1.0, pressure, -1.0, ops.flow.resting)
+    balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)
+    for state in instants[1:]:
+        balanced.axpy(1.0 / len(instants), state.pressure)
 
-    def volume(matrix: PETSc.Mat, motion: PETSc.Vec) -> float:
+    def volume(matrix: PETSc.Mat, motion: PETSc.Vec, at: PETSc.Vec) -> float:
         matrix.multTranspose(motion, rate)
-        return float(rate.dot(driving))
+        return float(rate.dot(at))
 
-    pushed = volume(ops.flow.push, change)
+    pushed = volume(ops.flow.push, change, driving)
     resting = float(rate.dot(ops.flow.resting))
     parts = {
-        "viscous": share * sum(state.forces.conduction.dot(driving) for state in instants),
-        "work_wells": share * sum(state.forces.source.dot(driving) for state in instants),
+        "viscous": share * sum(state.forces.conduction.dot(balanced) for state in instants),
+        "work_wells": share * sum(state.forces.source.dot(balanced) for state in instants),
         "work_pressure": resting,
     }
     if storage:
-        swept = volume(ops.flow.squeeze, change)
+        swept = volume(ops.flow.squeeze, change, driving)
         parts["spurious"] = swept - pushed
-        stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity) for state in instants)
+        stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity, balanced) for state in instants)
         parts["fluid_scheme"] = stored - swept
     else:
         parts["work_pressure"] += pushed
-    rate.destroy()
-    driving.destroy()
+    for vector in (rate, driving, balanced):
+        vector.destroy()
     return parts

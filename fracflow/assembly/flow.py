@@ -22,9 +22,17 @@ from fracflow.scene import Scene
 STORAGE = {
     "lumped": ("lumped", "lumped"),
     "consistent": ("consistent", "consistent"),
+    "averaging": ("averaging", "averaging"),
     "report": ("consistent", "averaging"),
+    "consistent-lumped": ("consistent", "lumped"),
 }
-"""Matrices of the pressure force and of the wall motion: one for both, or the report's (2.37) with (3.16)."""
+"""Matrices of the pressure force and of the wall motion: one for both, or, as in the report's (2.37) with (3.16), two."""
+
+
+def is_transposed(storage: str) -> bool:
+    """Whether a pair is one matrix and its transpose: then what the fluid does to the walls they do to the fluid."""
+    force, volume = STORAGE[storage]
+    return force == volume
 
 
 @dataclass(frozen=True)

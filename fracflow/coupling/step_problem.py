@@ -6,7 +6,7 @@ flow   B_F' v + K_F(u) p - Q = 0
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,8 @@ from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.errors import SolveError
-from fracflow.mesh.data import Floats
 from fracflow.state import Forces, Motion, Past, Sections, State
-from fracflow.stepping import Alphas, HasMotion, acceleration, velocity
+from fracflow.stepping import Alphas, acceleration, velocity
 
 CANCELLATION = 1e-4
 """Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
@@ -91,7 +90,7 @@ class StepProblem:
             terms.append(term.norm(PETSc.NormType.INFINITY))
             solid.axpy(scale, term)
 
-        motion = self._at_end(acceleration)
+        motion = self._acceleration()
         ops.mass.mult(motion, term)
         add(1.0)
         ops.mass.mult(u, term)
@@ -114,17 +113,25 @@ class StepProblem:
         self._hold()
         self._measure(max(terms), max(flow_terms))
 
-    def _at_end(self, rule: Callable[[Alphas, Floats, HasMotion], Floats]) -> PETSc.Vec:
-        """(4.2e) or (4.2f) of the trial, in a new vector."""
-        # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run.
-        result = self.displacement.duplicate()
-        result.setArray(rule(self.alphas, self.displacement.getArray(readonly=True), self.state.motion.values()))
+    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run.
+    def _acceleration(self) -> PETSc.Vec:
+        """(4.2e) of the trial, in a new vector."""
+        trial, result = self.displacement.getArray(readonly=True), self.displacement.duplicate()
+        result.setArray(acceleration(self.alphas, trial, self.state.motion.values()))
+        return result
+
+    def _velocity(self) -> PETSc.Vec:
+        """(4.2f) of the trial, in a new vector."""
+        before, result = self.state.memory.velocity, self.displacement.duplicate()
+        mean = 0.0 if before is None else before.getArray(readonly=True)
+        trial, old = self.displacement.getArray(readonly=True), self.state.motion.values()
+        result.setArray(velocity(self.alphas, trial, old, mean))
         return result
 
     def _flow_balance(self) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
-        speed = self._at_end(velocity)
+        speed = self._velocity()
         network.squeeze.multTranspose(speed, flow)
         terms = [flow.norm(PETSc.NormType.INFINITY), self.source.norm(PETSc.NormType.INFINITY)]
         network.squeeze.multTranspose(self.displacement, flow)
@@ -182,7 +189,7 @@ class StepProblem:
     def accept(self, energy: Mapping[str, float]) -> State:
         """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
         u, p = self.displacement, self.pressure
-        motion = Motion(u.copy(), self._at_end(velocity), self._at_end(acceleration))
+        motion = Motion(u.copy(), self._velocity(), self._acceleration())
         return State(self.time, motion, p.copy(), self.sections, self.forces(motion), dict(self.controls), energy)
 
     def forces(self, motion: Motion) -> Forces:

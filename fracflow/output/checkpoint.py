@@ -18,7 +18,7 @@ from fracflow.assembly.operators import Operators
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
-from fracflow.state import Forces, Motion, Past, Sections, State
+from fracflow.state import Forces, Memory, Motion, Past, Sections, State
 
 Arrays = dict[str, NDArray[Any]]
 SOLID = {
@@ -33,6 +33,7 @@ NOTES = (
     "controls",
     "energy",
     "limited",
+    "last_step",
     "stage",
     "progress",
     "totals",
@@ -41,6 +42,7 @@ NOTES = (
     "log_bytes",
     "events",
 )
+MEMORY = "mean_velocity"
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
@@ -88,6 +90,9 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
     for name, part in FLOW.items() if operators.flow is not None else ():
         local = getattr(getattr(state, part) if part else state, name).getArray(readonly=True)
         arrays[name] = blocks.gather(blocks.flow.ids, local.copy(), blocks.sizes.flow_nodes)
+    if state.memory.velocity is not None:
+        local = state.memory.velocity.getArray(readonly=True)
+        arrays[MEMORY] = blocks.gather(places[used], local[used], total)
     joints, points = blocks.joints.ids, operators.joints.points
     at_sections = {f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "past"}
     for name, values in {**at_sections, "friction": state.friction}.items():
@@ -108,7 +113,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
     """The state that was saved, spread over the ranks of now. Raises InputError for that of another mesh. Collective."""
     blocks, layout = operators.blocks, operators.layout
     places, total = _solid_places(blocks)
-    _check_lengths(arrays, operators, total)
+    _check_lengths(arrays, operators, total, notes["last_step"] > 0.0)
 
     def solid(name: str) -> PETSc.Vec:
         vector = layout.solid_vector()
@@ -140,14 +145,16 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         energy=notes["energy"],
         limited=tuple(notes["limited"]),
         friction=at_sections("friction"),
+        memory=Memory(notes["last_step"], solid(MEMORY)) if notes["last_step"] else Memory(),
     )
 
 
-def _check_lengths(arrays: Arrays, operators: Operators, unknowns: int) -> None:
+def _check_lengths(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
     sizes = operators.blocks.sizes
     lengths = dict.fromkeys(SOLID, unknowns) | dict.fromkeys(
         FLOW if operators.flow is not None else (), sizes.flow_nodes
     )
+    lengths |= {MEMORY: unknowns} if remembers else {}
     lengths |= {f"sections/{field.name}": sizes.joints for field in fields(Sections) if field.name != "past"}
     for number, group in enumerate(operators.joints.laws):
         lengths |= {f"past/{number}/{name}": sizes.joints for name in group.law.history}

@@ -2,12 +2,20 @@
 
 from typing import Any
 
-from .newmark import Alphas, BackwardEuler, HasMotion, Newmark, Steady, Stepper, acceleration, velocity
+from .film import BDF2, BackwardEuler, Trapezoid, drainage_time, first, ringing
+from .newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, velocity
 
-STEPPERS: dict[str, type[Any]] = {"newmark": Newmark, "steady": Steady, "backward-euler": BackwardEuler}
-"""Rules by name; ``method.stepper`` names one with inertia."""
+STEPPERS: dict[str, type[Any]] = {
+    "newmark": Newmark,
+    "steady": Steady,
+    "backward-euler": BackwardEuler,
+    "bdf2": BDF2,
+    "trapezoid": Trapezoid,
+}
+"""Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
 
 __all__ = [
+    "BDF2",
     "STEPPERS",
     "Alphas",
     "BackwardEuler",
@@ -15,6 +23,10 @@ __all__ = [
     "Newmark",
     "Steady",
     "Stepper",
+    "Trapezoid",
     "acceleration",
+    "drainage_time",
+    "first",
+    "ringing",
     "velocity",
 ]

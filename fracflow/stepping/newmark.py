@@ -1,4 +1,4 @@
-"""(4.1)-(4.3) The Newmark family and its two limits without inertia, on arrays."""
+"""(4.1)-(4.3) The Newmark family, and its limit without time, on arrays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ Balance = Literal["both", "end"]
 
 @dataclass(frozen=True)
 class Alphas:
-    """(4.3) Coefficients of acceleration (a0, a2, a3) and velocity (a1, a4, a5) at the end of a step."""
+    """(4.3) Coefficients of acceleration (a0, a2, a3) and velocity (a1, a4, a5) at the end of a step.
+
+    a6 is that of the mean velocity of the last step, for rules of three instants.
+    """
 
     a0: float = 0.0
     a1: float = 0.0
@@ -20,6 +23,7 @@ class Alphas:
     a3: float = 0.0
     a4: float = 0.0
     a5: float = 0.0
+    a6: float = 0.0
 
 
 class HasMotion(Protocol):
@@ -45,15 +49,17 @@ class Stepper(Protocol):
     inertia  the mass matrix takes part
     storage  wall velocities take part in the balance of fluid
     balance  where in a step the fluid's balance is known to hold: at both its ends, or only at its end
+    memory   it needs a step before it in its stage; see ``film.first``
     """
 
     order: ClassVar[int]
     inertia: ClassVar[bool]
     storage: ClassVar[bool]
     balance: ClassVar[Balance]
+    memory: ClassVar[bool]
 
-    def alphas(self, time_step: float) -> Alphas:
-        """Coefficients of a step of that length."""
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
+        """Coefficients of a step of that length, after one of length ``last`` in the same stage."""
         ...
 
 
@@ -63,13 +69,13 @@ def acceleration(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -
     return alphas.a0 * change - alphas.a2 * motion_old.velocity - alphas.a3 * motion_old.acceleration
 
 
-def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion) -> Any:
-    """(4.2f) v_new = a1 (d_new - d) - a4 v - a5 a."""
-    change = displacement_new - motion_old.displacement
-    return alphas.a1 * change - alphas.a4 * motion_old.velocity - alphas.a5 * motion_old.acceleration
+def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion, mean_old: Any = 0.0) -> Any:
+    """(4.2f) v_new = a1 (d_new - d) - a4 v - a5 a - a6 w, w = ``mean_old`` the mean velocity of the last step."""
+    change, old = displacement_new - motion_old.displacement, motion_old
+    return alphas.a1 * change - alphas.a4 * old.velocity - alphas.a5 * old.acceleration - alphas.a6 * mean_old
 
 
-def _checked(time_step: float) -> float:
+def checked(time_step: float) -> float:
     """The time step; InputError unless positive."""
     if not time_step > 0.0:
         raise InputError(f"time_step = {time_step}: must be positive")
@@ -90,6 +96,7 @@ class Newmark:
     inertia: ClassVar[bool] = True
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be stepped implicitly."""
@@ -98,9 +105,9 @@ class Newmark:
         if not self.gamma >= 0.5:
             raise InputError(f"newmark_gamma = {self.gamma}: must be 1/2 or more, less is unstable")
 
-    def alphas(self, time_step: float) -> Alphas:
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """(4.3) alpha_0 ... alpha_5; time_step [time], positive."""
-        dt, beta, gamma = _checked(time_step), self.beta, self.gamma
+        dt, beta, gamma = checked(time_step), self.beta, self.gamma
         return Alphas(
             a0=1.0 / (dt**2 * beta),
             a1=gamma / (dt * beta),
@@ -119,21 +126,8 @@ class Steady:
     inertia: ClassVar[bool] = False
     storage: ClassVar[bool] = False
     balance: ClassVar[Balance] = "end"
+    memory: ClassVar[bool] = False
 
-    def alphas(self, time_step: float) -> Alphas:
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """All zero, whatever the time step."""
         return Alphas()
-
-
-@dataclass(frozen=True)
-class BackwardEuler:
-    """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
-
-    order: ClassVar[int] = 1
-    inertia: ClassVar[bool] = False
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "end"
-
-    def alphas(self, time_step: float) -> Alphas:
-        """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
-        return Alphas(a1=1.0 / _checked(time_step))

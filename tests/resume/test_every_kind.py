@@ -39,6 +39,8 @@ CASES = {
     "search and drop": ("report_5_3", ["stage.failure.steps=8"], (2, 5, 8)),
     "crossings": ("crossings", ["stage.1.steps=8"], (2, 8)),
     "stages": (CRACK + QUASI + DYNAMIC + QUASI, [], (3, 5, 8, 10, 12)),
+    "bdf2": (CRACK + DYNAMIC + QUASI, ["method.film=bdf2", "method.storage=averaging"], (5, 6, 8)),
+    "trapezoid": (CRACK + QUASI, ["method.film=trapezoid", "method.storage=consistent-lumped"], (0, 1, 3)),
     "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),

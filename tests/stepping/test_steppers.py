@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.stepping import STEPPERS, Alphas, Newmark, acceleration, velocity
+from fracflow.stepping import STEPPERS, Alphas, Newmark, acceleration, drainage_time, first, ringing, velocity
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,52 @@ def test_order_on_the_oscillator(name, damping):
     assert order_of(errors) == pytest.approx(stepper.order, abs=0.05)
 
 
-@pytest.mark.parametrize("name", [n for n, s in STEPPERS.items() if s.storage and not s.inertia])
-def test_order_on_a_decaying_film(name):
-    stepper, errors = STEPPERS[name](), []
-    for steps in (40, 80, 160, 320):
-        motion = Motion(1.0, -1.0, 0.0)
-        for _ in range(steps):
-            motion = advance(stepper, motion, 1.0 / steps, 0.0, 1.0, 1.0)
-        errors.append(abs(motion.displacement - np.exp(-1.0)))
-    assert order_of(errors) == pytest.approx(stepper.order, abs=0.05)
+FILM = [n for n, s in STEPPERS.items() if s.storage and not s.inertia]
+
+
+def drained(stepper, rate, time_steps):
+    """Displacements of v + rate d = 0 from 1, at rest before the first step."""
+    motion, last, mean, found = Motion(1.0, 0.0, 0.0), None, 0.0, [1.0]
+    for dt in time_steps:
+        a = (stepper if last else first(stepper)).alphas(dt, last)
+        d = -velocity(a, 0.0, motion, mean) / (a.a1 + rate)
+        new = Motion(d, velocity(a, d, motion, mean), 0.0)
+        motion, last, mean = new, dt, (d - motion.displacement) / dt
+        found.append(d)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("name", FILM)
+@pytest.mark.parametrize("pattern", [(1.0,), (1.0, 0.5, 0.5, 1.0)], ids=["equal", "halved and doubled"])
+def test_order_on_a_decaying_film(name, pattern):
+    errors = []
+    for times in (20, 40, 80, 160):
+        lengths = np.tile(pattern, times)
+        errors.append(abs(drained(STEPPERS[name](), 1.0, lengths / lengths.sum())[-1] - np.exp(-1.0)))
+    assert order_of(errors) == pytest.approx(STEPPERS[name].order, abs=0.05)
+
+
+@pytest.mark.parametrize("x", [1e-3, 0.1, 0.4, 1.0, 2.0, 10.0, 1e3])
+def test_spectrum_of_the_rules_for_the_film(x):
+    """Amplification by 1/(1+x); by (1-x/2)/(1+x/2), negative above 2; by the roots of (3/2+x) A^2 - 2 A + 1/2."""
+    found = {name: drained(STEPPERS[name](), x, np.ones(8)) for name in FILM}
+    assert found["backward-euler"] == pytest.approx((1 + x) ** -np.arange(9.0), rel=1e-14)
+    rings = (1 - x / 2) / (1 + x / 2)
+    assert found["trapezoid"][1:] == pytest.approx(rings ** np.arange(8) / (1 + x), rel=1e-12)
+    assert (rings < 0) == (ringing(1.0, 1 / x) > 1)
+    one, two = np.roots([1.5 + x, -2.0, 0.5])
+    # c1 one^n + c2 two^n through the start and the first step
+    c1, c2 = np.linalg.solve([[1.0, 1.0], [one, two]], [1.0, 1 / (1 + x)])
+    n = np.arange(9)
+    assert found["bdf2"] == pytest.approx((c1 * one**n + c2 * two**n).real, rel=1e-9, abs=1e-14)
+    assert max(abs(one), abs(two)) < 1.0 and (abs(one.imag) > 0) == (x > 0.5)
+
+
+def test_drainage_time():
+    """A film of 1 mm of water, walls held by 50 GPa/m, 10 m between two heads: 12 mu L^2/(d^3 pi^2 k) = 2.43 ms."""
+    found = drainage_time(viscosity=1e-3, aperture=1e-3, stiffness=50e9, wavenumber=np.pi / 10)
+    assert found == pytest.approx(12e-3 * 100 / (1e-9 * np.pi**2 * 50e9), rel=1e-14)
+    assert ringing(0.01, found) == pytest.approx(0.01 / (2 * 2.4317e-3), rel=1e-4)
 
 
 @pytest.mark.parametrize("frequency", [0.1, 0.5, 1.0, 10.0])
@@ -81,8 +118,11 @@ def test_flags_and_coefficients():
     assert Newmark().alphas(0.1) == Alphas(pytest.approx(400), pytest.approx(20), pytest.approx(40), 1.0, 1.0, 0.0)
     assert STEPPERS["steady"]().alphas(0.1) == Alphas()
     assert STEPPERS["backward-euler"]().alphas(0.1) == Alphas(a1=10.0)
+    assert STEPPERS["trapezoid"]().alphas(0.1) == Alphas(a1=pytest.approx(20.0), a4=1.0)
+    assert STEPPERS["bdf2"]().alphas(0.1) == Alphas(a1=pytest.approx(15.0), a6=0.5)
     for stepper in STEPPERS.values():
         alphas = stepper().alphas(0.1)
+        assert stepper.memory == (first(stepper()) != stepper()) and not first(stepper()).memory
         assert stepper.inertia == (alphas.a0 != 0) and stepper.storage == (alphas.a1 != 0)
         assert all(isinstance(getattr(alphas, f.name), float) for f in fields(alphas))
 
@@ -98,7 +138,14 @@ def test_arguments_are_left_alone(name):
 
 
 @pytest.mark.parametrize(
-    "wrong", [lambda: Newmark(beta=0.0), lambda: Newmark(gamma=0.4), lambda: Newmark().alphas(0.0)]
+    "wrong",
+    [
+        lambda: Newmark(beta=0.0),
+        lambda: Newmark(gamma=0.4),
+        lambda: Newmark().alphas(0.0),
+        lambda: STEPPERS["bdf2"]().alphas(0.1, 0.0),
+        lambda: STEPPERS["trapezoid"]().alphas(-1.0),
+    ],
 )
 def test_bad_input(wrong):
     with pytest.raises(InputError, match="must be"):

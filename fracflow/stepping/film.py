@@ -1,0 +1,87 @@
+"""Rules for the film where there is no inertia: what the walls give to the flow at the end of a step, on arrays.
+
+A film mode that decays at the rate s is multiplied in a step by, with x = s dt,
+backward Euler  1/(1 + x)                        order 1, monotone at any dt
+trapezoid       (1 - x/2)/(1 + x/2)              order 2, dissipates nothing of its own, rings for x > 2
+BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; they are complex for x > 1/2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from .newmark import Alphas, Balance, Stepper, checked
+
+
+@dataclass(frozen=True)
+class BackwardEuler:
+    """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
+
+    order: ClassVar[int] = 1
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "end"
+    memory: ClassVar[bool] = False
+
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
+        """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
+        return Alphas(a1=1.0 / checked(time_step))
+
+
+@dataclass(frozen=True)
+class Trapezoid:
+    """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for the film; rings for dt > 2 tau_d."""
+
+    order: ClassVar[int] = 2
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = True
+
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
+        """alpha_1 = 2/dt, alpha_4 = 1, the rest zero; time_step [time], positive."""
+        return Alphas(a1=2.0 / checked(time_step), a4=1.0)
+
+
+@dataclass(frozen=True)
+class BDF2:
+    """Second order from three instants: v_new = ((1 + 2r) w_new - r w)/(1 + r).
+
+    w_new = (d_new - d)/dt and w are the mean velocities of this step and the last, r is the ratio of their lengths.
+    Stable for r < 1 + sqrt(2) at any change of the step, always for steps that are equal or shrink.
+    """
+
+    order: ClassVar[int] = 2
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = True
+
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
+        """alpha_1 and alpha_6; time_step [time], and ``last`` the length of the last one, None for as long; positive."""
+        ratio = checked(time_step) / checked(time_step if last is None else last)
+        return Alphas(a1=(1.0 + 2.0 * ratio) / (1.0 + ratio) / time_step, a6=ratio / (1.0 + ratio))
+
+
+def first(stepper: Stepper) -> Stepper:
+    """The rule of a stage's first step: backward Euler for one that needs a step before it.
+
+    What is prescribed at the beginning of such a stage arrives during that step, so its start need not be in balance.
+    One step of first order leaves the order of the whole.
+    """
+    return BackwardEuler() if stepper.memory else stepper
+
+
+def drainage_time(viscosity: float, aperture: float, stiffness: float, wavenumber: float) -> float:
+    """tau_d = 12 mu/(d^3 kappa^2 k) [time], in which a pressure mode of the film falls to 1/e.
+
+    viscosity [stress time], aperture d [length], stiffness k of joint and rock together [stress/length], wavenumber
+    kappa along the fracture [1/length]: pi/L between two ends with a pressure, pi/2L where one of them is closed.
+    """
+    return 12.0 * viscosity / (aperture**3 * wavenumber**2 * stiffness)
+
+
+def ringing(time_step: float, drainage: float) -> float:
+    """dt/(2 tau_d) [1]: above 1 the trapezoid rings, its modes change sign from step to step."""
+    return checked(time_step) / (2.0 * drainage)
