@@ -87,9 +87,9 @@ class Recorder:
         if share > totals.spurious:
             if totals.spurious <= SPURIOUS < share:
                 self.log(
-                    f'time {step.state.time:.6g}: method.storage = "{self.model.scene.method.storage}" has made'
-                    f" {share:.1e} of the largest entry of the energy books out of nothing (limit {SPURIOUS:g}):"
-                    ' energy/spurious has it; method.storage = "lumped" makes none'
+                    f'time {step.state.time:.6g}: spurious work of method.storage = "{self.model.scene.method.storage}" is'
+                    f" {share:.1e} of the largest entry of the energy books, above {SPURIOUS:g}: see energy/spurious;"
+                    ' method.storage = "lumped" has none'
                 )
             totals.spurious, totals.spurious_time = share, step.state.time
 
