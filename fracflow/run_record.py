@@ -28,6 +28,8 @@ from fracflow.scene import Scene
 from fracflow.state import State
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3}
+TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
+TOLD_FROM = 0.1  # smaller factors are all the same
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
 
 
@@ -50,6 +52,8 @@ class Totals:
     narrow_time: float = np.nan
     spurious: float = 0.0
     spurious_time: float = np.nan
+    handed_over: int = 0
+    told_factor: float = np.nan
 
 
 class Recorder:
@@ -81,6 +85,23 @@ class Recorder:
         self.totals.steps += 1
         self.totals.newton += step.report.newton
         self.totals.factorisations += step.report.factorisations
+        self._tell_coupling(step)
+
+    def _tell_coupling(self, step: Step) -> None:
+        """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
+        totals, report, time = self.totals, step.report, step.state.time
+        if report.handed_over and not totals.handed_over:
+            self.log(f"{report.handed_over}; handed over to the monolithic solver, as are later steps like it")
+        totals.handed_over += bool(report.handed_over)
+        told, factor = totals.told_factor, report.predicted
+        if np.isnan(factor):
+            return
+        if np.isnan(told) or (max(factor, told) >= TOLD_FROM and not abs(factor - told) <= TOLD_AGAIN * told):
+            totals.told_factor = factor
+            self.log(
+                f"time {time:.6g}: a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted); the last"
+                f" cycle, {self.model.scene.method.fixed_point}, by {report.measured:.3g} (measured)"
+            )
 
     def _watch_spurious(self, step: Step) -> None:
         share, totals = spurious_share(step.state.energy), self.totals
@@ -130,6 +151,8 @@ class Recorder:
                 f"spurious work of the coupling: at most {totals.spurious:.1e} of the largest entry of the energy books"
                 + (f", at time {totals.spurious_time:.6g}" if totals.spurious else "")
             )
+        if totals.handed_over:
+            self.log(f"{totals.handed_over} steps were handed over to the monolithic solver")
         self.log(
             f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
             f" in {seconds:.2f} s"
@@ -219,6 +242,9 @@ class Files:
             "step/krylov": report.krylov,
             "step/coupling": report.cycles,
             "step/factorisations": report.factorisations,
+            "step/predicted_factor": report.predicted,
+            "step/measured_factor": report.measured,
+            "step/handed_over": int(bool(report.handed_over)),
             "step/solid_residual": report.solid_residual,
             "step/flow_residual": report.flow_residual,
             "step/slipping": int(snapshot.column("sliding").sum()),

@@ -82,6 +82,15 @@ class Method(Part):
         default="monolithic",
         description="how rock and fluid are solved together: at once, by turns (4.5), one direct solve",
     )
+    fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = Field(
+        default="plain",
+        description="how the pressures of the fixed point (4.5) go on: as the flow gives them, relaxed by Aitken or Anderson,"
+        " or with storage added to the flow",
+    )
+    on_divergence: Literal["refuse", "monolithic"] = Field(
+        default="refuse",
+        description="what to do with a step whose fixed point (4.5) diverges, by prediction or by measurement",
+    )
     newton: Literal["newton", "modified", "secant"] = Field(
         default="newton",
         description="stiffness that an iteration corrects by: the tangent (4.7), that of the step's start (4.10), the secant",

@@ -135,6 +135,9 @@ class StepReport:
     """What a step cost and how it ended.
 
     out_of_balance  (4.9a) at the start of the step and after each iteration [force per thickness]; of a monolithic solve
+    predicted       factor of the error in a plain cycle of the fixed point, before the first; NaN elsewhere
+    measured        that of the cycles as they were made, between the last two
+    handed_over     why the fixed point left the step to the monolithic solver; empty if it did not
     """
 
     newton: int
@@ -144,3 +147,6 @@ class StepReport:
     solid_residual: float
     flow_residual: float
     out_of_balance: tuple[float, ...] = ()
+    predicted: float = np.nan
+    measured: float = np.nan
+    handed_over: str = ""

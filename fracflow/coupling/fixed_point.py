@@ -1,139 +1,276 @@
 """(4.5) The report's staggered cycle: the flow with the walls held, then the solid with the pressures held.
 
-An error in the pressures goes through a cycle multiplied by J_pp^-1 J_pu J_uu^-1 J_up, blocks of the joint Jacobian. Its
-spectral radius, found by power iteration before the first cycle of a step, predicts whether (4.5) converges at all.
+Its contraction is predicted before the first cycle of a step, and measured from then on. Plain cycles refuse, or hand the step
+over to the monolithic solver, where the prediction is not below 1; relaxed ones (``relaxation``) and those with added
+storage go on until cycles run out. All stop when both balances hold and a plain cycle would change the pressures no more:
+small changes alone would be believed too early.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.contraction import (
+    Cycle,
+    Prediction,
+    add_diagonal,
+    change_of,
+    is_solved,
+    limits_of_time_step,
+    predict,
+    scaled,
+    solver_of,
+)
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
+from fracflow.coupling.relaxation import RELAXATIONS, Cycles
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
+from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 from fracflow.state import StepReport
+from fracflow.stepping import Alphas
 
-POWER_ITERATIONS = 40
-SINGULAR = 1e12  # a factor that only a singular flow matrix makes
+CHANGED = 0.1  # relative change of a conductance or stiffness from which on an earlier prediction is too old
+MEASURED = 3  # cycles of a step that is refused, so that the prediction can be held against something
+ROUND_OFF = 1e-13  # of the largest pressure: smaller changes say nothing
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A prediction and what it holds for.
+
+    conductance  (j,) of the elements
+    feedback     (j, 2) change of an element's flow with the opening of its ends
+    storage      (j,) change of the volume rate with opening, alpha_1 L / 2
+    tangent      (s, dim, dim) of the joint sections
+    """
+
+    prediction: Prediction
+    alphas: Alphas
+    conductance: Floats
+    feedback: Floats
+    storage: Floats
+    tangent: Floats
+
+    def change(self, other: Linearised, comm: MPI.Comm) -> float:
+        """About how much the factor may have moved between the two, relative. Collective."""
+        feedback = np.abs(other.feedback - self.feedback).max(axis=1, initial=0.0)
+        base = self.storage + np.abs(self.feedback).max(axis=1, initial=0.0)
+        here = [np.abs(other.tangent - self.tangent).max(initial=0.0), np.abs(self.tangent).max(initial=0.0)]
+        moved, most = (comm.allreduce(float(part), op=MPI.MAX) for part in here)
+        return max(
+            change_of(self.conductance, other.conductance, comm),
+            change_of(base, base + feedback, comm),
+            moved / most if most > 0.0 else 0.0,
+        )
+
+
+class _Lost(Exception):
+    """The cycles do not converge; the text says what stopped them, where something did."""
 
 
 class FixedPoint:
-    """The cycle (4.5a,b) until the pressures stand still and both balances hold."""
+    """The cycle (4.5a,b), plain, relaxed or with added storage."""
+
+    limit = 1.0  # predicted factor of a plain cycle from which on it is not tried
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
-        """Make one matrix and solver for each split. Collective."""
-        self.scene = scene
+        """Make one matrix for each split, and one of both for the prediction. Collective."""
+        self.scene, self.name = scene, scene.method.fixed_point
         self.whole_matrix = JoinedMatrix(operators, loads)
         self.solid_matrix = JoinedMatrix(operators, loads)
         self.flow_matrix = JoinedMatrix(operators, loads)
         self.solid = Newton(scene, self.solid_matrix, "solid", "solid")
-        self.flow = Newton(scene, self.flow_matrix, "flow", "flow")
-        self.predicted: dict[float, float] = {}
+        self.solid.least = 1  # walls that are nearly balanced must still follow the last change of the pressures
+        self.splits = self.flow_matrix.layout.index_sets()
+        self.network = self.flow_matrix.matrix.createSubMatrix(self.splits[1], self.splits[1])
+        self.flow = solver_of(self.network, "flow_fieldsplit_flow_")
+        self.monolithic: Newton | None = None
+        self.linearised: Linearised | None = None
 
     def solve(self, problem: StepProblem) -> StepReport:
-        """Cycle until converged. Raises SolveError with the predicted and measured factor, on every rank. Collective."""
-        accuracy = self.scene.accuracy
-        newton = krylov = fills = 0
-        factor = self._prediction(problem)
-        if not np.isfinite(factor):
-            raise SolveError(
-                f'time {problem.time:.6g}: coupling = "fixed-point" cannot work here: part of the network has no prescribed'
-                ' pressure, so its flow has no solution while the walls are held: set method.coupling = "monolithic",'
-                " or give a [[well]] with a pressure"
-            )
-        changes: list[float] = []
-        for cycle in range(1, accuracy.max_cycles + 1):
-            problem.branch = problem.state.sections.past  # no section slips for a pressure that was on its way
-            before = problem.pressure.copy()
-            try:
-                reports = [self.flow.solve(problem), self.solid.solve(problem)]
-            except SolveError as error:
-                before.destroy()
-                raise SolveError(self._diverged(problem, factor, changes) + f" (in cycle {cycle}: {error})") from error
-            newton += sum(r.newton for r in reports)
-            krylov += sum(r.krylov for r in reports)
-            fills += sum(r.fills for r in reports)
-            before.axpy(-1.0, problem.pressure)
-            changes.append(before.norm(PETSc.NormType.INFINITY))
-            before.destroy()
-            size = max(problem.pressure.norm(PETSc.NormType.INFINITY), 1e-300)
-            if changes[-1] <= accuracy.pressure * size and problem.residual.flow <= accuracy.residual:
-                residual = problem.residual
-                return StepReport(newton, krylov, cycle, fills, residual.solid, residual.flow)
-            growing = len(changes) > 3 and changes[-1] > changes[-2] > changes[-3]
-            if growing or not np.isfinite(changes[-1]):
-                raise SolveError(self._diverged(problem, factor, changes))
-        raise SolveError(self._diverged(problem, factor, changes))
+        """Cycle until converged; hand over where the scene says so. Raises SolveError, on every rank. Collective."""
+        problem.evaluate()
+        prediction, changes = self._prediction(problem), list[float]()
+        hands_over = self.scene.method.on_divergence == "monolithic"
+        is_hopeless = self.name == "plain" and prediction.factor >= self.limit
+        try:
+            if not np.isfinite(prediction.own):
+                raise _Lost
+            if is_hopeless and hands_over:
+                raise _Lost
+            report = self._cycle(problem, prediction, changes, MEASURED if is_hopeless else None)
+        except _Lost as lost:
+            self._start_again(problem)
+            problem.evaluate()
+            why = self._reason(problem, prediction, changes) + (f" ({lost})" if str(lost) else "")
+            if not hands_over:
+                raise SolveError(why) from lost
+            report = replace(self._hand_over(problem), cycles=len(changes), handed_over=why)
+        return replace(report, predicted=prediction.factor, measured=_measured(changes))
 
-    def _diverged(self, problem: StepProblem, factor: float, changes: list[float]) -> str:
-        ratios = [b / a for a, b in pairwise(changes) if a > 0.0]
-        measured = f"{ratios[-1]:.3g} measured" if ratios else "none measured"
-        at = f'time {problem.time:.6g}: coupling = "fixed-point"'
-        what = f"the error of the pressures is multiplied by {factor:.3g} a cycle (predicted; {measured})"
-        if factor >= 1.0:
-            return (
-                f'{at} diverges: {what}, it must be below 1: set method.coupling = "monolithic"; a smaller time_step'
-                " does not help"
+    def _cycle(
+        self, problem: StepProblem, prediction: Prediction, changes: list[float], most: int | None
+    ) -> StepReport:
+        """Cycles until the balances hold. Raises _Lost when they diverge, or after ``most``. Collective."""
+        accuracy, rule = self.scene.accuracy, RELAXATIONS[self.name]
+        cycles, total = Cycles(prediction.factor), StepReport(0, 0, 0, 0, 0.0, 0.0)
+        for number in range(1, (most or accuracy.max_cycles) + 1):
+            problem.branch = problem.state.sections.past  # no section slips for a pressure that was on its way
+            try:
+                added = self._added(problem, prediction)
+                cycles = cycles.then(problem.pressure.getArray().copy(), added)
+                step, share = rule(cycles, self._together)
+                cycles = cycles.taking(share)
+                problem.pressure.setArray(problem.pressure.getArray() + step)
+                report = self.solid.solve(problem)
+            except SolveError as error:
+                raise _Lost(f"in cycle {number}: {error}") from error
+            changes.append(self._largest(added))
+            residual = problem.residual
+            total = StepReport(
+                total.newton + report.newton + 1,
+                total.krylov + report.krylov + self.flow.getIterationNumber(),
+                number,
+                total.factorisations + report.fills + 1,
+                residual.solid,
+                residual.flow,
             )
-        return (
-            f"{at} did not converge in {len(changes)} cycles: {what}: raise accuracy.max_cycles, or set method.coupling"
-            ' = "monolithic"'
+            is_still = changes[-1] <= max(accuracy.pressure * self._driven(problem), ROUND_OFF * self._size(problem))
+            if most is None and is_still and residual.flow <= accuracy.residual:
+                return total
+            growing = self.name == "plain" and len(changes) > 3 and changes[-1] > changes[-2] > changes[-3]
+            if growing or not np.isfinite(changes[-1]):
+                break
+        raise _Lost
+
+    def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
+        """(4.5a) What the flow adds to the pressures (n,) of this rank, the walls as they are. Collective."""
+        unit, scale = problem.operators.scales.pressure, problem.flow_scale()
+        if self.flow_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, scale, "flow"):
+            self.flow_matrix.matrix.createSubMatrix(self.splits[1], self.splits[1], self.network)
+            if prediction.storage is not None:
+                add_diagonal(self.network, prediction.storage * unit / scale)
+        balance, added = self.network.createVecs()
+        balance.setArray(problem.flow_balance.getArray(readonly=True) / -scale)
+        self.flow.solve(balance, added)
+        solved, result = is_solved(self.network, added, balance), added.getArray() * unit
+        balance.destroy()
+        added.destroy()
+        if not solved:
+            raise SolveError("the flow has no solution while the walls are held")
+        return result
+
+    def _prediction(self, problem: StepProblem) -> Prediction:
+        """That of an earlier step, as long as it holds: a factor moves about as much as what it is made of. Collective."""
+        conduction, network = problem.conduction, problem.operators.flow
+        assert conduction is not None and network is not None
+        drop = conduction.pressure[:, 0] - conduction.pressure[:, 1]
+        now = Linearised(
+            Prediction(np.nan, ""),
+            problem.alphas,
+            conduction.conductance.copy(),
+            conduction.slope * drop[:, None],
+            0.5 * problem.alphas.a1 * network.length,
+            problem.sections.tangent.copy(),
+        )
+        old = self.linearised
+        if old is not None and old.alphas == now.alphas:
+            change, factor = old.change(now, problem.operators.layout.comm), old.prediction.factor
+            is_clear = (factor * (1.0 + change) < self.limit) == (factor / (1.0 + change) < self.limit)
+            if change <= CHANGED and is_clear:
+                return old.prediction
+        self.linearised = replace(now, prediction=predict(self.whole_matrix, problem, self.name == "added-storage"))
+        return self.linearised.prediction
+
+    def _reason(self, problem: StepProblem, prediction: Prediction, changes: list[float]) -> str:
+        """Why the cycles did not converge, and what to change; the trial is at the start of the step. Collective."""
+        at = f'time {problem.time:.6g}: coupling = "fixed-point" ({self.name})'
+        others = [f'"{name}"' for name in RELAXATIONS if name not in ("plain", self.name)]
+        remedy = 'set method.coupling = "monolithic", or method.on_divergence = "monolithic"'
+        if not np.isfinite(prediction.own):
+            return (
+                f"{at} cannot work here: part of the network ({prediction.fracture}) has no prescribed pressure, so its flow"
+                f' has no solution while the walls are held: {remedy}, or method.fixed_point = "added-storage", or give a'
+                " [[well]] with a pressure"
+            )
+        measured = _measured(changes)
+        ratio = f"{measured:.3g} measured" if np.isfinite(measured) else "none measured"
+        what = f"the error of the pressures is multiplied by {prediction.own:.3g} a cycle (predicted; {ratio})"
+        what += f", most in {prediction.fracture}"
+        if self.name == "plain" and (prediction.factor >= self.limit or measured > 1.0):
+            return (
+                f"{at} diverges: {what}; it must be below 1{self._time_steps(problem, prediction.factor)}: {remedy}, or"
+                f" method.fixed_point = {' or '.join(others)}"
+            )
+        return f"{at} did not converge in {len(changes)} cycles: {what}: raise accuracy.max_cycles, or {remedy}"
+
+    def _time_steps(self, problem: StepProblem, factor: float) -> str:
+        """Between which time steps plain cycles diverge, as text. Collective."""
+        dt = problem.time - problem.state.time
+        if problem.alphas.a1 == 0.0 or not factor > 1.0 or not dt > 0.0:
+            return ", and in a stage without storage no time_step makes it so" if problem.alphas.a1 == 0.0 else ""
+
+        def radius(step: float) -> float:
+            cycle = Cycle(self.whole_matrix, problem, scaled(problem.alphas, step / dt))
+            found, _ = cycle.radius()
+            cycle.destroy()
+            return found
+
+        below, above = limits_of_time_step(radius, factor, dt)
+        limits = [f"{sign} {step:.2g}" for sign, step in (("<", below), (">", above)) if step is not None]
+        if not limits:
+            return ", which no time_step makes it"
+        return f", as for a time_step {' or '.join(limits)}" + (", not for a smaller one" if below is None else "")
+
+    def _start_again(self, problem: StepProblem) -> None:
+        """Put the trial back to where the step starts."""
+        problem.state.motion.displacement.copy(problem.displacement)
+        problem.state.pressure.copy(problem.pressure)
+        problem.loads.impose(problem.time, problem.displacement, problem.pressure)
+        problem.branch = problem.state.sections.past
+
+    def _hand_over(self, problem: StepProblem) -> StepReport:
+        """The step with both balances at once. Collective."""
+        if self.monolithic is None:
+            self.monolithic = Newton(self.scene, self.whole_matrix, "monolithic")
+        report, residual = self.monolithic.solve(problem), problem.residual
+        return StepReport(
+            report.newton, report.krylov, 0, report.fills, residual.solid, residual.flow, report.out_of_balance
         )
 
-    def _prediction(self, problem: StepProblem) -> float:
-        """Spectral radius of one cycle, linearised where the step starts; once for each alpha_1. Collective."""
-        if problem.alphas.a1 in self.predicted:
-            return self.predicted[problem.alphas.a1]
-        problem.evaluate()
-        self.whole_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, problem.flow_scale())
-        splits = self.whole_matrix.layout.index_sets()
-        blocks = [[self.whole_matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
-        factor = spectral_radius(blocks)
-        for thing in [*splits, *blocks[0], *blocks[1]]:
-            thing.destroy()
-        self.predicted[problem.alphas.a1] = factor
-        return factor
+    def _together(self, values: Floats) -> Floats:
+        return np.asarray(self.whole_matrix.layout.comm.allreduce(values, op=MPI.SUM))
+
+    def _largest(self, values: Floats) -> float:
+        here = float(np.abs(values).max(initial=0.0))
+        return float(self.whole_matrix.layout.comm.allreduce(here if here == here else np.inf, op=MPI.MAX))
+
+    def _size(self, problem: StepProblem) -> float:
+        return float(problem.pressure.norm(PETSc.NormType.INFINITY))
+
+    def _driven(self, problem: StepProblem) -> float:
+        """What drives: differences between pressures, or their change in the step; a datum drives nothing. Collective."""
+        now, before = problem.pressure.getArray(readonly=True), problem.state.pressure.getArray(readonly=True)
+        span = problem.pressure.max()[1] - problem.pressure.min()[1]
+        return max(span, self._largest(now - before))
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""
-        for thing in (self.solid, self.flow, self.whole_matrix, self.solid_matrix, self.flow_matrix):
+        things = [self.monolithic] if self.monolithic is not None else []
+        matrices = (self.whole_matrix, self.solid_matrix, self.flow_matrix)
+        for thing in (*things, self.solid, self.flow, self.network, *self.splits, *matrices):
             thing.destroy()
 
 
-def spectral_radius(blocks: list[list[PETSc.Mat]]) -> float:
-    """Largest factor of J_pp^-1 J_pu J_uu^-1 J_up, by power iteration. Collective."""
-    solvers = []
-    for i in range(2):
-        solver = PETSc.KSP().create(comm=blocks[i][i].getComm())
-        solver.setOperators(blocks[i][i])
-        solver.setOptionsPrefix("solid_" if i == 0 else "flow_fieldsplit_flow_")
-        solver.setFromOptions()
-        solvers.append(solver)
-    pressure, rate = blocks[1][1].createVecs()
-    wall, force = blocks[0][0].createVecs()
-    first = pressure.getOwnershipRange()[0]
-    pressure.setArray(1.0 + 0.1 * np.cos(1.0 + first + np.arange(pressure.getLocalSize())))
-    radius = 0.0
-    for _ in range(POWER_ITERATIONS):
-        size = pressure.norm()
-        if size == 0.0:
-            break
-        pressure.scale(1.0 / size)
-        blocks[0][1].mult(pressure, force)
-        solvers[0].solve(force, wall)
-        blocks[1][0].mult(wall, rate)
-        solvers[1].solve(rate, pressure)
-        radius = pressure.norm()
-        if radius > SINGULAR or not np.isfinite(radius):
-            radius = np.inf
-            break
-    for thing in (*solvers, pressure, rate, wall, force):
-        thing.destroy()
-    return float(radius)
+def _measured(changes: list[float]) -> float:
+    """The last ratio of successive changes; NaN where there is none."""
+    ratios = [new / old for old, new in pairwise(changes) if old > 0.0]
+    return ratios[-1] if ratios else np.nan

@@ -65,6 +65,7 @@ class Newton:
             preconditioner.setFieldSplitIS(*zip(PARTS, (solid, flow), strict=True))
             solid.destroy()
             flow.destroy()
+        self.least = 0  # iterations in any case
         self.problem: StepProblem | None = None
         self._krylov = 0
         self._step = np.inf
@@ -172,6 +173,8 @@ class Newton:
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual
+        if iteration < self.least:
+            return False
         flow = self.only == "solid" or residual.flow <= accuracy.residual
         if self.only == "flow":
             return residual.flow <= accuracy.residual

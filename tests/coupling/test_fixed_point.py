@@ -1,0 +1,146 @@
+"""(4.5) Its contraction against closed forms, its relaxations against the monolithic solver, and what it refuses."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.coupling.fixed_point import FixedPoint
+from fracflow.coupling.relaxation import RELAXATIONS
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.errors import SolveError
+from fracflow.output import read_history
+from fracflow.run import run
+from fracflow.run_setup import prepare
+from fracflow.run_start import rest, settle
+from fracflow.run_steps import Stepping
+from fracflow.scene import Scene, load
+from fracflow.stepping import BackwardEuler
+
+LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
+FIXED = "method.coupling=fixed-point"
+
+
+def film(method=None, ends=("start", "end"), rock=1.0, **stage):
+    """A film between rock far softer than its joint, so that each node has a spring of its own."""
+    step = {"kind": "quasi-static", "time_step": 1.0, "steps": 1, **stage}
+    return Scene.from_data(
+        {
+            "geometry": {
+                "domain": [0.0, -4.0, LENGTH, 4.0], "size": LENGTH / ELEMENTS, "cells": "quads",
+                "fracture": [{"name": "film", "points": [[0.0, 0.0], [LENGTH, 0.0]]}],
+            },
+            "method": {"coupling": "fixed-point", **(method or {})},
+            "rock": {"rock": {"youngs_modulus": rock, "poissons_ratio": 0.0, "density": 1e-9}},
+            "fracture": {"film": {
+                "law": "linear", "normal_stiffness": STIFFNESS, "shear_stiffness": STIFFNESS, "aperture": APERTURE,
+            }},
+            "fluid": {"viscosity": VISCOSITY, "specific_weight": 1e4},
+            "support": [{"on": ["south", "north"]}],
+            "well": [
+                {"name": "in", "at": [LENGTH / 2, 0.0], "flow_rate": 1e-7},
+                *({"name": end, "at": {"fracture": "film", "end": end}, "pressure": 0.0} for end in ends),
+            ],
+            "stage": [step],
+        }
+    )  # fmt: skip
+
+
+def rho_of_film(alpha_1, kappa):
+    """12 mu alpha_1 / (d^3 kappa^2 k_n) with the wave number that lumped nodes see, 2/h sin(kappa h/2)."""
+    h = LENGTH / ELEMENTS
+    seen = 2.0 / h * np.sin(0.5 * kappa * h)
+    return 12.0 * VISCOSITY * alpha_1 / (APERTURE**3 * seen**2 * STIFFNESS)
+
+
+@pytest.mark.parametrize(("ends", "kappa"), [(("start", "end"), np.pi / LENGTH), (("start",), np.pi / 2 / LENGTH)])
+def test_prediction_is_the_closed_form(ends, kappa, comm):
+    """Longest mode between two fixed pressures, and with one end closed; rho goes as 1/dt."""
+    scene = film(ends=ends)
+    model = prepare(scene, comm)
+    state = rest(model)
+    coupling = FixedPoint(scene, model.operators, model.loads)
+    for dt in (1e-3, 1.0):
+        problem = StepProblem(model.operators, model.loads, state, BackwardEuler().alphas(dt), dt, {})
+        problem.evaluate()
+        found = coupling._prediction(problem)
+        expected = rho_of_film(1.0 / dt, kappa)
+        assert abs(found.factor / expected - 1.0) <= 1e-3 and found.fracture == "film"
+        problem.destroy()
+    coupling.destroy()
+
+
+def test_refusal_names_the_number_and_the_limit(comm):
+    """Massless walls: the factor is 1 at dt = 2 tau_d of the trapezoid, tau_d of backward Euler, and less only above."""
+    scene = film()
+    limit = rho_of_film(1.0, np.pi / LENGTH)
+    model = prepare(scene, comm)
+    settle(model)
+    stepping, state = Stepping(model), rest(model)
+    with pytest.raises(SolveError, match="diverges") as caught:
+        stepping.step(state, BackwardEuler(), 0.1 * limit, 0.1 * limit, {})
+    found = re.search(
+        r"multiplied by ([\d.e+-]+) a cycle \(predicted; ([\d.e+-]+) measured\), most in film; it must be below 1, as for a"
+        r" time_step > ([\d.e+-]+), not for a smaller one: .*monolithic.*aitken",
+        str(caught.value),
+    )
+    assert found and abs(float(found[1]) - 10.0) <= 0.1 and abs(float(found[3]) / limit - 1.0) <= 0.06
+    assert 1.0 < float(found[2]) <= 10.1
+    new, report = stepping.step(state, BackwardEuler(), 2.0 * limit, 2.0 * limit, {})
+    assert abs(report.predicted - 0.5) <= 0.01 and abs(report.measured - 0.5) <= 0.05 and report.cycles > 20
+    new.destroy()
+    stepping.destroy()
+
+
+@pytest.mark.parametrize("name", [name for name in RELAXATIONS if name != "plain"])
+def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, comm):
+    """The film at rho = 200, where plain cycles diverge, and with nothing but a closed end on either side."""
+    for ends in (("start", "end"), ()):
+        if not ends and name != "added-storage":
+            continue
+        scenes = [film({"fixed_point": name}, ends, 1e8), film({"coupling": "monolithic"}, ends, 1e8)]
+        found, model = [], prepare(scenes[0], comm)  # one partition for both
+        dt = rho_of_film(1.0, np.pi / LENGTH) / 200.0
+        for scene in scenes:
+            stepping, state = Stepping(replace(model, scene=scene)), rest(model)
+            new, report = stepping.step(state, BackwardEuler(), dt, dt, {})
+            found.append((new.pressure.getArray().copy(), new.motion.displacement.getArray().copy(), report))
+            new.destroy()
+            stepping.destroy()
+        assert found[0][2].cycles > 1 and found[0][2].flow_residual <= scenes[0].accuracy.residual
+        for by_turns, at_once in zip(found[0][:2], found[1][:2], strict=True):
+            size = comm.allreduce(np.abs(at_once).max(initial=0.0), op=MPI.MAX)
+            assert size > 0.0
+            assert comm.allreduce(np.abs(by_turns - at_once).max(initial=0.0), op=MPI.MAX) <= 1e-8 * size
+
+
+@pytest.mark.parametrize("name", ["plain", "anderson"])
+def test_sealed_network_is_refused_by_name(name, comm):
+    scene = film({"fixed_point": name}, ())
+    model = prepare(scene, comm)
+    stepping = Stepping(model)
+    with pytest.raises(SolveError, match=r"\(film\) has no prescribed pressure.*added-storage"):
+        stepping.step(rest(model), BackwardEuler(), 1.0, 1.0, {})
+    stepping.destroy()
+
+
+def test_steps_are_handed_over_and_counted(shared_tmp):
+    """5.3: what the fixed point will not do, the monolithic solver does, to the same numbers."""
+    histories = {}
+    for name, method in {"handed": [FIXED, "method.on_divergence=monolithic"], "monolithic": []}.items():
+        scene = load("meshes/report_5_3/scene.toml", ["output.pictures=false", "stage.failure.steps=4", *method])
+        run(scene, shared_tmp / name, MPI.COMM_WORLD)
+        MPI.COMM_WORLD.barrier()
+        histories[name] = read_history(shared_tmp / name / "history.h5")
+    handed, at_once = histories["handed"], histories["monolithic"]
+    dynamic = handed["step/kind"] == 2
+    assert np.array_equal(handed["step/handed_over"][dynamic], np.ones(4)) and not at_once["step/handed_over"].any()
+    assert (handed["step/predicted_factor"][dynamic] > 100.0).all() and np.isnan(at_once["step/predicted_factor"]).all()
+    for field in ("pressure", "opening", "slip", "normal_traction"):
+        for node in range(1, 6):
+            key = f"probe/node{node}/{field}"
+            assert np.abs(handed[key] - at_once[key]).max() <= 1e-8 * max(np.abs(at_once[key]).max(), 1e-3), key
+    log = (shared_tmp / "handed" / "log.txt").read_text(encoding="utf-8")
+    assert log.count("handed over to the monolithic solver") == 2 and "4 steps were handed over" in log
