@@ -92,12 +92,20 @@ class Run:
     @property
     def plan(self) -> list[dict[str, Any]]:
         """The decision record: what was modelled or left out, by which criterion. Raises InputError without plan.json."""
+        return self._planned("decisions")
+
+    @property
+    def card(self) -> list[dict[str, Any]]:
+        """The scene card: ten numbers with limit, place and remedy. Raises InputError without plan.json."""
+        return self._planned("card")
+
+    def _planned(self, key: str) -> list[dict[str, Any]]:
         path = self.folder / "plan.json"
         try:
-            decisions: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))[key]
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{path}: is no readable plan ({error}); name the folder of a run") from error
-        return decisions
+        return found
 
     @property
     def units(self) -> dict[str, str]:

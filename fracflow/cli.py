@@ -19,6 +19,7 @@ from fracflow.errors import InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
+    from fracflow.card import Number
     from fracflow.run import Progress as Tick
     from fracflow.run_record import Totals
     from fracflow.scene import Scene
@@ -40,7 +41,9 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
+    from fracflow.card import as_records
     from fracflow.output.folder import check_folder
+    from fracflow.output.tell import tell_card
     from fracflow.run import run
     from fracflow.scene import load
     from fracflow.scene_advice import advice
@@ -54,7 +57,11 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
         console.print(f"note: {line}", soft_wrap=True)
     if (folder / "history.h5").exists():
         console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True)
-    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick))
+
+    def show_card(numbers: list[Number]) -> None:
+        tell_card(as_records(numbers), console)
+
+    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card))
 
 
 @app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -128,16 +135,20 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
 ) -> None:
     """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
+    from fracflow.card import as_records as card_records
+    from fracflow.output.folder import to_json
+    from fracflow.output.tell import tell_card
     from fracflow.plan import as_records, decide
     from fracflow.run_check import set_up
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
     given = load(scene, set_ or [])
-    (found, moved), decisions = set_up(given), decide(given)
+    (found, moved, numbers), decisions = set_up(given), decide(given)
     notes = [*advice(given), *moved]
     if as_json:
-        typer.echo(json.dumps({"sizes": found, "plan": as_records(decisions), "notes": notes}, indent=1))
+        card = card_records(numbers)
+        typer.echo(to_json({"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes}, indent=1))
         return
     for key, value in found.items():
         typer.echo(f"{key}: {shown(value)}")
@@ -146,6 +157,7 @@ def check(
         typer.echo(f"{decision.part}: {verb} ({decision.criterion}: {decision.value})")
     for note in notes:
         typer.echo(f"note: {note}")
+    tell_card(card_records(numbers), Console(highlight=False))
 
 
 @app.command("mesh")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fracflow import __version__
 from fracflow._petsc import MPI
+from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh.store import load_mesh
@@ -22,10 +23,19 @@ from fracflow.scene import Scene, load
 from fracflow.state import State, StepReport
 
 Progress = Callable[[int, float, State], None]
+Show = Callable[[list[Number]], None]
 
 
-def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Totals:
+def run(
+    scene: Scene,
+    folder: str | Path,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    progress: Progress | None = None,
+    show: Show | None = None,
+) -> Totals:
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
+
+    show  is given the scene card before the first step, on rank 0
 
     Raises InputError, SolveError and Interrupted, on every rank.
     """
@@ -34,6 +44,8 @@ def run(scene: Scene, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progr
     settle(model)
     state = rest(model)
     recorder = Recorder(model, Path(folder), comm)
+    if show is not None and recorder.files is not None:
+        show(recorder.files.card)
     sizes = model.operators.blocks.sizes
     recorder.log(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"

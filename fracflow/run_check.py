@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from fracflow._petsc import MPI
+from fracflow.card import Number, scene_card
 from fracflow.mesh.split import summary
 from fracflow.run_setup import prepare
 from fracflow.run_start import settle
 from fracflow.scene import Scene
 
 
-def set_up(scene: Scene) -> tuple[dict[str, Any], list[str]]:
-    """Set a scene up as a run does, on one rank: its sizes, and what was moved to fit. InputError where it cannot be run."""
+def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number]]:
+    """Set a scene up as a run does, on one rank: its sizes, what was moved to fit, and its card.
+
+    InputError where it cannot be run.
+    """
     model = prepare(scene, MPI.COMM_SELF)
     settle(model)
     assert model.mesh is not None
@@ -26,4 +30,4 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str]]:
         "pressure unknowns": int(layout.flow_starts[-1]),
         "steps": steps,
     }
-    return found, [*model.mesh.notes, *model.placed.notes]
+    return found, [*model.mesh.notes, *model.placed.notes], scene_card(scene, model.mesh, model.placed.wells)

@@ -13,6 +13,8 @@ from fracflow import __version__
 from fracflow._petsc import MPI
 from fracflow.assembly.energy import ENTRIES, spurious_share
 from fracflow.assembly.flow import is_transposed
+from fracflow.card import as_lines, scene_card
+from fracflow.card import as_records as card_records
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
@@ -21,7 +23,7 @@ from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
 from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
-from fracflow.plan import as_records, decide, factorisations
+from fracflow.plan import Decision, as_records, decide, factorisations
 from fracflow.run_setup import Model, on_root
 from fracflow.run_steps import Step
 from fracflow.scene import Scene
@@ -159,7 +161,7 @@ class Recorder:
         )
         if self.files is not None:
             decisions = [*decide(self.model.scene), factorisations(self.totals.newton, self.totals.factorisations)]
-            self.files.folder.write_plan(as_records(decisions))
+            self.files.write_plan(decisions)
 
     def close(self) -> None:
         """Close the files, whatever happened."""
@@ -179,10 +181,13 @@ class Files:
         if notes is not None:
             read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
         self.folder = RunFolder(folder, resume=notes is not None)
+        self.card = scene_card(model.scene, self.mesh, self.placed.wells)
         if notes is None:
             save_mesh(self.mesh, self.folder / "mesh.h5")
             self.folder.write_text("scene.toml", model.scene.dump_toml(folder.resolve()))
-            self.folder.write_plan(as_records(decide(model.scene)))
+            self.write_plan(decide(model.scene))
+            for line in as_lines(self.card):
+                self.folder.log(line)
         else:
             self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
         system = model.scene.unit_system
@@ -220,6 +225,10 @@ class Files:
         self.fractures = FieldWriter(
             self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
         )
+
+    def write_plan(self, decisions: list[Decision]) -> None:
+        """Write plan.json: what is modelled and left out, and the scene card."""
+        self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
 
     def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
         """Write the checkpoint: the state, where the run is, and where its files are."""

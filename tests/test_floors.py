@@ -22,7 +22,7 @@ FLOORS = (
     ({"stepping"},),
     ({"coupling"},),
     ({"output"},),
-    ({"plan*", "run*"},),
+    ({"plan*", "card*", "run*"},),
     ({"cli", "__main__"}, {"api"}),
 )
 ROOT = "fracflow"  # the package's face: it may import all, none may import it

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -73,3 +75,21 @@ def tell(folder: Path, console: Console) -> None:
     console.print(slips)
     if len(events) > MOST_EVENTS:
         console.print(f"and {len(events) - MOST_EVENTS} more in {folder / 'events.csv'}")
+
+
+def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the records of a scene card: ten lines, and a remedy for each number out of range."""
+    table = Table(title="Scene card", title_style="bold", box=None, pad_edge=False)
+    for head in ("", "number", "value", "limit", "where"):
+        table.add_column(head, no_wrap=True)
+    for number in numbers:
+        value = "-" if number["value"] is None else f"{number['value']:.3g}"
+        limit = f"({number['note']})" if number["limit"] is None and number["note"] else "-"
+        limit = limit if number["limit"] is None else f"{number['limit']:.3g}"
+        mark = "!" if number["out_of_range"] else ""
+        cells = (mark, f"{number['name']} {number['formula'].partition(' = ')[0]}", value, limit, number["where"])
+        table.add_row(*map(escape, cells), style="bold" if mark else "")
+    console.print(table)
+    for number in numbers:
+        if number["out_of_range"]:
+            console.print(f"! {number['name']}: {number['remedy']}", soft_wrap=True, markup=False)

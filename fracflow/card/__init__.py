@@ -1,0 +1,46 @@
+"""The scene card: ten numbers that tell before a run where its methods may fail, each with its limit and what to change.
+
+A limit warns only where the scene uses the method that it is about; else the number is there as information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+from fracflow.card import film, rock
+from fracflow.card.joints import gather
+from fracflow.card.number import Number, View
+from fracflow.mesh.data import SplitMesh
+from fracflow.scene import Scene
+
+__all__ = ["Number", "as_lines", "as_records", "scene_card"]
+
+NUMBERS = (
+    rock.stiffness, rock.length_scale, film.transient, film.steady, film.ringing,
+    rock.joint_step, film.fluid_inertia, film.compressibility, rock.nucleation, film.contrast,
+)  # fmt: skip
+
+
+def scene_card(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
+    """The ten numbers of a scene on its mesh; ``wells`` name -> flow node. On one process."""
+    view = View(scene, gather(scene, mesh, wells))
+    return [number(view) for number in NUMBERS]
+
+
+def as_lines(numbers: list[Number]) -> list[str]:
+    """For the log."""
+    lines = []
+    for number in numbers:
+        text = f"card: {number.name}, {number.formula}: "
+        text += "none" if number.value is None else f"{number.value:.4g}"
+        text += f", limit {number.limit:.4g}" if number.limit is not None else ""
+        text += f" ({number.note})" if number.note else ""
+        text += f", {number.where}" if number.where else ""
+        lines.append(text + (f"; out of range: {number.remedy}" if number.out_of_range else ""))
+    return lines
+
+
+def as_records(numbers: list[Number]) -> list[dict[str, object]]:
+    """For plan.json and ``check --json``."""
+    return [asdict(number) for number in numbers]

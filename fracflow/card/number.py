@@ -1,0 +1,85 @@
+"""A number of the card, and what all of them are made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow.card.joints import CardJoints
+from fracflow.mesh.data import Floats
+from fracflow.scene import Scene
+from fracflow.scene_actions import Stage
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of the card.
+
+    formula        its symbol, then what it is: "t_v = rho_f d^2/(12 mu)"
+    value, limit   None where the scene does not tell, or where nothing here is bounded
+    out_of_range   whether the value is past a limit of a method that the scene uses
+    where          fracture and stage of the worst value
+    remedy         what to change, empty in range
+    note           why there is no limit, or what the value stands for
+    """
+
+    name: str
+    formula: str
+    value: float | None = None
+    limit: float | None = None
+    out_of_range: bool = False
+    where: str = ""
+    remedy: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class FilmStage:
+    """A stage in which walls move the film: its step, alpha_1 and alpha_0 of (4.3), and whether by the trapezoid."""
+
+    name: str
+    time_step: float
+    alpha_1: float
+    alpha_0: float
+    is_trapezoid: bool
+
+
+WEIGHT = {"backward-euler": 1.0, "bdf2": 1.5, "trapezoid": 2.0}
+"""alpha_1 dt of the rules for the film in stages without inertia."""
+
+
+def film_stage(scene: Scene, stage: Stage) -> FilmStage | None:
+    """How a stage steps the film; None where it does not."""
+    dt, method, name = stage.time_step, scene.method, stage.name or stage.kind
+    if dt is None or stage.kind not in ("dynamic", "quasi-static"):
+        return None
+    if stage.kind == "dynamic":
+        beta, gamma = method.newmark_beta, method.newmark_gamma
+        return FilmStage(name, dt, gamma / (beta * dt), 1.0 / (beta * dt**2), True)
+    rule = getattr(method, "film", "backward-euler")
+    return FilmStage(name, dt, WEIGHT[rule] / dt, 0.0, rule == "trapezoid")
+
+
+class View:
+    """A scene and its joints, as the numbers look at them."""
+
+    def __init__(self, scene: Scene, joints: CardJoints) -> None:
+        """Sort the stages."""
+        self.scene, self.joints = scene, joints
+        self.stages = [film for stage in scene.stage if (film := film_stage(scene, stage)) is not None]
+        self.dynamic = [film for film in self.stages if film.alpha_0 > 0.0]
+        self.flows = scene.has_flow and len(joints.length) > 0
+        self.drops = joints.ratio < 1.0
+
+    def worst(self, values: Floats) -> tuple[float | None, int, str]:
+        """Largest value of (j,) or (j, 2), its joint, and the name of its fracture; None where none is known."""
+        if not np.isfinite(values).any() and not np.isposinf(values).any():
+            return None, -1, ""
+        each = np.where(np.isnan(values), -np.inf, values).reshape(len(values), -1).max(axis=1)
+        joint = int(each.argmax())
+        return float(each[joint]), joint, self.joints.names[self.joints.fracture[joint]]
+
+    def unit(self, dimension: str) -> str:
+        """The unit to write behind a number, with a blank before it."""
+        return f" {self.scene.unit_system.unit(dimension)}" if self.scene.units != "none" else ""

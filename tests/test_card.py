@@ -1,0 +1,163 @@
+"""The scene card against the numbers published for report example 3, and against what the scene's own matrices do."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fracflow._petsc import MPI
+from fracflow.card import film, scene_card
+from fracflow.card.number import FilmStage
+from fracflow.run_setup import place, prepare, read_split
+from fracflow.scene import load
+
+pytestmark = pytest.mark.serial
+
+REPORT_5_3 = "meshes/report_5_3/scene.toml"
+
+
+def card_of(file, *overrides):
+    scene = load(file, list(overrides))
+    mesh = read_split(scene)
+    return {number.name: number for number in scene_card(scene, mesh, place(scene, mesh).wells)}
+
+
+def test_report_example_3_has_the_published_numbers():
+    card = card_of(REPORT_5_3)
+    assert len(card) == 10
+    assert card["joint/rock stiffness"].value == pytest.approx(188, abs=0.5)
+    assert card["joint length scale"].value == pytest.approx(188, abs=0.5)
+    assert card["coupling, steady"].value == pytest.approx(0.09, abs=0.0005)
+    assert 0.005 < card["film ringing"].value < 0.02
+    assert card["fluid inertia"].value == pytest.approx(0.69, abs=0.005)
+    assert card["fluid compressibility"].value == pytest.approx(0.022, abs=0.0005)
+    assert card["nucleation length"].value == 0.0
+    assert {name for name, number in card.items() if number.out_of_range} == {
+        "joint length scale", "joint time step", "fluid inertia", "nucleation length",
+    }  # fmt: skip
+    assert all(bool(number.remedy) == number.out_of_range for number in card.values())
+    assert all("fault" in number.where for number in card.values())
+
+
+def test_joint_time_step_takes_the_mass_of_the_walls_there_are():
+    # published: 2.8, for cells as deep as joints are long; those of 5.3 are twice as deep, those of 5.4 are 1000 ft deep
+    assert card_of("meshes/report_5_4/scene.toml")["joint time step"].value == pytest.approx(2.8, abs=0.01)
+    model = prepare(load(REPORT_5_3), MPI.COMM_SELF)
+    ops = model.operators
+    stiff, mass = _dense_tangent(ops), np.diag(_dense(ops.mass))
+    joints = stiff - _dense(ops.stiffness)
+    jump = np.zeros(len(mass))  # all of the east wall moves off: the joint alone pulls back
+    normal = np.flatnonzero(np.abs(joints).sum(axis=1) > 0)
+    normal = normal[normal % 2 == 0]  # x is the normal of this fault
+    wall = _dense(ops.joints.jump)[1::2]
+    jump[normal] = np.sign(wall.sum(axis=0)[normal])
+    frequency = np.sqrt((jump @ joints @ jump) / (jump @ (mass * jump)))
+    assert card_of(REPORT_5_3)["joint time step"].value == pytest.approx(0.01 * frequency, rel=1e-9)
+
+
+@pytest.mark.parametrize(("length", "published"), [(1000, 53.9), (2000, 216), (4000, 865)])
+def test_coupling_factor_is_the_published_one_where_walls_send_off_waves(length, published):
+    stage, kappa = FilmStage("", 0.01, 200.0, 4e4, True), np.pi / length
+    modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
+    stiff = film.wall_stiffness(1e8, modulus, kappa, stage, 5.12 * wave / 2, 0.0)
+    assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(published, rel=2e-3)
+
+
+@pytest.mark.parametrize(("length", "depth", "measured"), [(1000, 125, 53.4), (2000, 250, 203), (4000, 500, 734)])
+def test_coupling_factor_with_the_mass_of_cells_is_that_measured(length, depth, measured):
+    """Measured in 2-D with eight cells along the fault; at 0.01 s a wave is still in its cell of the longest."""
+    stage, kappa = FilmStage("", 0.01, 200.0, 4e4, True), np.pi / length
+    modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
+    stiff = film.wall_stiffness(1e8, modulus, kappa, stage, 5.12 * wave / 2, 5.12 * depth / 4)
+    assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(measured, rel=0.012)
+
+
+def test_coupling_factor_of_the_card_is_that_of_the_matrices():
+    """On four joints the slowest mode is (2 - 2 cos kappa h)/(kappa h)^2 slower than in a continuum."""
+    model = prepare(load(REPORT_5_3), MPI.COMM_SELF)
+    ops = model.operators
+    held = np.zeros(ops.layout.solid_count, dtype=bool)
+    held[np.concatenate([part.numbers for part in model.loads.supports])] = True
+    walls = np.linalg.inv((_dense_tangent(ops) + 4e4 * _dense(ops.mass))[~held][:, ~held])
+    push = _dense(ops.flow.push)[~held]
+    pressure = ops.layout.flow_vector()
+    network, each = np.zeros((5, 5)), 0.01**3 / (12 * 0.235e-4 * 1000)
+    for ends in ops.blocks.joints.flow:
+        network[np.ix_(ends, ends)] += each * np.array([[1, -1], [-1, 1]])
+    free = np.setdiff1d(np.arange(5), np.concatenate([part.numbers for part in model.loads.pressures]))
+    cycle = np.linalg.solve(network[np.ix_(free, free)], (200.0 * push.T @ walls @ push)[np.ix_(free, free)])
+    angle = np.pi / 4
+    found = card_of(REPORT_5_3)["coupling, transient"].value * angle**2 / (2 - 2 * np.cos(angle))
+    assert len(free) == 3
+    assert found == pytest.approx(np.abs(np.linalg.eigvals(cycle)).max(), rel=0.01)
+    pressure.destroy()
+
+
+@pytest.mark.parametrize(
+    ("number", "overrides", "remedy"),
+    [
+        ("joint/rock stiffness", ["method.quadrature=gauss2"], "nodal"),
+        ("joint/rock stiffness", ["method.quadrature=one-point"], "nodal"),
+        ("coupling, transient", ["method.coupling=fixed-point"], "monolithic"),
+        ("aperture contrast", [
+            "method.conductance=report",
+            "fracture.fault.aperture={along = [0, 4000], value = [0.01, 0.002]}",
+        ], "exact"),
+        ("film ringing", ["stage.failure.time_step=10"], "time_step below"),
+    ],
+)  # fmt: skip
+def test_a_limit_warns_only_where_its_method_is_used(number, overrides, remedy):
+    assert not card_of(REPORT_5_3)[number].out_of_range
+    found = card_of(REPORT_5_3, *overrides)[number]
+    assert found.out_of_range and found.value > found.limit and remedy in found.remedy
+
+
+def test_without_a_drop_of_strength_slip_needs_no_length():
+    card = card_of(REPORT_5_3, "fracture.fault.stick_slip_ratio=1")
+    assert not card["joint length scale"].out_of_range and not card["nucleation length"].out_of_range
+    assert card["nucleation length"].value is None
+
+
+def test_a_network_that_nothing_drains_has_no_fixed_point(tmp_path):
+    found = card_of("meshes/crossings/scene.toml")["coupling, transient"]
+    assert found.value == np.inf and not found.out_of_range
+
+
+def test_the_card_is_printed_logged_and_stored(tmp_path):
+    import fracflow
+    from fracflow.cli import app
+
+    asked = ["--set", "output.pictures=false", "--set", "stage.failure.steps=1"]
+    shown = CliRunner().invoke(app, ["run", REPORT_5_3, "-o", str(tmp_path / "run"), *asked])
+    assert shown.exit_code == 0
+    lines = shown.output.splitlines()
+    start = next(n for n, line in enumerate(lines) if "Scene card" in line)
+    rows = lines[start + 2 : start + 12]
+    assert sum(row.startswith("!") for row in rows) == 4
+    assert "joint time step" in rows[5] and "1.98" in rows[5] and "fault, failure" in rows[5]
+    assert [line.split(":")[0] for line in lines[start + 12 : start + 16]] == [
+        "! joint length scale", "! joint time step", "! fluid inertia", "! nucleation length",
+    ]  # fmt: skip
+    ran = fracflow.open(tmp_path / "run")
+    checked = CliRunner().invoke(app, ["check", REPORT_5_3, "--json", *asked])
+    assert ran.card == json.loads(checked.output)["card"]
+    assert ran.card[0]["name"] == "joint/rock stiffness" and len(ran.card) == 10
+    assert {decision["part"] for decision in ran.plan} >= {"flow", "inertia"}
+    log = (tmp_path / "run" / "log.txt").read_text().splitlines()
+    assert sum(line.startswith("card: ") for line in log) == 10
+
+
+def _dense(matrix):
+    return matrix.convert("dense").getDenseArray().copy()
+
+
+def _dense_tangent(ops):
+    rest = ops.joints.respond(np.zeros((len(ops.joints.weights), 2)), ops.joints.rest())
+    total = _dense(ops.stiffness)
+    for unknowns, blocks in ops.joints.tangent(rest.tangent):
+        for numbers, block in zip(unknowns, blocks, strict=True):
+            total[np.ix_(numbers, numbers)] += block
+    return total
