@@ -9,5 +9,9 @@ class SolveError(Exception):
     """The equations of a step could not be solved: exit code 3, the last good state is on disk."""
 
 
+class NotConverged(SolveError):
+    """An iteration did not converge; a shorter step may."""
+
+
 class Interrupted(Exception):
     """The run was asked to stop; its state is saved. Exit code 130."""

@@ -14,6 +14,7 @@ from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.initial import initial_acceleration, starting_pressure
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
+from fracflow.run_halving import most_halvings, on_the_way, still_lacking, whole_or_halves
 from fracflow.run_setup import Model
 from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
@@ -76,9 +77,11 @@ class Stepping:
         controls: Mapping[str, float],
         loads: Loads | None = None,
         restraint: PETSc.Vec | None = None,
+        lacking: float = 0.0,
     ) -> tuple[State, StepReport]:
         """One step to ``time``, by default under the loads of the scene and no restraint.
 
+        lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         last = state.memory.time_step
@@ -96,6 +99,7 @@ class Stepping:
                 time,
                 controls,
                 restraint,
+                lacking,
             )
             try:
                 report = self._coupling(problem.loads).solve(problem)
@@ -275,18 +279,31 @@ def run_stage(
     start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
     count = stage.step_count(start)
+    part_done = progress.get("part", 0.0)
+
+    def attempt(state: State, begin: float, end: float) -> tuple[State, StepReport]:
+        assert stage.time_step is not None
+        dt, reached = stage.time_step * (end - begin), start + (n - 1 + end) * stage.time_step
+        lacking = 0.0 if stepper.inertia else still_lacking(begin, end)
+        now = on_the_way(state.controls, controls, begin, end)
+        return stepping.step(state, stepper, reached, dt, now, lacking=lacking)
+
     while count is None or n < count:
         n += 1
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + n * stage.increment_per_step)
-        new, report = stepping.step(state, stepper, start + n * stage.time_step, stage.time_step, controls)
-        failed = utilisation(model, new) >= 1.0
-        if failed and stage.then == "hold" and not held:
-            held = True
-            log(f"time {new.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
-        state = new
-        ends = stage.until == "incipient" and failed
-        there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
-        yield Step(new, number, stage.time_step, report, DONE if ends else there)
-        if ends:
-            return
+        for part in whole_or_halves(attempt, state, most_halvings(model.scene), log, part_done):
+            state = part.state
+            failed = utilisation(model, state) >= 1.0
+            if failed and stage.then == "hold" and not held:
+                held = True
+                controls[control] = state.controls[control]
+                log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
+            ends = stage.until == "incipient" and failed
+            there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
+            if not part.is_last:
+                there = {**there, "n": n - 1, "part": part.end}
+            yield Step(state, number, stage.time_step * (part.end - part.start), part.report, DONE if ends else there)
+            if ends:
+                return
+        part_done = 0.0

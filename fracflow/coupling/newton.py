@@ -19,7 +19,7 @@ from fracflow.coupling.near_null import tell_rigid_motions
 from fracflow.coupling.newton_failure import describe_failure
 from fracflow.coupling.newton_methods import NEWTON_METHODS
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import SolveError
+from fracflow.errors import NotConverged, SolveError
 from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
@@ -115,7 +115,7 @@ class Newton:
             self.problem.displacement.setArray(local[:middle] * scales.displacement)
         if self.only != "solid":
             self.problem.pressure.setArray(local[middle:] * scales.pressure)
-        self.problem.loads.impose(self.problem.time, self.problem.displacement, self.problem.pressure)
+        self.problem.impose(self.problem.displacement, self.problem.pressure)
 
     def _function(self, snes: PETSc.SNES, unknowns: PETSc.Vec, balance: PETSc.Vec) -> None:
         problem = self.problem
@@ -187,7 +187,7 @@ class Newton:
 
     def _failure(self, reason: int, iterations: int) -> SolveError:
         assert self.problem is not None
-        return SolveError(describe_failure(self.scene, self.problem, self._restless, reason, iterations))
+        return NotConverged(describe_failure(self.scene, self.problem, self._restless, reason, iterations))
 
     def destroy(self) -> None:
         """Free the solver. Collective."""

@@ -15,7 +15,8 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.errors import SolveError
+from fracflow.errors import NotConverged
+from fracflow.mesh.data import Floats
 from fracflow.state import Forces, Motion, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
 
@@ -41,6 +42,31 @@ class Residual:
     out_of_balance: float
 
 
+@dataclass(frozen=True)
+class Lag:
+    """What the prescribed displacements and pressures (an array a support, or well) still lack at the end of a step."""
+
+    displacement: tuple[Floats, ...] = ()
+    pressure: tuple[Floats, ...] = ()
+
+    @staticmethod
+    def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Lag:
+        """A share of what ``state`` lacks; forces that lack, and rates ``of_wells``, go into ``load`` and ``source``."""
+        for total, term, had, now in (
+            (load, load.duplicate(), state.forces.load, loads.force),
+            (source, source.duplicate(), state.forces.source, loads.source),
+        ):
+            now(state.time, state.controls, term)
+            if total is load or of_wells:
+                total.axpy(share, had)
+                total.axpy(-share, term)
+            term.destroy()
+        return Lag(*(
+            tuple(share * (vector.getArray(readonly=True)[part.numbers] - part.value(state.time)) for part in parts)
+            for vector, parts in ((state.motion.displacement, loads.supports), (state.pressure, loads.pressures))
+        ))  # fmt: skip
+
+
 class StepProblem:
     """One step from ``state``: what is given, and the balances at a trial. Writes nothing into the state."""
 
@@ -53,8 +79,12 @@ class StepProblem:
         time: float,
         controls: Mapping[str, float],
         restraint: PETSc.Vec | None = None,
+        lacking: float = 0.0,
     ) -> None:
-        """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective."""
+        """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective.
+
+        lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
+        """
         self.operators, self.loads, self.state = operators, loads, state
         self.alphas, self.time, self.controls = alphas, time, controls
         layout = operators.layout
@@ -63,9 +93,10 @@ class StepProblem:
         if restraint is not None:
             self.load.axpy(1.0, restraint)
         loads.source(time, controls, self.source)
+        self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
         self.displacement = state.motion.displacement.copy()
         self.pressure = state.pressure.copy()
-        loads.impose(time, self.displacement, self.pressure)
+        self.impose(self.displacement, self.pressure)
         self.branch: Past = state.sections.past
         self.sections: Sections = state.sections
         self.conduction: Conduction | None = None
@@ -73,6 +104,16 @@ class StepProblem:
         self.residual = Residual(np.inf, np.inf, np.inf)
         network = operators.flow
         self._before = 0.0 if network is None else np.abs(network.driving(state.pressure))
+
+    def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
+        """Write what is prescribed at the end of the step into both vectors."""
+        self.loads.impose(self.time, displacement, pressure)
+        for vector, parts, lags in (
+            (displacement, self.loads.supports, self.lag.displacement),
+            (pressure, self.loads.pressures, self.lag.pressure),
+        ):
+            for part, lag in zip(parts, lags, strict=False):
+                vector.getArray()[part.numbers] += lag
 
     def evaluate(self, hold: bool = True) -> None:
         """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
@@ -159,7 +200,7 @@ class StepProblem:
         flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / max(flow_terms, TINY)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2))
         if not np.isfinite(solid + flow):
-            raise SolveError(
+            raise NotConverged(
                 f"time {self.time:.6g}: the joint laws gave no finite traction (a joint closed beyond its aperture)"
             )
 

@@ -44,6 +44,7 @@ CASES = {
     "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
+    "parts of a step": ("failures/f6a_closing", ["accuracy.max_iterations=6"], (4, 7)),
     "rigid walls": (RIGID, ["fracture.slot.pressure=[[0, 0], [2, 1e4]]"], (1,)),
 }
 
