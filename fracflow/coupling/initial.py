@@ -10,6 +10,7 @@ from fracflow.assembly.operators import Operators
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.step_problem import StepProblem
+from fracflow.coupling.true_residual import check_solution
 from fracflow.errors import SolveError
 from fracflow.scene import Scene
 
@@ -40,6 +41,7 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
     solver.setOptionsPrefix("mass_")
     solver.setFromOptions()
     solver.solve(problem.solid_balance, acceleration)
+    check_solution(solver, acceleration, problem.solid_balance, f"time {problem.time:.6g}: first accelerations")
     acceleration.scale(-1.0)
     solver.destroy()
     matrix.destroy()

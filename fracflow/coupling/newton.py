@@ -14,15 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.floating import Floating
 from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
 from fracflow.coupling.near_null import tell_rigid_motions
-from fracflow.coupling.newton_failure import describe_failure
+from fracflow.coupling.newton_failure import describe_failure, describe_floating
 from fracflow.coupling.newton_methods import NEWTON_METHODS
 from fracflow.coupling.step_problem import StepProblem
+from fracflow.coupling.true_residual import check_solution
 from fracflow.errors import NotConverged, SolveError
+from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
+SOFT = 1e-6  # of the natural stiffness: what holds a loose block on its way to the next contact
+SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,7 @@ class Newton:
             flow.destroy()
         self.least = 0  # iterations in any case
         self.problem: StepProblem | None = None
+        self.floating: Floating | None = None
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
@@ -99,6 +105,8 @@ class Newton:
                 break
         else:
             raise self._failure(0, iterations)
+        if self._floats(problem):
+            self._refuse_floating(problem)
         return NewtonReport(iterations, self._krylov, self.matrix.fills - fills, tuple(self._out_of_balance))
 
     def _pack(self, problem: StepProblem) -> None:
@@ -137,8 +145,44 @@ class Newton:
         if self.method.is_kept and self._is_filled:
             return
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
+        if self._floats(problem):
+            moduli = self._softly_held(moduli)
         self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
         self._is_filled = True
+
+    def _floats(self, problem: StepProblem) -> bool:
+        """Whether blocks float at the present trial, without inertia and with the film as it takes part. Collective."""
+        if problem.alphas.a0 > 0.0 or self.only == "flow":
+            return False
+        operators = self.matrix.operators
+        if self.floating is None:
+            self.floating = Floating(operators, problem.loads, self.scene.method.quadrature)
+        is_filled = operators.flow is not None and self.only is None and problem.alphas.a1 > 0.0
+        return self.floating.find(problem.sections, is_filled).shape[1] > 0
+
+    def _softly_held(self, moduli: Floats) -> Floats:
+        """Moduli with a trace of stiffness where a joint has none: the step leads a loose block to its next contact."""
+        scales, dim = self.matrix.operators.scales, moduli.shape[1]
+        soft = SOFT * scales.force / (scales.displacement * scales.length)
+        return moduli + soft * ~np.any(moduli != 0.0, axis=1)[:, :, None] * np.eye(dim)
+
+    def _refuse_flight(self, problem: StepProblem, step: Floats) -> None:
+        """Raise NotConverged where a step carries loose blocks off that no joint stops, in strains. Collective."""
+        if not self._floats(problem):
+            return
+        joints, before = self.matrix.operators.joints, problem.sections
+        after = joints.respond(before.strain + step, problem.branch, hold=True)
+        if not self.matrix.layout.comm.allreduce(bool(np.any(before.is_open & ~after.is_open)), op=MPI.LOR):
+            self._refuse_floating(problem, always=False)
+
+    def _refuse_floating(self, problem: StepProblem, always: bool = True) -> None:
+        """Raise NotConverged that names a loose block; if not ``always``, only one with a net force on it. Collective."""
+        assert self.floating is not None
+        size = problem.solid_balance.norm(PETSc.NormType.INFINITY)
+        slack = SLACK * self.scene.accuracy.residual * size / max(problem.residual.solid, 1e-300)
+        push = self.floating.motions.T @ self.floating.net_force(problem.solid_balance).ravel()
+        if always or np.abs(push).max() > slack:
+            raise NotConverged(describe_floating(self.scene, problem, self.floating, slack))
 
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         problem, layout = self.problem, self.matrix.layout
@@ -150,10 +194,15 @@ class Newton:
         self._step = change.norm()
         if self.method.weakness and not np.isfinite(self._step):
             raise SolveError("the matrix is singular")
+        check_solution(self.snes.getKSP(), step, self.balance, f"time {problem.time:.6g}: {self.prefix}")
+        change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
         joints = self.matrix.operators.joints
-        allowed = joints.step_limit(problem.sections.strain, joints.strain(change))
+        strains = joints.strain(change)
+        allowed = joints.step_limit(problem.sections.strain, strains)
         change.destroy()
         fraction = layout.comm.allreduce(allowed, op=MPI.MIN)
+        if fraction == 1.0:
+            self._refuse_flight(problem, strains)
         if fraction < 1.0:
             step.scale(fraction)
             self._step = np.inf

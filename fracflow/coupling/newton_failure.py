@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.floating import Floating
 from fracflow.coupling.newton_methods import NEWTON_METHODS
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
+
+SAME = 1e-6  # share of a motion that is none
 
 
 def describe_failure(scene: Scene, problem: StepProblem, restless: Bools, reason: int, iterations: int) -> str:
@@ -34,6 +38,64 @@ def describe_failure(scene: Scene, problem: StepProblem, restless: Bools, reason
         f"time {problem.time:.6g}: {what} did not converge in {iterations} iterations"
         f" ({reasons.get(reason, reason)}): {where}{wanted}; {remedy}"
     )
+
+
+def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, slack: float) -> str:
+    """Names the block that is pushed most of those that float, and the net force on it; the same on every rank. Collective.
+
+    slack  a net force that is none [force per thickness]
+    """
+    block, motions = floating.operators.blocks.solid, floating.motions
+    force = floating.net_force(problem.solid_balance)
+    push = (motions @ (motions.T @ force.ravel())).reshape(-1, 3)
+    share = np.abs(motions).max(axis=1, initial=0.0).reshape(-1, 3)
+    loose = np.flatnonzero(share.max(axis=1) > SAME)
+    worst = int(loose[np.abs(push[loose]).max(axis=1).argmax()])
+    middle, system = floating.frames.middle[worst], scene.unit_system
+    unit = f" {system.force}/{system.length}" if system.length else ""
+    size = float(np.linalg.norm(push[worst, :2]))
+    if size > slack:
+        way = push[worst, :2] / size
+        main = int(np.abs(way).argmax())
+        along = f"{'-+'[int(way[main] > 0)]}{'xy'[main]}" if abs(way[main]) > 0.999 else f"({way[0]:.3g}, {way[1]:.3g})"
+        pushed = f"net force {size:.4g}{unit} in {along}"
+    elif abs(push[worst, 2]) > slack:
+        pushed = f"net moment {push[worst, 2] * floating.frames.size[worst]:.4g} {system.force or ''}".rstrip()
+    else:
+        pushed = "no net force, and nothing that tells where it rests"
+    more = f" (and {len(loose) - 1} more blocks with it)" if len(loose) > 1 else ""
+    return (
+        f'time {problem.time:.6g}: block {worst} (rock "{block.rocks[block.piece_rock[worst]]}", centred at'
+        f" ({middle[0]:.4g}, {middle[1]:.4g})) has no support in {_free_ways(motions[3 * worst : 3 * worst + 3])}"
+        f" ({_around(floating, problem, worst)}): {pushed}{more}; there is no equilibrium: hold it by a [[support]] or [[tie]],"
+        ' lower the load, or let it move in a stage of kind = "dynamic"'
+    )
+
+
+def _free_ways(motions: Floats) -> str:
+    """Directions in which one block moves among the motions (3, k)."""
+    vectors, sizes, _ = np.linalg.svd(motions, full_matrices=False)
+    ways = vectors[:, sizes > SAME]
+    if ways.shape[1] == 1 and np.abs(ways[:2]).max() > SAME and np.abs(ways[:, 0]).max() < 0.999:
+        x, y, turn = ways[:, 0]
+        return f"direction ({x:.3g}, {y:.3g})" + (" while it turns" if abs(turn) > SAME else "")
+    return ", ".join(np.array(["x", "y", "rotation"])[np.abs(ways).max(axis=1) > SAME])
+
+
+def _around(floating: Floating, problem: StepProblem, piece: int) -> str:
+    """How many of the joints around a block are open, and how many slide. Collective."""
+    sections, points = problem.sections, len(floating.natural)
+    here = np.any(floating.sides == piece, axis=1) & (floating.sides[:, 0] != floating.sides[:, 1])
+    is_open, slides = (part.reshape(-1, points).all(axis=1) for part in (sections.is_open, sections.is_sliding))
+    counts = np.array([here.sum(), (here & is_open).sum(), (here & slides & ~is_open).sum()])
+    joints, open_, sliding = (int(n) for n in floating.operators.layout.comm.allreduce(counts))
+    if not joints:
+        return "no joints around it"
+    if open_ == joints:
+        return f"all {joints} joints open" if joints > 1 else "its joint is open"
+    if sliding == joints:
+        return f"all {joints} joints slide" if joints > 1 else "its joint slides"
+    return f"of {joints} joints {open_} open and {sliding} sliding"
 
 
 def fractures_of(blocks: Blocks, chosen: Bools) -> str:

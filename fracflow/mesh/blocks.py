@@ -33,6 +33,9 @@ class SolidBlock:
     body_center   (b, dim)  the point a body turns about [length]
     body_rock     (b,)      index into ``rocks``
     body_owner    (b,)      rank that owns its unknowns
+    piece         (n,)      block of rock a node belongs to: what no joint cuts
+    piece_rock    (p,)      index into ``rocks``, of the block's first cell
+    piece_box     (p, 2, dim) lowest and highest coordinates of each block [length]
     unknown_starts (size + 1,) first unknown of each rank
     node_starts    (size + 1,) first node of each rank
     """
@@ -56,6 +59,9 @@ class SolidBlock:
     body_center: Floats
     body_rock: Ints
     body_owner: Ints
+    piece: Ints
+    piece_rock: Ints
+    piece_box: Floats
     unknown_starts: Ints
     node_starts: Ints
 

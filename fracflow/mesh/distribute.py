@@ -16,7 +16,8 @@ from scipy.sparse.csgraph import connected_components
 
 from fracflow._petsc import MPI
 from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBlock
-from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.facets import components
 from fracflow.mesh.partition import partition_cells
 from fracflow.mesh.ties import representatives
 
@@ -62,6 +63,23 @@ def rigid_bodies(mesh: SplitMesh, rigid_rocks: Collection[str]) -> tuple[Ints, I
     return body, rock
 
 
+def pieces_of_rock(mesh: SplitMesh) -> tuple[Ints, Ints, Floats]:
+    """Block of rock of each node, what no joint cuts; rock (p,) and box (p, 2, dim) of each block."""
+    cell, corner = np.nonzero(mesh.cells >= 0)
+    nodes = mesh.cells[cell, corner]
+    label = components(mesh.cells[cell, 0], nodes, len(mesh.points))
+    used, number = np.unique(label[nodes], return_inverse=True)
+    piece = np.full(len(mesh.points), -1, dtype=np.int64)
+    piece[nodes] = number
+    rock = np.zeros(len(used), dtype=np.int64)
+    rock[piece[mesh.cells[::-1, 0]]] = mesh.cell_rock[::-1]  # the first cell writes last
+    box = np.empty((len(used), 2, mesh.points.shape[1]))
+    box[:, 0], box[:, 1] = np.inf, -np.inf
+    np.minimum.at(box[:, 0], number, mesh.points[nodes])
+    np.maximum.at(box[:, 1], number, mesh.points[nodes])
+    return piece, rock, box
+
+
 def _lowest_rank(rank: Ints, numbers: Ints, total: int, size: int) -> Ints:
     owner = np.full(total, size, dtype=np.int64)
     np.minimum.at(owner, numbers, rank)
@@ -104,6 +122,7 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
     unknown = first[: len(body), None] + np.arange(dim)
     unknown[body >= 0] = -1
     body_unknown = first[len(body) :, None] + np.arange(dim + rotations)
+    piece, piece_rock, piece_box = pieces_of_rock(mesh)
     unused = np.zeros(0, dtype=np.int64)
     if len(ties):
         leader = representatives(ties, unknown.size)
@@ -152,6 +171,9 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
             body_center=center,
             body_rock=body_rock,
             body_owner=body_owner,
+            piece=piece[nodes],
+            piece_rock=piece_rock,
+            piece_box=piece_box,
             unknown_starts=starts,
             node_starts=node_starts,
         )

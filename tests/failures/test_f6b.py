@@ -1,0 +1,118 @@
+"""F6b: a layer of 3 m pulled off its joint, which 1 MPa presses; and blocks that slide, and that ties or supports hold."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.assembly.floating import Floating, null_motions
+from fracflow.errors import SolveError
+from fracflow.output import read_history
+from fracflow.run import run
+from fracflow.run_setup import prepare
+from fracflow.run_start import rest
+from fracflow.scene import load
+
+SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6b_lifted" / "scene.toml"
+
+
+def _failure(folder, *overrides):
+    with pytest.raises(SolveError) as caught:
+        run(load(SCENE, ["output.pictures=false", *overrides]), folder, MPI.COMM_WORLD)
+    return str(caught.value)
+
+
+def test_the_whole_step_names_block_direction_and_net_force(shared_tmp):
+    """0.5 MPa too much on 3 m."""
+    message = _failure(shared_tmp / "run", "accuracy.max_halvings=0")
+    expected = r'time 1: block 1 \(rock "rock", centred at \(1\.5, 1\.5\)\) has no support in x, y, rotation'
+    assert re.match(
+        expected + r" \(all 12 joints open\): net force 1\.5e\+06 N/m in \+y; there is no equilibrium", message
+    )
+
+
+def test_halving_leads_to_the_last_equilibrium(shared_tmp):
+    """The joint opens at time 2/3; a sixth half ends at 0.671875, where 1.5 t MPa is 7812.5 Pa too much."""
+    message = _failure(shared_tmp / "run")
+    force = float(re.search(r"net force (\S+) N/m in \+y", message)[1])
+    assert force == pytest.approx(3 * (1.5e6 * 0.671875 - 1e6), rel=1e-3)
+    if MPI.COMM_WORLD.rank == 0:
+        assert read_history(shared_tmp / "run" / "history.h5")["time"][-1] == 0.65625
+
+
+def test_a_layer_that_slides_is_named_too(shared_tmp):
+    """tan(30 deg) of 1 MPa holds 577 kPa; the last digit of 1 m/s is a part in 64 of 600 kPa on 3 m."""
+    message = _failure(shared_tmp / "run", "load.1.traction=[[[0, 0], [1, 6e5]], 0]")
+    assert "has no support in x (all 12 joints slide)" in message
+    force = float(re.search(r"net force (\S+) N/m in \+x", message)[1])
+    time = float(re.match(r"time (\S+):", message)[1])
+    assert force == pytest.approx(3 * (6e5 * time - np.tan(np.radians(30)) * 1e6), rel=1e-3)
+    assert 0 < 6e5 * time - np.tan(np.radians(30)) * 1e6 < 6e5 / 64
+
+
+@pytest.mark.serial
+def test_null_motions_of_springs_in_a_row():
+    """Three masses, two springs of very different stiffness: only the common motion is free."""
+    one, other = np.array([1.0, -1.0, 0.0]), 1e-4 * np.array([0.0, 1.0, -1.0])
+    motions = null_motions(np.outer(one, one) + np.outer(other, other))
+    assert motions.shape == (3, 1)
+    assert np.abs(motions - motions[0]).max() < 1e-6
+    assert null_motions(np.eye(3)).shape == (3, 0)
+    assert null_motions(np.zeros((3, 3))).shape == (3, 3)
+
+
+def _motions(*overrides, carried):
+    """Free motions of both layers where every section carries (along, across)."""
+    model = prepare(load(SCENE, list(overrides)), MPI.COMM_WORLD)
+    state = rest(model)
+    sections = state.sections
+    sections.tangent[:] = sections.tangent * np.array(carried)[:, None]
+    floating = Floating(model.operators, model.loads, "nodal")
+    return floating, floating.find(sections, is_filled=False)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "carried", "free"),
+    [
+        ([], (1, 1), 0),
+        ([], (0, 1), 1),  # slides along
+        ([], (1, 0), 2),  # lifts off, and turns
+        ([], (0, 0), 3),
+        (["support.0.on=north"], (0, 0), 3),  # now the lower one
+        (["support=[]"], (1, 1), 3),  # both as one
+        (["support=[]"], (0, 0), 6),
+        (["support.0.on=['south', 'north']"], (0, 0), 0),
+        (["support=[{on = 'south'}, {on = 'north', components = ['x']}]"], (0, 0), 2),  # up, and about its top
+        (
+            ["tie=[{on = 'east', components = ['x']}]"],
+            (0, 0),
+            1,
+        ),  # the nodes of both layers move alike in x, none turns
+        (["tie=[{on = ['west', 'east'], components = ['y']}]"], (0, 0), 2),  # a layer that repeats itself does not turn
+    ],
+)
+def test_what_floats(overrides, carried, free):
+    _, motions = _motions(*overrides, carried=carried)
+    assert motions.shape == (6, free)
+    assert np.abs(motions.T @ motions - np.eye(free)).max(initial=0.0) < 1e-9
+
+
+def test_the_net_force_on_a_block():
+    """A force on every unknown of the upper layer adds up to its own resultant and moment."""
+    floating, _ = _motions(carried=(1, 1))
+    block, layout = floating.operators.blocks.solid, floating.operators.layout
+    balance = layout.solid_vector()
+    upper = (block.piece == 1)[: block.owned]
+    start = block.unknown_starts[floating.operators.blocks.comm.rank]
+    points, own = block.points[: block.owned][upper], block.unknown[: block.owned][upper] - start
+    balance.getArray()[own[:, 0]] = 2.0
+    balance.getArray()[own[:, 1]] = points[:, 0]
+    x, y = points.T
+    local = np.array([-2.0 * len(x), -x.sum(), (-x * (x - 1.5) + 2.0 * (y - 1.5)).sum()])
+    expected = layout.comm.allreduce(local)
+    force = floating.net_force(balance)
+    assert force[0] == pytest.approx(0.0, abs=1e-9)
+    assert force[1] * [1, 1, floating.frames.size[1]] == pytest.approx(expected, rel=1e-12)
+    balance.destroy()
