@@ -16,8 +16,9 @@ from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.run_equilibrate import equilibrate
 from fracflow.run_record import Recorder, Totals, watches_spurious
 from fracflow.run_setup import Model, on_root, prepare
+from fracflow.run_stages import run_stage
 from fracflow.run_start import rest, settle
-from fracflow.run_steps import Step, Stepping, run_stage, stepper_of
+from fracflow.run_steps import Step, Stepping, stepper_of
 from fracflow.run_watch import Watch, Wish
 from fracflow.scene import Scene, load
 from fracflow.state import State, StepReport

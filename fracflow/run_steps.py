@@ -1,20 +1,16 @@
-"""One step after another: a single step, the search for incipient failure, and the stages of a scene."""
+"""One step: its loads, its solver, what it adds to the energy books; and how a stage takes over a state."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from scipy.optimize import brentq
-
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import PETSc
 from fracflow.assembly.energy import Scheme, book, dissipated, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.initial import initial_acceleration, starting_pressure
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import SolveError
-from fracflow.run_halving import most_halvings, on_the_way, still_lacking, whole_or_halves
 from fracflow.run_setup import Model
 from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
@@ -24,8 +20,6 @@ from fracflow.stepping import STEPPERS, Alphas, Steady, Stepper, first
 
 Progress = Mapping[str, float]
 DONE: Progress = {"done": 1.0}
-DOUBLINGS = 60
-SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
 
 
 @dataclass(frozen=True)
@@ -168,142 +162,3 @@ def _remember(old: State, new: State, dt: float) -> Memory:
     before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
     velocity.setArray((after - before) / dt)
     return Memory(dt, velocity)
-
-
-def utilisation(model: Model, state: State) -> float:
-    """Largest |f_s| / f_sy over all sections; 1 where one slides. Collective."""
-    here = float(state.sections.utilisation.max(initial=0.0))
-    if state.sections.is_sliding.any():
-        here = max(here, 1.0)
-    return float(model.operators.layout.comm.allreduce(here, op=MPI.MAX))
-
-
-class _Search:
-    """How far the control may rise: states tried from one start, and how far each is from the strength sought."""
-
-    def __init__(self, stepping: Stepping, state: State, stage: Stage, log: Callable[[str], None]) -> None:
-        assert stage.control is not None
-        self.log = log
-        self.stepping, self.state, self.stage, self.control = stepping, state, stage, stage.control
-        self.tried: dict[float, tuple[State, StepReport]] = {}
-        self.failure: SolveError | None = None
-
-    def excess(self, value: float) -> float:
-        """Utilisation over what is sought, positive where there is no such state. Collective."""
-        if value not in self.tried:
-            controls = {**self.state.controls, self.control: value}
-            try:
-                self.tried[value] = self.stepping.step(self.state, Steady(), self.state.time, 0.0, controls)
-            except SolveError as error:
-                self.failure = error
-                self.log(f"no state found at control.{self.control} = {value:.12g}, taken as past failure: {error}")
-                return self.stage.tolerance
-        return min(utilisation(self.stepping.model, self.tried[value][0]), 1.0) - (1.0 - self.stage.tolerance)
-
-    def between(self, low: float, high: float) -> float:
-        """The last value in a bracket that was tried and slides nowhere. Collective."""
-        if self.excess(low) < 0.0:
-            brentq(self.excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15)
-        model = self.stepping.model
-        below = {v: u for v, (new, _) in self.tried.items() if (u := utilisation(model, new)) < 1.0}
-        sought = 1.0 - self.stage.tolerance
-        best = min(below, key=lambda value: abs(below[value] - sought), default=low)
-        if not below or below[best] < 1.0 - 2.0 * self.stage.tolerance:
-            reached = f"|f_s|/f_sy = {below[best]:.9g}" if below else "no state"
-            raise SolveError(
-                f"stage {_name(self.stage)}: the search for incipient failure ended at control.{self.control} = {best:.9g}"
-                f" with {reached}, sought 1 - {self.stage.tolerance:g}; beyond it {self.failure or 'sections slide at once'}"
-            )
-        return best
-
-    def destroy(self) -> None:
-        """Free the states that were not taken out of ``tried``."""
-        for state, _ in self.tried.values():
-            state.destroy()
-
-
-def _name(stage: Stage) -> str:
-    return stage.name or stage.kind
-
-
-def search_incipient(
-    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
-) -> Iterator[Step]:
-    """Raise the control until max |f_s| / f_sy = 1 - tolerance; yields the elastic states on the way.
-
-    Raises SolveError, on every rank, where no state is that near to the strength. Collective.
-    """
-    model, stage = stepping.model, stepping.model.scene.stage[number]
-    control = stage.control
-    assert control is not None
-    low = state.controls[control]
-    if utilisation(model, state) >= 1.0 - stage.tolerance:
-        log(f"stage {_name(stage)}: already at incipient failure")
-        return
-    increment = progress.get("increment", model.scene.control[control].increment)
-    for _ in range(DOUBLINGS):
-        search, high = _Search(stepping, state, stage, log), low + increment
-        if search.excess(high) >= 0.0:
-            break
-        state, report = search.tried.pop(high)
-        low, increment = high, 2.0 * increment
-        yield Step(state, number, 0.0, report, {"increment": increment})
-    else:
-        raise SolveError(
-            f"stage {_name(stage)}: control.{control} raised to {low:.6g} and no fracture came to its"
-            " strength: do the wells it drives reach one?"
-        )
-    try:
-        value = search.between(low, high)
-        best = search.tried.pop(value)
-    finally:
-        search.destroy()
-    log(f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - utilisation(model, best[0]):.3e}")
-    yield Step(best[0], number, 0.0, best[1], DONE)
-
-
-def run_stage(
-    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
-) -> Iterator[Step]:
-    """All steps of a stage, or those after the one with ``progress``. The caller owns the states. Collective."""
-    model = stepping.model
-    stage = model.scene.stage[number]
-    stepper = stepper_of(model.scene, stage)
-    if "done" in progress:
-        return
-    if stage.takes_no_time:
-        yield from search_incipient(stepping, state, number, log, progress)
-        return
-    assert stage.time_step is not None
-    controls, control = dict(state.controls), stage.control or ""
-    start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
-    n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
-    count = stage.step_count(start)
-    part_done = progress.get("part", 0.0)
-
-    def attempt(state: State, begin: float, end: float) -> tuple[State, StepReport]:
-        assert stage.time_step is not None
-        dt, reached = stage.time_step * (end - begin), start + (n - 1 + end) * stage.time_step
-        lacking = 0.0 if stepper.inertia else still_lacking(begin, end)
-        now = on_the_way(state.controls, controls, begin, end)
-        return stepping.step(state, stepper, reached, dt, now, lacking=lacking)
-
-    while count is None or n < count:
-        n += 1
-        if stage.control is not None and stage.increment_per_step is not None and not held:
-            controls[control] = base * (1.0 + n * stage.increment_per_step)
-        for part in whole_or_halves(attempt, state, most_halvings(model.scene), log, part_done):
-            state = part.state
-            failed = utilisation(model, state) >= 1.0
-            if failed and stage.then == "hold" and not held:
-                held = True
-                controls[control] = state.controls[control]
-                log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
-            ends = stage.until == "incipient" and failed
-            there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
-            if not part.is_last:
-                there = {**there, "n": n - 1, "part": part.end}
-            yield Step(state, number, stage.time_step * (part.end - part.start), part.report, DONE if ends else there)
-            if ends:
-                return
-        part_done = 0.0
