@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fracflow._petsc import MPI
     from fracflow.card import Number
     from fracflow.run import Progress as Tick
-    from fracflow.run_record import Totals
+    from fracflow.run_totals import Totals
     from fracflow.scene import Scene
 
 USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from

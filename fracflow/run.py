@@ -14,11 +14,12 @@ from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.run_equilibrate import equilibrate
-from fracflow.run_record import Recorder, Totals, watches_spurious
+from fracflow.run_record import Recorder, watches_spurious
 from fracflow.run_setup import Model, on_root, prepare
 from fracflow.run_stages import run_stage
 from fracflow.run_start import rest, settle
 from fracflow.run_steps import Step, Stepping, stepper_of
+from fracflow.run_totals import Totals
 from fracflow.run_watch import Watch, Wish
 from fracflow.scene import Scene, load
 from fracflow.state import State, StepReport
@@ -108,6 +109,7 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model)
+    stepping.network.log = recorder.log
     try:
         failure = _steps(stepping, recorder, step, progress)
         recorder.finish(clock.perf_counter() - began)

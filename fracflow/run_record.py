@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,13 @@ from fracflow.output.rock import rock_fields
 from fracflow.plan import Decision, as_records, decide, factorisations
 from fracflow.run_setup import Model, on_root
 from fracflow.run_steps import Step
+from fracflow.run_totals import Totals
 from fracflow.scene import Scene
 from fracflow.state import State
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3}
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
 TOLD_FROM = 0.1  # smaller factors are all the same
-NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
 
 
 SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
@@ -41,21 +41,6 @@ SPURIOUS = 1e-3  # share of the largest entry of the books from which the log wa
 def watches_spurious(scene: Scene) -> bool:
     """Whether pressure force and film storage are not transposed, so that the books have a spurious entry."""
     return scene.has_flow and not is_transposed(scene.method.storage)
-
-
-@dataclass
-class Totals:
-    """Counts over the run."""
-
-    steps: int = 0
-    newton: int = 0
-    factorisations: int = 0
-    narrowest: float = np.inf
-    narrow_time: float = np.nan
-    spurious: float = 0.0
-    spurious_time: float = np.nan
-    handed_over: int = 0
-    told_factor: float = np.nan
 
 
 class Recorder:
@@ -81,6 +66,8 @@ class Recorder:
             if margin < self.totals.narrowest:
                 self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
             self.files.append(step, snapshot, margin)
+            self.totals.least = max(self.totals.least, snapshot.least[0])
+            self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
         self._watch_spurious(step)
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
@@ -142,23 +129,8 @@ class Recorder:
 
     def finish(self, seconds: float) -> None:
         """Write plan.json and the last lines of the log."""
-        totals = self.totals
-        if totals.narrowest < NARROW:
-            self.log(
-                f"smallest slip margin {totals.narrowest:.1e} at time {totals.narrow_time:.6g}:"
-                " what follows there is not settled by arithmetic"
-            )
-        if watches_spurious(self.model.scene):
-            self.log(
-                f"spurious work of the coupling: at most {totals.spurious:.1e} of the largest entry of the energy books"
-                + (f", at time {totals.spurious_time:.6g}" if totals.spurious else "")
-            )
-        if totals.handed_over:
-            self.log(f"{totals.handed_over} steps were handed over to the monolithic solver")
-        self.log(
-            f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
-            f" in {seconds:.2f} s"
-        )
+        for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
+            self.log(line)
         if self.files is not None:
             decisions = [*decide(self.model.scene), factorisations(self.totals.newton, self.totals.factorisations)]
             self.files.write_plan(decisions)
@@ -259,6 +231,8 @@ class Files:
             "step/slipping": int(snapshot.column("sliding").sum()),
             "step/open": int(snapshot.column("open").sum()),
             "step/slip_margin": margin,
+            "step/minimum_aperture": snapshot.least[0],
+            "step/minimum_aperture_flow": snapshot.least[1],
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}

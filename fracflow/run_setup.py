@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from fracflow._petsc import MPI
-from fracflow.assembly.loads import Loads, Prescribed, assemble_loads
+from fracflow.assembly.components import label_parts
+from fracflow.assembly.loads import Loads, assemble_loads
 from fracflow.assembly.operators import Operators, assemble
-from fracflow.assembly.properties import initial_pressure
 from fracflow.coupling.defaults import set_defaults
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
@@ -38,7 +36,6 @@ class Placed:
     wells   name -> flow node
     probes  name -> place
     points  name -> split nodes
-    closed  flow nodes of hydraulic components without wells
     ties    (m, 2) pairs of node * dim + component that move alike
     notes   what the log should tell
     """
@@ -46,21 +43,19 @@ class Placed:
     wells: Mapping[str, int]
     probes: Mapping[str, FracturePlace | RockPlace]
     points: Mapping[str, Ints]
-    closed: Ints
     ties: Ints
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Model:
-    """A scene made ready: ``mesh`` is on rank 0 only. ``steady_loads`` also hold the pressure of closed, dry components."""
+    """A scene made ready: ``mesh`` is on rank 0 only."""
 
     scene: Scene
     mesh: SplitMesh | None
     placed: Placed
     operators: Operators
     loads: Loads
-    steady_loads: Loads
 
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
@@ -128,6 +123,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
     probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
     refuse_missing(scene, mesh, probes)
+    refuse_lone_wells(scene, mesh, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
     spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
     spots |= {f"probe.{name}": found.point for name, found in probes.items()}
@@ -136,7 +132,6 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         wells,
         probes,
         points,
-        closed_components(scene, mesh, wells),
         tied_components(scene, mesh),
         tuple(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
     )
@@ -168,31 +163,27 @@ def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
     return np.concatenate(pairs)
 
 
-def closed_components(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> Ints:
-    """Flow nodes of hydraulic components without a prescribed pressure and without wells.
-
-    Raises InputError where a steady stage would have to pump into a component that nothing drains.
-    """
+def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> None:
+    """Raise InputError where a steady stage would have to pump, by one well alone, into what nothing drains."""
     count = len(mesh.flow_origin)
-    if not scene.has_flow or not count:
-        return np.zeros(0, dtype=np.int64)
-    links = sparse.coo_matrix((np.ones(len(mesh.joint_flow)), tuple(mesh.joint_flow.T)), shape=(count, count))
-    label = connected_components(links, directed=False)[1]
+    if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
+        return
+    label = label_parts(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
     drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
     held = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
-    pumped = {int(label[wells[w.name]]): w.name for w in scene.well if w.pressure is None}
-    if any(stage.kind == "steady" for stage in scene.stage):
-        for component, name in pumped.items():
-            if component not in drained:
-                inside = np.unique(mesh.joint_fracture[label[mesh.joint_flow[:, 0]] == component])
-                fractures = ", ".join(mesh.fractures[i] for i in inside)
-                raise InputError(
-                    f"well.{name}: a steady stage pumps into {fractures}, which no [[well]] with a pressure drains:"
-                    ' give one, or use kind = "quasi-static", whose walls store the fluid'
-                )
-    dry = np.setdiff1d(np.arange(label.max() + 1), [*drained, *pumped])
-    return np.flatnonzero(np.isin(label, dry))
+    pumped: dict[int, list[str]] = {}
+    for well in scene.well:
+        if well.pressure is None:
+            pumped.setdefault(int(label[wells[well.name]]), []).append(well.name)
+    for component, names in pumped.items():
+        if component not in drained and len(names) == 1:
+            inside = np.unique(mesh.joint_fracture[label[mesh.joint_flow[:, 0]] == component])
+            fractures = ", ".join(mesh.fractures[i] for i in inside)
+            raise InputError(
+                f"well.{names[0]}: a steady stage pumps into {fractures}, which no [[well]] with a pressure drains:"
+                ' give one, or use kind = "quasi-static", whose walls store the fluid'
+            )
 
 
 def prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None) -> Model:
@@ -214,7 +205,7 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
     numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
     loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
-    return Model(scene, mesh, placed, operators, loads, _steady_loads(scene, operators, loads, placed.closed))
+    return Model(scene, mesh, placed, operators, loads)
 
 
 def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:
@@ -223,15 +214,3 @@ def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:
     parts = blocks.comm.allgather([(i, own[blocks.flow.ids == i][0]) for i in np.intersect1d(ids, blocks.flow.ids)])
     known = {int(i): int(n) for part in parts for i, n in part}
     return np.array([known[int(i)] for i in ids], dtype=np.int64)
-
-
-def _steady_loads(scene: Scene, operators: Operators, loads: Loads, closed: Ints) -> Loads:
-    if not len(closed) or scene.fluid is None:
-        return loads
-    blocks = operators.blocks
-    local = np.flatnonzero(np.isin(blocks.flow.ids, closed))
-    initial = initial_pressure(scene, blocks.flow.points[local])
-    numbers = np.concatenate(blocks.comm.allgather(blocks.flow.starts[blocks.comm.rank] + local))
-    held = Prescribed(local, lambda time: initial)
-    fixed = np.union1d(loads.fixed_flow, operators.layout.flow_numbers(numbers))
-    return replace(loads, pressures=(*loads.pressures, held), fixed_flow=fixed)

@@ -11,6 +11,8 @@ from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.initial import initial_acceleration, starting_pressure
 from fracflow.coupling.step_problem import StepProblem
+from fracflow.errors import NotConverged
+from fracflow.run_network import Network
 from fracflow.run_setup import Model
 from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
@@ -19,6 +21,7 @@ from fracflow.state import Memory, Motion, State, StepReport
 from fracflow.stepping import STEPPERS, Alphas, Steady, Stepper, first
 
 Progress = Mapping[str, float]
+MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
 DONE: Progress = {"done": 1.0}
 
 
@@ -51,7 +54,9 @@ class Stepping:
     def __init__(self, model: Model) -> None:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
-        self._couplings: dict[int, Coupling] = {}
+        self._couplings: dict[int, tuple[Loads, Coupling]] = {}
+        self.network = Network(model)
+        self._network_version = 0
         self._variants: dict[tuple[int, frozenset[Limit]], Loads] = {}
 
     def _coupling(self, loads: Loads) -> Coupling:
@@ -59,8 +64,19 @@ class Stepping:
             kind = COUPLINGS[
                 self.model.scene.method.coupling if self.model.operators.flow is not None else "monolithic"
             ]
-            self._couplings[id(loads)] = kind(self.model.scene, self.model.operators, loads)
-        return self._couplings[id(loads)]
+            self._couplings[id(loads)] = loads, kind(self.model.scene, self.model.operators, loads)
+        return self._couplings[id(loads)][1]
+
+    def _closed(self, loads: Loads, stores: bool) -> Loads:
+        """The loads with what nothing drains closed; solvers for parts of the network that are no more are freed."""
+        found = self.network.close(loads, stores)
+        if self.network.version != self._network_version:
+            self._network_version = self.network.version
+            for key, (known, coupling) in list(self._couplings.items()):
+                if known.closures:
+                    coupling.destroy()
+                    del self._couplings[key]
+        return found
 
     def step(
         self,
@@ -81,44 +97,65 @@ class Stepping:
         last = state.memory.time_step
         rule = stepper if last > 0.0 else first(stepper)
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
-        loads, scheme = loads or self._loads(rule), Scheme(rule.inertia, rule.storage, rule.balance)
-        fluid = self.model.scene.fluid
+        loads, scheme = loads or self.model.loads, Scheme(rule.inertia, rule.storage, rule.balance)
+        fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
-        for _ in range(2 + 2 * len(loads.limits)):
+        if network is not None:
+            self.network.look(network.conduct(state.motion.displacement, state.pressure).conductance)
+        trial: tuple[PETSc.Vec, PETSc.Vec] | None = None
+        for _ in range(MOST_TRIES + 2 * len(loads.limits)):
+            limited = self._limited(loads, reached)
+            closed = self._closed(limited, rule.storage)
             problem = StepProblem(
-                self.model.operators,
-                self._limited(loads, reached),
-                state,
-                alphas,
-                time,
-                controls,
-                restraint,
-                lacking,
+                self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial
             )
+            trial = None
             try:
-                report = self._coupling(problem.loads).solve(problem)
+                report = self._coupling(closed).solve(problem)
                 new = problem.accept(state.energy)
+            except NotConverged:
+                if self._is_closed(problem, limited, rule.storage):
+                    self.network.refuse_inflow(limited, rule.storage, time, controls)
+                    raise
+                trial = problem.hand_on()
+                continue
             finally:
                 problem.destroy()
             now = reached_after(loads, reached, new, fluid.flow_depth if fluid is not None else 1.0)
-            if now == reached:
+            if now == reached and self._is_closed(problem, limited, rule.storage):
+                self.network.refuse_inflow(limited, rule.storage, time, controls)
                 energy = book(self.model.operators, state, new, dt, scheme)
-                limited = tuple(sorted(limit.well for limit in now))
+                wells = tuple(sorted(limit.well for limit in now))
                 memory = _remember(state, new, dt) if stepper.memory else Memory()
                 friction = dissipated(state, new)
-                return replace(new, energy=energy, limited=limited, friction=friction, memory=memory), report
+                self.network.tell(time)
+                return replace(new, energy=energy, limited=wells, friction=friction, memory=memory), report
+            if now == reached:
+                trial = new.motion.displacement.copy(), new.pressure.copy()
             new.destroy()
             reached = now
-        refuse_cycle(reached, time)
+        if loads.limits:
+            refuse_cycle(reached, time)
+        if trial is not None:
+            trial[0].destroy()
+            trial[1].destroy()
+        raise NotConverged(
+            f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
+            " time_step, or give minimum_hydraulic_aperture"
+        )
+
+    def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
+        """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
+        if problem.conduction is None:
+            return True
+        self.network.look(problem.conduction.conductance)
+        return self.network.close(loads, stores) is problem.loads
 
     def _limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
         key = (id(loads), reached)
         if reached and key not in self._variants:
             self._variants[key] = loads.at_limit(reached)
         return self._variants[key] if reached else loads
-
-    def _loads(self, stepper: Stepper) -> Loads:
-        return self.model.loads if stepper.storage else self.model.steady_loads
 
     def enter(self, state: State, stepper: Stepper) -> State:
         """A new state, as a stage takes it over. Collective.
@@ -134,7 +171,7 @@ class Stepping:
         if not stepper.inertia:
             pressure, forces = state.pressure.copy(), state.forces.copy()
             return replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy, memory=Memory())
-        loads = self._limited(self._loads(stepper), reached_before(self._loads(stepper), state))
+        loads = self._limited(self.model.loads, reached_before(self.model.loads, state))
         now = Alphas(a4=-1.0)  # no change of displacement, the velocity as it is
         problem = StepProblem(ops, loads, replace(state, motion=motion), now, state.time, state.controls)
         try:
@@ -152,8 +189,9 @@ class Stepping:
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
-        for coupling in self._couplings.values():
+        for _, coupling in self._couplings.values():
             coupling.destroy()
+        self.network.destroy()
 
 
 def _remember(old: State, new: State, dt: float) -> Memory:

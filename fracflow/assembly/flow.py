@@ -91,6 +91,12 @@ class Flow:
             self.driving(pressure),
         )
 
+    def at_least(self, displacement: PETSc.Vec) -> np.ndarray:
+        """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
+        return np.asarray(
+            (self.least > 0.0) & (self.apertures(displacement) < self.least) & np.isnan(self.given)[:, None]
+        )
+
     def driving(self, pressure: PETSc.Vec) -> Floats:
         """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""
         return _apply(self.pick, pressure).reshape(-1, 2) - self.resting_end

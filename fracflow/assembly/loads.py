@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.components import Closure
 from fracflow.assembly.layout import Layout
 from fracflow.assembly.prescribed import Prescribed, motion, own, prescribe, supported
 from fracflow.assembly.properties import initial_pressure, initial_stress
@@ -52,7 +53,10 @@ class Limit:
 
 @dataclass(frozen=True)
 class Loads:
-    """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks."""
+    """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks.
+
+    ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
+    """
 
     supports: tuple[Prescribed, ...]
     forces: tuple[Pattern, ...]
@@ -61,6 +65,7 @@ class Loads:
     fixed_solid: Ints
     fixed_flow: Ints
     limits: tuple[Limit, ...] = ()
+    closures: tuple[Closure, ...] = ()
 
     def at_limit(self, reached: Collection[Limit]) -> Loads:
         """The same with some wells kept at the pressure of a limit, in place of their flow rates."""

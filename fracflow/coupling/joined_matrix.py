@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.components import Closure, closure_row
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.joints import section_groups
 from fracflow.assembly.layout import Rows, add_blocks, create_matrix, local_rows
@@ -24,10 +25,14 @@ PARTS = ("solid", "flow")
 
 @dataclass(frozen=True)
 class FreePart:
-    """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held."""
+    """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
+
+    ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node.
+    """
 
     held_entries: Ints
     held_diagonal: Ints
+    flow_rows: Ints
     sections: tuple[Ints, ...]
     flow_nodes: Ints
     ends: tuple[Ints, ...]
@@ -64,7 +69,8 @@ class JoinedMatrix:
         self.rows_here = layout.solid_count + layout.flow_count
         diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
         keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
-        union = _union([diagonal, *keys.values()])
+        self._closures = [self._closure(closure) for closure in loads.closures]
+        union = _union([diagonal, *keys.values(), *(rows.rows * layout.total + rows.cols for rows in self._closures)])
         self._row, self._col = union // layout.total, union % layout.total
         self._diagonal = np.searchsorted(union, diagonal)
         self._constant = {}
@@ -72,6 +78,10 @@ class JoinedMatrix:
             if name in parts:
                 self._constant[name] = np.zeros(len(union))
                 self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
+        self._closing = [
+            (self._entries_of(rows), np.searchsorted(union, rows.rows * layout.total + rows.cols), rows.values)
+            for rows in self._closures
+        ]
         self._indptr = petsc_ints(np.searchsorted(self._row, np.arange(self.rows_here + 1)))
         local = (self.rows_here, layout.total)
         csr = (self._indptr, petsc_ints(self._col), np.zeros(len(union)))
@@ -92,6 +102,18 @@ class JoinedMatrix:
         offset = 0 if row_part == "solid" else layout.solid_count
         number = layout.solid_numbers if col_part == "solid" else layout.flow_numbers
         return Rows(rows.rows + offset, number(rows.cols), rows.values)
+
+    def _closure(self, closure: Closure) -> Rows:
+        """A closure's row in scaled unknowns, on the rank that has it."""
+        cols, weights = closure_row(closure, self.layout)
+        here = len(closure.row) > 0
+        row = self.layout.solid_count + int(closure.row[0]) if here else 0
+        count = len(cols) if here else 0
+        scale = 1.0 / self.operators.scales.length if closure.by == "walls" else 1.0
+        return Rows(np.full(count, row), cols[:count], scale * weights[:count])
+
+    def _entries_of(self, rows: Rows) -> Ints:
+        return np.flatnonzero(self._row == rows.rows[0]) if len(rows.rows) else np.zeros(0, dtype=np.int64)
 
     def _network_pattern(self) -> PETSc.Mat:
         size = (self.layout.flow_count, int(self.layout.flow_starts[-1]))
@@ -131,11 +153,16 @@ class JoinedMatrix:
             return np.where(held[numbers], -1, numbers)
 
         own = held[self.layout.start : self.layout.start + self.rows_here]
+        closed = np.zeros(self.layout.total, dtype=bool)
+        here = [int(rows.rows[0]) + self.layout.start for rows in self._closures if len(rows.rows)]
+        closed[np.concatenate(self.layout.comm.allgather(np.array(here, dtype=np.int64)))] = True
+        nodes = free(self._flow_nodes)
         return FreePart(
             np.flatnonzero(own[self._row] | held[self._col]),
             self._diagonal[own],
+            np.where(closed[self._flow_nodes], -1, nodes),
             tuple(free(numbers) for numbers in self._sections),
-            free(self._flow_nodes),
+            nodes,
             tuple(free(numbers) for _, numbers, _ in self._ends),
         )
 
@@ -178,6 +205,9 @@ class JoinedMatrix:
         if only not in self._free_parts:
             self._free_parts[only] = self._find_free(only)
         free = self._free_parts[only]
+        for entries, places, weights in self._closing:
+            data[entries] = 0.0
+            data[places] = weights
         data[free.held_entries] = 0.0
         data[free.held_diagonal] = 1.0
         matrix.setValuesCSR(self._indptr, petsc_ints(self._col), data)
@@ -186,8 +216,8 @@ class JoinedMatrix:
             add_blocks(matrix, numbers, numbers, solid_solid * values)
         if ops.flow is not None and conduction is not None:
             flow_flow = scales.pressure / flow_scale
-            nodes = free.flow_nodes
-            add_blocks(matrix, nodes, nodes, flow_flow * flow_element.conductivity(conduction.conductance))
+            nodes = free.flow_rows
+            add_blocks(matrix, nodes, free.flow_nodes, flow_flow * flow_element.conductivity(conduction.conductance))
             slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
             for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
                 joint, end = ends // 2, ends % 2

@@ -80,10 +80,12 @@ class StepProblem:
         controls: Mapping[str, float],
         restraint: PETSc.Vec | None = None,
         lacking: float = 0.0,
+        start: tuple[PETSc.Vec, PETSc.Vec] | None = None,
     ) -> None:
         """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective.
 
         lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
+        start    displacements and pressures to begin from in place of the state's; the problem owns them
         """
         self.operators, self.loads, self.state = operators, loads, state
         self.alphas, self.time, self.controls = alphas, time, controls
@@ -94,8 +96,7 @@ class StepProblem:
             self.load.axpy(1.0, restraint)
         loads.source(time, controls, self.source)
         self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
-        self.displacement = state.motion.displacement.copy()
-        self.pressure = state.pressure.copy()
+        self.displacement, self.pressure = start or (state.motion.displacement.copy(), state.pressure.copy())
         self.impose(self.displacement, self.pressure)
         self.branch: Past = state.sections.past
         self.sections: Sections = state.sections
@@ -182,11 +183,23 @@ class StepProblem:
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         speed.destroy()
+        self._close()
         # what an element carries at full pressure: the size of the terms whose difference is its flow
         size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
         size = np.maximum(size, LEAST_DRIVE * self.operators.scales.pressure)
         through = (self.conduction.conductance[:, None] * size).max(initial=0.0)
         return [*terms, self.operators.layout.comm.allreduce(float(through), op=MPI.MAX)]
+
+    def _close(self) -> None:
+        """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
+        scales, local = self.operators.scales, self.flow_balance.getArray()
+        motion, pressure = self.state.motion.displacement, self.state.pressure
+        for closure in self.loads.closures:
+            if closure.by == "walls":
+                defect = closure.defect(self.displacement, motion) / (scales.length * scales.displacement)
+            else:
+                defect = closure.defect(self.pressure, pressure) / scales.pressure
+            local[closure.row] = self.flow_scale() * defect
 
     def _hold(self) -> None:
         for vector, parts in ((self.solid_balance, self.loads.supports), (self.flow_balance, self.loads.pressures)):
@@ -260,6 +273,12 @@ class StepProblem:
         support.getArray()[~held] = 0.0
         term.destroy()
         return Forces(self.load.copy(), support, conduction, source)
+
+    def hand_on(self) -> tuple[PETSc.Vec, PETSc.Vec] | None:
+        """Copies of the trial for another problem to start from; None where it is not finite. Collective."""
+        if not np.isfinite(self.displacement.norm() + self.pressure.norm()):
+            return None
+        return self.displacement.copy(), self.pressure.copy()
 
     def destroy(self) -> None:
         """Free the vectors of the trial."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.assembly.properties import along_fractures
 from fracflow.mesh.data import Floats, Ints, SplitMesh
@@ -79,12 +79,14 @@ class Snapshot:
     probed  joint -> (2, names) at the joints that end at probes
     names   columns of ``probed``
     nodes   node -> (3, dim) its displacement, velocity and acceleration
+    least   number of joint ends that conduct by their minimum aperture, and the most that flows through one
     """
 
     ends: Floats
     probed: Mapping[int, Floats]
     names: tuple[str, ...]
     nodes: Mapping[int, Floats]
+    least: tuple[int, float] = (0, 0.0)
 
     def column(self, name: str) -> Floats:
         """One quantity of every step at all joint ends (joints, 2)."""
@@ -131,12 +133,24 @@ def take(sampler: Sampler, state: State) -> Snapshot | None:
         sampler, (state.motion.displacement, state.motion.velocity, state.motion.acceleration), sampler.nodes
     )
     here = (blocks.joints.ids[sampler.probed], table[sampler.probed], blocks.solid.node_ids[sampler.nodes], motion)
+    least = _at_least(sampler, state)
     parts = blocks.comm.gather(here, root=0)
     if parts is None or ends is None:
         return None
     joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
     nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
-    return Snapshot(ends, joints, sampler.names, nodes)
+    return Snapshot(ends, joints, sampler.names, nodes, least)
+
+
+def _at_least(sampler: Sampler, state: State) -> tuple[int, float]:
+    flow, comm = sampler.operators.flow, sampler.operators.blocks.comm
+    if flow is None:
+        return 0, 0.0
+    ends = flow.at_least(state.motion.displacement)
+    network = flow.conduct(state.motion.displacement, state.pressure)
+    through = np.abs(network.conductance * (network.pressure[:, 0] - network.pressure[:, 1]))[ends.any(axis=1)]
+    most = comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX) * sampler.flow_depth
+    return comm.allreduce(int(ends.sum())), most
 
 
 def all_ends(sampler: Sampler, state: State) -> Floats | None:

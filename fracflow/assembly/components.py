@@ -1,0 +1,133 @@
+"""Parts of the network whose nodes exchange fluid, and what settles the pressure of one that nothing drains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.layout import Layout
+from fracflow.assembly.operators import Operators
+from fracflow.mesh.data import Floats, Ints
+
+CONDUCTS = 1e-12  # of the largest conductance of all: an element with less is pinched
+FREE = 1e-12  # of the volume that the walls of a free node take up
+
+
+def label_parts(links: Ints, conducts: np.ndarray, count: int) -> Ints:
+    """The part (count,) that each node belongs to, by links (m, 2) of which those that conduct (m,) join."""
+    joined = links[conducts]
+    graph = sparse.coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the network, the same on every rank.
+
+    nodes      (n,) numbers of its flow nodes
+    fractures  names of the fractures that its elements are of
+    center     (dim,) mean of its nodes [length]
+    """
+
+    nodes: Ints
+    fractures: tuple[str, ...]
+    center: Floats
+
+    def __str__(self) -> str:
+        names = ", ".join(self.fractures)
+        return f"{names} ({len(self.nodes)} nodes around ({', '.join(f'{x:.6g}' for x in self.center)}))"
+
+
+@dataclass(frozen=True)
+class Closure:
+    """What stands for the balance at one node of a part that nothing drains and where nothing is stored.
+
+    The balances of its nodes add up to nothing, so one says what the others do, and the level is left open.
+
+    by       "walls": the part keeps its volume; "level": its mean pressure, where its walls cannot move, or where it is
+             one node that is pinched on all sides, which must be free to open again
+    row      local number of the node on the rank that owns it, empty elsewhere
+    weights  change of the volume with the displacements, or shares of the pressures in the mean
+    """
+
+    by: Literal["walls", "level"]
+    row: Ints
+    weights: PETSc.Vec
+
+    def defect(self, now: PETSc.Vec, before: PETSc.Vec) -> float:
+        """Change of what is to be kept, between displacements or pressures. Collective."""
+        return float(self.weights.dot(now)) - float(self.weights.dot(before))
+
+
+def conducting(conductance: Floats, comm: MPI.Comm) -> np.ndarray:
+    """Which elements (j,) of this rank conduct. Collective."""
+    most = comm.allreduce(float(conductance.max(initial=0.0)), op=MPI.MAX)
+    return np.asarray(conductance > CONDUCTS * most)
+
+
+def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
+    """All parts, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
+    blocks = operators.blocks
+    comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
+    links = np.concatenate(comm.allgather(joints.flow))
+    label = label_parts(links, np.concatenate(comm.allgather(conducts)), count)
+    points = np.concatenate(comm.allgather(blocks.flow.points))
+    pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
+    here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}
+    names: dict[int, list[str]] = {}
+    for part, name in sorted(set().union(*comm.allgather(here))):
+        names.setdefault(part, []).append(name)
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if count else []
+    return tuple(
+        Part(nodes, tuple(names.get(int(label[nodes[0]]), [])), points[nodes].mean(axis=0)) for nodes in groups
+    )
+
+
+def free_walls(operators: Operators, fixed_solid: Ints) -> np.ndarray:
+    """Which flow nodes (all of them) have walls that can take up fluid, with some displacements held. Collective."""
+    layout, network = operators.layout, operators.flow
+    assert network is not None
+    motion, taken = layout.solid_vector(), layout.flow_vector()
+    first = int(layout.solid_starts[layout.comm.rank])
+    joined = layout.solid_numbers(np.arange(first, first + layout.solid_count))
+    some = 1.0 + 0.5 * np.sin(1.0 + np.arange(first, first + layout.solid_count))  # no motion of a rigid body
+    motion.setArray(np.where(np.isin(joined, fixed_solid), 0.0, some))
+    network.squeeze.multTranspose(motion, taken)
+    whole = np.concatenate(layout.comm.allgather(taken.getArray().copy()))
+    motion.destroy()
+    taken.destroy()
+    return np.asarray(np.abs(whole) > FREE * operators.scales.length)
+
+
+def close(operators: Operators, part: Part, fixed_solid: Ints) -> Closure:
+    """The closure of a part that nothing drains. The caller owns its weights. Collective."""
+    layout, network = operators.layout, operators.flow
+    assert network is not None
+    inside = layout.flow_vector()
+    first = int(layout.flow_starts[layout.comm.rank])
+    local = part.nodes[(part.nodes >= first) & (part.nodes < first + layout.flow_count)] - first
+    row = local[local + first == part.nodes[0]]
+    if len(part.nodes) == 1 or not free_walls(operators, fixed_solid)[part.nodes].any():
+        inside.getArray()[local] = 1.0 / len(part.nodes)
+        return Closure("level", row, inside)
+    inside.getArray()[local] = 1.0
+    weights = layout.solid_vector()
+    network.squeeze.mult(inside, weights)
+    inside.destroy()
+    return Closure("walls", row, weights)
+
+
+def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
+    """Joined numbers of the unknowns in a closure's row, and their weights; the same on every rank. Collective."""
+    local = closure.weights.getArray(readonly=True)
+    first = closure.weights.getOwnershipRange()[0]
+    entries = np.flatnonzero(local)
+    number = layout.solid_numbers if closure.by == "walls" else layout.flow_numbers
+    gathered = layout.comm.allgather((number(entries + first), local[entries].copy()))
+    return np.concatenate([cols for cols, _ in gathered]), np.concatenate([values for _, values in gathered])

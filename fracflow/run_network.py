@@ -1,0 +1,142 @@
+"""Follows which parts of the network exchange fluid, and closes those that nothing drains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.assembly.components import Part, close, conducting, find_parts, free_walls
+from fracflow.assembly.loads import Loads
+from fracflow.errors import SolveError
+from fracflow.mesh.data import Floats
+from fracflow.run_setup import Model
+
+MOST_TOLD = 5  # parts that the log lists
+BALANCED = 1e-12  # of the sum of the flow rates' sizes
+
+
+@dataclass(frozen=True)
+class _Closed:
+    """Loads with the parts closed that nothing drains, and the wells of each. ``original`` keeps the key alive."""
+
+    original: Loads
+    loads: Loads
+    parts: tuple[tuple[Part, tuple[str, ...], bool], ...]
+
+
+class Network:
+    """The parts of a model's network as they are now."""
+
+    def __init__(self, model: Model, log: Callable[[str], None] = lambda line: None) -> None:
+        """No part is known before the first step."""
+        self.model, self.log = model, log
+        self._conducts: np.ndarray | None = None
+        self._told: np.ndarray | None = None
+        self._parts: tuple[Part, ...] = ()
+        self._closed: dict[tuple[int, bool], _Closed] = {}
+        self.version = 0
+
+    def close(self, loads: Loads, stores: bool) -> Loads:
+        """The same loads with the parts closed that nothing drains, where nothing is stored. Collective.
+
+        stores  the walls' motion takes part in the balance, so that it settles the pressures of a part
+        """
+        return self._found(loads, stores).loads if self.model.operators.flow is not None else loads
+
+    def refuse_inflow(self, loads: Loads, stores: bool, time: float, controls: Mapping[str, float]) -> None:
+        """Raise SolveError, on every rank, naming a closed part into which more flows than out. Collective."""
+        for part, wells, moves in self._found(loads, stores).parts if self.model.operators.flow is not None else ():
+            rates = [loads.demanded(well, time, controls) for well in wells]
+            if abs(sum(rates)) > BALANCED * sum(map(abs, rates)):
+                self._refuse(part, wells, sum(rates), moves, time)
+
+    def _found(self, loads: Loads, stores: bool) -> _Closed:
+        key = (id(loads), stores)
+        if key not in self._closed:
+            self._closed[key] = self._make(loads, stores)
+        return self._closed[key]
+
+    def look(self, conductance: Floats) -> None:
+        """Find the parts anew where elements (j,) of this rank have begun or ceased to conduct. Collective."""
+        operators, before = self.model.operators, self._conducts
+        now = conducting(conductance, operators.layout.comm)
+        if operators.layout.comm.allreduce(before is None or not np.array_equal(before, now), op=MPI.LOR):
+            self.destroy()
+            self.version += 1
+            self._conducts, self._parts = now, find_parts(operators, now)
+
+    def tell(self, time: float) -> None:
+        """Log what has begun or ceased to conduct since the last time, and what no pressure reaches. Collective."""
+        before, now = self._told, self._conducts
+        if now is None:
+            return
+        self._told = now
+        same = before is None or np.array_equal(before, now)
+        if before is None or self.model.operators.layout.comm.allreduce(same, op=MPI.LAND):
+            return
+        pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
+        what = [f"{names} {word}" for names, word in ((pinched, "pinched shut"), (opened, "conducts again")) if names]
+        self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
+        drained = self._drained(self.model.loads)
+        cut_off = sorted((part for part in self._parts if not drained[part.nodes].any()), key=lambda p: -len(p.nodes))
+        for part in cut_off[:MOST_TOLD]:
+            self.log(f"time {time:.6g}: no pressure is prescribed in {part}")
+        if len(cut_off) > MOST_TOLD:
+            self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_TOLD} more parts")
+
+    def _drained(self, loads: Loads) -> np.ndarray:
+        layout = self.model.operators.layout
+        numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
+        return np.isin(numbers, loads.fixed_flow)
+
+    def _make(self, loads: Loads, stores: bool) -> _Closed:
+        operators, fluid = self.model.operators, self.model.scene.fluid
+        assert fluid is not None
+        drained, free = self._drained(loads), free_walls(operators, loads.fixed_solid)
+        if stores and getattr(fluid, "compressibility", 0.0) > 0.0:
+            return _Closed(loads, loads, ())
+        parts, closures = [], []
+        nodes = {
+            name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
+        }
+        for part in self._parts:
+            moves = bool(free[part.nodes].any())
+            if drained[part.nodes].any() or (stores and moves):
+                continue
+            wells = tuple(name for name, node in nodes.items() if node in part.nodes)
+            parts.append((part, wells, moves))
+            closures.append(close(operators, part, loads.fixed_solid))
+        return _Closed(loads, replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
+
+    def _node(self, vector: object) -> int:
+        local = vector.getArray(readonly=True)  # type: ignore[attr-defined]
+        here = np.flatnonzero(local) + vector.getOwnershipRange()[0]  # type: ignore[attr-defined]
+        return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
+
+    def _refuse(self, part: Part, wells: tuple[str, ...], total: float, moves: bool, time: float) -> None:
+        system = self.model.scene.unit_system
+        unit = system.unit("length**3/time") if system.name != "none" else ""
+        why = "in a steady stage its walls store nothing" if moves else "its walls cannot move"
+        other = 'use kind = "quasi-static", whose walls store the fluid' if moves else "give fluid.compressibility"
+        raise SolveError(
+            f"time {time:.6g}: flow rates of {', '.join(wells)} add up to {total:.6g} {unit}".rstrip()
+            + f" in {part}, which no pressure drains, and {why}: give a [[well]] with a pressure there, let the flow rates"
+            f" add up to zero, or {other}"
+        )
+
+    def destroy(self) -> None:
+        """Forget the closed loads. Collective."""
+        for found in self._closed.values():
+            for closure in found.loads.closures:
+                closure.weights.destroy()
+        self._closed.clear()
+
+
+def _names(model: Model, chosen: np.ndarray) -> str:
+    """Fractures, over all ranks, that have one of the chosen elements (j,). Collective."""
+    joints = model.operators.blocks.joints
+    here = {joints.fractures[f] for f in joints.fracture[chosen]}
+    return ", ".join(sorted(set().union(*model.operators.layout.comm.allgather(here))))

@@ -1,0 +1,50 @@
+"""What a run counts while it goes on, and the last lines of its log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
+
+
+@dataclass
+class Totals:
+    """Counts over the run."""
+
+    steps: int = 0
+    newton: int = 0
+    factorisations: int = 0
+    narrowest: float = np.inf
+    narrow_time: float = np.nan
+    least: int = 0
+    least_flow: float = 0.0
+    spurious: float = 0.0
+    spurious_time: float = np.nan
+    handed_over: int = 0
+    told_factor: float = np.nan
+
+    def last_words(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
+        """What the log ends with, after so many ``seconds``."""
+        if self.narrowest < NARROW:
+            yield (
+                f"smallest slip margin {self.narrowest:.1e} at time {self.narrow_time:.6g}:"
+                " what follows there is not settled by arithmetic"
+            )
+        if watches_spurious:
+            yield (
+                f"spurious work of the coupling: at most {self.spurious:.1e} of the largest entry of the energy books"
+                + (f", at time {self.spurious_time:.6g}" if self.spurious else "")
+            )
+        if self.least:
+            yield (
+                f"up to {self.least} joint ends conducted by minimum_hydraulic_aperture, at most {self.least_flow:.3g}"
+                " through one of them: halve it, and see whether anything changes"
+            )
+        if self.handed_over:
+            yield f"{self.handed_over} steps were handed over to the monolithic solver"
+        yield (
+            f"{self.steps} steps, {self.newton} Newton iterations, {self.factorisations} factorisations in {seconds:.2f} s"
+        )

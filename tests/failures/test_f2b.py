@@ -1,0 +1,84 @@
+"""F2b: two fractures, one without an outlet: named where more flows in than out, else its walls keep their volume."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError, SolveError
+from fracflow.output import list_steps, read_history, read_step
+from fracflow.run import run
+from fracflow.scene import load
+
+SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f2b_no_outlet" / "scene.toml"
+QUIET = "output.pictures=false"
+
+
+def history(folder, *overrides):
+    run(load(SCENE, [QUIET, *overrides]), folder)
+    MPI.COMM_WORLD.barrier()
+    return read_history(folder / "history.h5")
+
+
+def volumes(folder):
+    """Volume between the walls of the sealed fracture, at the start and at the end: sum of L (d_1 + d_2)/2."""
+    found = []
+    for _, path in (list_steps(folder, "fractures")[i] for i in (0, -1)):
+        _, point, cell = read_step(path)
+        sealed = cell["fracture"] == 1
+        found.append(point["aperture"].reshape(-1, 2)[sealed].mean(axis=1))
+    length = np.hypot(6, 3) / len(found[0])
+    return found[0].sum() * length, found[1].sum() * length
+
+
+def test_what_flows_in_flows_out_and_the_volume_stays(shared_tmp):
+    """q = d^3 dp / (12 mu L) for openings far smaller than d; the level is settled by the volume of the walls."""
+    found = history(shared_tmp / "run")
+    drop = found["probe/in/pressure"][-1] - found["probe/out/pressure"][-1]
+    assert drop == pytest.approx(12e-3 * np.hypot(6, 3) * 2e-5 / 1e-9, rel=2e-4)
+    before, after = volumes(shared_tmp / "run")
+    assert after == pytest.approx(before, rel=1e-13)
+    mean = 0.5 * (found["probe/in/pressure"] + found["probe/out/pressure"])[-1]
+    assert abs(mean - 1e6) < 0.01 * drop and mean != 1e6  # the volume, not the mean pressure, is kept
+    largest = max(np.abs(v).max() for k, v in found.items() if k.startswith("energy/"))
+    assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
+
+
+def test_the_level_is_that_of_slow_storage(shared_tmp):
+    """The end of quasi-static steps: after 3 s, of a thousand times 12 mu / (d^3 k_n kappa^2), nothing is left to settle."""
+    steady = history(shared_tmp / "steady")
+    slow = history(shared_tmp / "slow", "stage.0={kind='quasi-static', time_step=0.1, steps=30}")
+    for key in ("probe/in/pressure", "probe/out/pressure"):
+        assert steady[key][-1] == pytest.approx(slow[key][-1], rel=1e-11)
+
+
+def test_it_does_not_matter_which_node_gives_way(shared_tmp, monkeypatch):
+    from fracflow.assembly import components
+
+    first = history(shared_tmp / "first")
+    whole = components.find_parts
+    turned = lambda *given: tuple(components.Part(p.nodes[::-1], p.fractures, p.center) for p in whole(*given))  # noqa: E731
+    monkeypatch.setattr("fracflow.run_network.find_parts", turned)
+    last = history(shared_tmp / "last")
+    for key in ("probe/in/pressure", "probe/out/pressure"):
+        assert last[key] == pytest.approx(first[key], rel=1e-12)
+
+
+def test_inflow_that_cannot_go_anywhere_is_named(shared_tmp):
+    with pytest.raises(SolveError, match=r"flow rates of in, out add up to 5e-06 m\*\*3/s in sealed \(.* nodes around"):
+        history(shared_tmp / "run", "well.in.flow_rate=2.5e-5")
+    with pytest.raises(InputError, match=r"well.in: a steady stage pumps into sealed, which no .* drains"):
+        history(shared_tmp / "run", "well.out.at=[2, 3]")
+
+
+@pytest.mark.parametrize("model", ["default", "report"])
+def test_a_sealed_fracture_without_wells_keeps_its_volume(shared_tmp, model):
+    """Squeezed from outside, its pressure answers as that of a sealed one must."""
+    wells = ["well.in.at={fracture='drained', end='start'}", "well.out.at={fracture='drained', end='start'}"]
+    lowered = "support.0.displacement_gradient=[[0, 0], [0, -1e-5]]"
+    found = history(shared_tmp / "run", *wells, f"model={model}", lowered)
+    before, after = volumes(shared_tmp / "run")
+    assert after == pytest.approx(before, rel=1e-12)
+    assert found["probe/in/pressure"][-1] == pytest.approx(found["probe/out/pressure"][-1], rel=1e-9)
+    assert found["probe/in/pressure"][-1] > 1.05e6
