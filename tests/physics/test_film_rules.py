@@ -44,6 +44,7 @@ def energies(found):
     return entries, max(np.abs(values).max() for values in entries.values())
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("film", RULES)
 def test_order_and_what_the_scheme_dissipates(shared_tmp, film):
     """A film that lets go of its load: order 1 or 2 of the pressure, and of what is booked as the scheme's.
