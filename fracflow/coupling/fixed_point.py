@@ -161,6 +161,9 @@ class FixedPoint:
         balance, added = self.network.createVecs()
         balance.setArray(problem.flow_balance.getArray(readonly=True) / -scale)
         self.flow.solve(balance, added)
+        if self.flow.getConvergedReason() < 0:  # a factorisation that failed is not made anew
+            self.flow.destroy()
+            self.flow = solver_of(self.network, "flow_fieldsplit_flow_")
         solved, result = is_solved(self.network, added, balance), added.getArray() * unit
         balance.destroy()
         added.destroy()
