@@ -17,12 +17,12 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.step_problem import StepProblem
+from fracflow.coupling.true_residual import UNSOLVED, true_residual
 from fracflow.mesh.data import Floats
 from fracflow.stepping import Alphas
 
 POWER_ITERATIONS = 60
 SETTLED = 1e-5  # relative change of the estimate, twice in a row, that ends the power iteration
-UNSOLVED = 1e-3  # a flow whose residual is not a small part of its source has no solution: its matrix is singular
 DOUBLINGS = 8
 TRIALS = 8
 NEAR = 0.02  # of 1, where the limit of the time step is searched
@@ -205,12 +205,9 @@ def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
 
 def is_solved(matrix: PETSc.Mat, solution: PETSc.Vec, source: PETSc.Vec) -> bool:
     """Whether A x = b holds at all: a direct solver calls garbage converged where A is singular. Collective."""
-    rest = source.duplicate()
-    matrix.mult(solution, rest)
-    rest.axpy(-1.0, source)
-    wrong, size = rest.norm(), source.norm()
-    rest.destroy()
-    return bool(wrong <= UNSOLVED * size)
+    relative, left = true_residual(matrix, solution, source)
+    left.destroy()
+    return relative <= UNSOLVED
 
 
 def add_diagonal(matrix: PETSc.Mat, values: Floats) -> None:

@@ -31,7 +31,7 @@ from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.relaxation import RELAXATIONS, Cycles
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import SolveError
+from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 from fracflow.state import StepReport
@@ -111,8 +111,8 @@ class FixedPoint:
             self._start_again(problem)
             problem.evaluate()
             why = self._reason(problem, prediction, changes) + (f" ({lost})" if str(lost) else "")
-            if not hands_over:
-                raise SolveError(why) from lost
+            if not hands_over:  # a smaller time step may help the solid, where it was the solid that failed
+                raise (NotConverged if str(lost) and not is_hopeless else SolveError)(why) from lost
             report = replace(self._hand_over(problem), cycles=len(changes), handed_over=why)
         return replace(report, predicted=prediction.factor, measured=_measured(changes))
 
@@ -237,7 +237,7 @@ class FixedPoint:
         """Put the trial back to where the step starts."""
         problem.state.motion.displacement.copy(problem.displacement)
         problem.state.pressure.copy(problem.pressure)
-        problem.loads.impose(problem.time, problem.displacement, problem.pressure)
+        problem.impose(problem.displacement, problem.pressure)
         problem.branch = problem.state.sections.past
 
     def _hand_over(self, problem: StepProblem) -> StepReport:

@@ -24,14 +24,23 @@ def test_jacobian_is_the_derivative(stepper, model):
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
-    layout = matrix.layout
-    point, step, plus, minus, product = (layout.joined_vector() for _ in range(5))
+    layout, unknowns = matrix.layout, matrix.layout.joined_vector()
     random = np.random.default_rng(7 + layout.comm.rank)
     # displacements around a tenth of f_n0/k_n0 and pressures around a tenth of f_n0; what is held stays
     newton._pack(problem)
-    newton.unknowns.copy(point)
-    point.setArray(point.getArray() + 1e-1 * random.standard_normal(point.getLocalSize()))
-    newton._unpack(point)
+    newton.unknowns.copy(unknowns)
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    newton.destroy()
+    matrix.destroy()
+    problem.destroy()
+
+
+def check_derivative(newton, random):
+    """The Jacobian times a random direction against a central difference of both balances, at the trial of ``newton``."""
+    problem, matrix, layout = newton.problem, newton.matrix, newton.matrix.layout
+    point, step, plus, minus, product = (layout.joined_vector() for _ in range(5))
     newton._pack(problem)
     newton.unknowns.copy(point)
     local = random.standard_normal(step.getLocalSize())
@@ -51,6 +60,33 @@ def test_jacobian_is_the_derivative(stepper, model):
         wrong = np.abs(difference.getArray()[part] - product.getArray()[part]).max(initial=0.0)
         size = layout.comm.allreduce(np.abs(product.getArray()[part]).max(initial=0.0), op=MPI.MAX)
         assert layout.comm.allreduce(wrong, op=MPI.MAX) <= 2e-7 * size
+    newton._function(newton.snes, point, product)
+
+
+@pytest.mark.parametrize("stepper", [Steady(), BackwardEuler(), Newmark()], ids=["steady", "backward-euler", "newmark"])
+def test_jacobian_where_joints_open_slide_and_pinch(stepper):
+    """The same with sections open, sliding, and narrower than the minimum hydraulic aperture, all at once."""
+    stiff = ("normal_stiffness=200 GPa/m", "shear_stiffness=100 GPa/m", "minimum_hydraulic_aperture=0.25 mm")
+    overrides = [f"fracture.default.{key}" for key in stiff]
+    scene = load("meshes/crossings/scene.toml", overrides)
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, comm = rest(prepared), prepared.operators.layout.comm
+    problem = StepProblem(prepared.operators, prepared.loads, state, stepper.alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    matrix = JoinedMatrix(prepared.operators, prepared.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem, newton._is_start = problem, False
+    random = np.random.default_rng(11 + comm.rank)
+    # two walls part or close by 0.28 mm at most: none is crushed, which 0.3 mm would do
+    problem.displacement.setArray(random.uniform(-1e-4, 1e-4, prepared.operators.layout.solid_count))
+    problem.pressure.setArray(1e6 + 1e6 * random.random(prepared.operators.layout.flow_count))
+    problem.impose(problem.displacement, problem.pressure)
+    problem.evaluate()
+    problem.change_statuses()
+    check_derivative(newton, random)
+    flow, sections = prepared.operators.flow, problem.sections
+    is_pinched = flow.apertures(problem.displacement) < flow.least
+    counts = [sections.is_open.sum(), sections.is_sliding.sum(), is_pinched.sum(), (~is_pinched).sum()]
+    assert comm.allreduce(np.array(counts)).min() >= 5, counts
     newton.destroy()
     matrix.destroy()
     problem.destroy()
