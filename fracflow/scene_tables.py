@@ -101,6 +101,11 @@ class Method(Part):
         " were, or in every iteration, but each section once only (5.1): an overshoot may then end in a sliding state where an"
         " elastic one exists",
     )
+    line_search: Literal["none", "residual", "energy"] = Field(
+        default="energy",
+        description="what shortens a step of Newton once joints open and close in circles, or whole steps do not converge:"
+        " nothing, the size of the residual, or the work that the unbalanced forces do along the step",
+    )
     newton_test: Literal["residual", "out-of-balance", "displacement"] = Field(
         default="residual", description="when Newton stops: scaled residuals, (4.9a), or (4.9b)"
     )

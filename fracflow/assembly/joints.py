@@ -108,6 +108,11 @@ class Joints:
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
+    def change_at(self, strain: Floats, increment: Floats) -> float:
+        """Fraction of an increment at which the first section of this rank opens or closes; inf where none does."""
+        places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
+        return min([np.inf, *(float(np.min(place)) for place in places)])
+
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
         """(2.15)-(2.19), (2.31) ``result`` += G' W f: forces that resist, tension's +n on top. Collective."""
         tractions = self.jump.createVecLeft()

@@ -16,6 +16,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.floating import Floating
 from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
+from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.coupling.near_null import tell_rigid_motions
 from fracflow.coupling.newton_failure import describe_failure, describe_floating
 from fracflow.coupling.newton_methods import NEWTON_METHODS
@@ -26,6 +27,8 @@ from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
+PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
+JUST_PAST = 1e-6  # relative: how far past the opening or closing of a joint a shortened step ends
 SOFT = 1e-6  # of the natural stiffness: what holds a loose block on its way to the next contact
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
@@ -76,6 +79,8 @@ class Newton:
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
+        self._patterns: list[np.ndarray] = []
+        self._flipped, self._circles = np.zeros(0, dtype=bool), False
         self._is_start, self._is_filled = True, False
         self._out_of_balance: list[float] = []
 
@@ -86,7 +91,7 @@ class Newton:
         fills, iterations, comm = self.matrix.fills, 0, self.matrix.layout.comm
         for _ in range(MOST_CHANGES):
             self._pack(problem)
-            self._is_start = True
+            self._is_start, self._circles = True, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 self.snes.solve(None, self.unknowns)
@@ -205,14 +210,59 @@ class Newton:
             self._refuse_flight(problem, strains)
         if fraction < 1.0:
             step.scale(fraction)
+        if self._circles:
+            searched = self._search(problem, unknowns, step, strains * fraction)
+            step.scale(searched)
+            fraction *= searched
+        if fraction < 1.0:
             self._step = np.inf
         return bool(fraction < 1.0)
+
+    def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
+        """Fraction of a step that leads out of the circle; what the problem is evaluated at is left anywhere. Collective."""
+        comm, middle = self.matrix.layout.comm, self.matrix.layout.solid_count
+        trial, balance = unknowns.duplicate(), self.balance.duplicate()
+        change = comm.allreduce(self.matrix.operators.joints.change_at(problem.sections.strain, strains), op=MPI.MIN)
+
+        def at(fraction: float) -> None:
+            trial.waxpy(-fraction, step, unknowns)
+            self._function(self.snes, trial, balance)
+
+        def size(fraction: float) -> float:
+            at(fraction)
+            return float(balance.norm())
+
+        def power(fraction: float) -> float:
+            at(fraction)
+            return float(comm.allreduce(float(balance.getArray()[:middle] @ step.getArray(readonly=True)[:middle])))
+
+        try:
+            if self.scene.method.line_search == "energy":
+                return by_energy(power, power(0.0))
+            return by_residual(size, size(0.0), change * (1.0 + JUST_PAST))
+        finally:
+            trial.destroy()
+            balance.destroy()
+
+    def _watch(self, iteration: int, is_open: np.ndarray) -> None:
+        """Notice that joints open and close in circles, or that it takes long. Collective."""
+        if iteration == 0:
+            self._patterns = []
+        same = np.array([np.array_equal(is_open, old) for old in self._patterns], dtype=np.int32)
+        everywhere = np.zeros_like(same)
+        self.matrix.layout.comm.Allreduce(same, everywhere, op=MPI.MIN)
+        self._flipped = is_open ^ self._patterns[-1] if self._patterns else np.zeros(len(is_open), dtype=bool)
+        if self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow":
+            returns = bool(everywhere.any()) and not everywhere[-1]
+            self._circles |= returns or iteration >= PATIENCE
+        self._patterns.append(is_open.copy())
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reasons = PETSc.SNES.ConvergedReason
         problem, accuracy = self.problem, self.scene.accuracy
         assert problem is not None
         self._out_of_balance.append(problem.residual.out_of_balance)
+        self._watch(iteration, problem.sections.is_open)
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.past)
         self._is_start = False
@@ -236,7 +286,9 @@ class Newton:
 
     def _failure(self, reason: int, iterations: int) -> SolveError:
         assert self.problem is not None
-        return NotConverged(describe_failure(self.scene, self.problem, self._restless, reason, iterations))
+        return NotConverged(
+            describe_failure(self.scene, self.problem, self._restless, self._flipped, reason, iterations)
+        )
 
     def destroy(self) -> None:
         """Free the solver. Collective."""

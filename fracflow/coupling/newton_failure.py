@@ -6,27 +6,43 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.floating import Floating
+from fracflow.assembly.properties import on_joints
 from fracflow.coupling.newton_methods import NEWTON_METHODS
 from fracflow.coupling.step_problem import StepProblem
+from fracflow.elements import joint
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
+MOST_PLACES = 5
 SAME = 1e-6  # share of a motion that is none
 
 
-def describe_failure(scene: Scene, problem: StepProblem, restless: Bools, reason: int, iterations: int) -> str:
-    """The message of a SolveError, the same on every rank; ``restless`` (s,) changed status last. Collective."""
+def describe_failure(
+    scene: Scene, problem: StepProblem, restless: Bools, flipped: Bools, reason: int, iterations: int
+) -> str:
+    """The message of a SolveError, the same on every rank. Collective.
+
+    restless, flipped  (s,) sections that last began or ended to slide, and to be open
+    """
     blocks, accuracy, name = problem.operators.blocks, scene.accuracy, scene.method.newton
     weakness, start = NEWTON_METHODS[name].weakness, problem.state.sections
     slipped = fractures_of(blocks, start.is_sliding | start.inelastic.any(axis=1)) if weakness else ""
-    changing = fractures_of(blocks, restless) if not slipped else ""
+    cycling = [
+        f"{count} sections keep changing between {between}: {places}; "
+        for chosen, between in ((restless, "sticking and sliding"), (flipped, "open and closed"))
+        if not slipped
+        and (count := blocks.comm.allreduce(int(chosen.sum())))
+        and (places := places_of(blocks, chosen, joint.RULES[scene.method.quadrature][0]))
+    ]
     what = "Newton" if name == "newton" else f'method.newton = "{name}"'
     remedy = "try a smaller time_step" if name == "newton" else 'set method.newton = "newton"'
     if not slipped:
         remedy += ", or raise accuracy.max_iterations"
-    where = f"sections of {changing} keep changing between sticking and sliding; " if changing else ""
+    if cycling and scene.method.line_search == "none":
+        remedy += ', or set method.line_search = "energy"'
+    where = "".join(cycling)
     where += f"{weakness} (slipped before: {slipped}); " if slipped else ""
     reasons = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
     reason = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN if not np.isfinite(problem.residual.solid) else reason
@@ -96,6 +112,19 @@ def _around(floating: Floating, problem: StepProblem, piece: int) -> str:
     if sliding == joints:
         return f"all {joints} joints slide" if joints > 1 else "its joint slides"
     return f"of {joints} joints {open_} open and {sliding} sliding"
+
+
+def places_of(blocks: Blocks, chosen: Bools, natural: Floats) -> str:
+    """Fractures and places, over all ranks, of the first of the chosen sections (s,). Collective."""
+    ends = blocks.solid.points[blocks.joints.bottom]
+    points = on_joints(ends, natural).reshape(-1, ends.shape[-1])
+    here = [
+        (blocks.joints.fractures[blocks.joints.fracture[s // len(natural)]], *(f"{v:.6g}" for v in points[s]))
+        for s in np.flatnonzero(chosen)
+    ]
+    found = sorted({place for part in blocks.comm.allgather(here) for place in part})
+    listed = ", ".join(f"{name} at ({', '.join(place)})" for name, *place in found[:MOST_PLACES])
+    return listed + (f" and {len(found) - MOST_PLACES} more places" if len(found) > MOST_PLACES else "")
 
 
 def fractures_of(blocks: Blocks, chosen: Bools) -> str:

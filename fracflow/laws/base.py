@@ -66,6 +66,10 @@ class JointLaw(Protocol):
         """Largest fraction (n,) of the increment (n, dim) that may be taken; inf where there is no limit."""
         ...
 
+    def change_at(self, strain: Floats, increment: Floats) -> Floats:
+        """Fraction (n,) of the increment (n, dim), above 0, at which the walls part or meet; inf where they do neither."""
+        ...
+
 
 def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[str, Floats]:
     """Zero arrays of the shapes that ``history`` declares."""

@@ -157,6 +157,14 @@ class HyperbolicCoulomb:
         closure = -increment[:, -1]
         return np.where(closure > 0.0, STEP_FRACTION * gap / np.where(closure > 0.0, closure, 1.0), np.inf)
 
+    def change_at(self, strain: Floats, increment: Floats) -> Floats:
+        """Fraction of the increment at which the opening is that of Fig. 3 where f_n vanishes."""
+        k_n0, f_n0 = (per_section(v, len(strain)) for v in (self.normal_stiffness, self.initial_normal_traction))
+        gap, opening = -f_n0 / k_n0 - strain[:, -1], increment[:, -1]
+        moves = opening != 0.0
+        fraction = np.where(moves, gap / np.where(moves, opening, 1.0), np.inf)
+        return np.where(fraction > 0.0, fraction, np.inf)
+
     def _is_open(self, opening: Floats) -> Bools:
         """Fig. 3: strictly past the opening at which f_n vanishes."""
         k_n0, f_n0 = (np.asarray(v, dtype=float) for v in (self.normal_stiffness, self.initial_normal_traction))

@@ -63,3 +63,7 @@ class Linear:
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
         """No limit."""
         return np.full(len(strain), np.inf)
+
+    def change_at(self, strain: Floats, increment: Floats) -> Floats:
+        """Never: the springs hold in tension too."""
+        return np.full(len(strain), np.inf)

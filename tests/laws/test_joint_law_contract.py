@@ -74,6 +74,11 @@ def test_shapes_and_finite(law, dim):
         for name, kind in law.history.items():
             assert response.past[name].shape == shapes[kind]
         assert (law.step_limit(strain, -strain) > 0).all()
+        ahead = np.roll(strain, 1, axis=0) - strain
+        change = law.change_at(strain, ahead)
+        past_it = law.respond(strain + ahead, past, hold=True).is_open
+        assert (change > 0).all()
+        assert np.array_equal(change <= 1.0, past_it != response.is_open)
         past = response.past
 
 
