@@ -233,6 +233,7 @@ class Files:
             "step/slip_margin": margin,
             "step/minimum_aperture": snapshot.least[0],
             "step/minimum_aperture_flow": snapshot.least[1],
+            "step/digits": report.digits,
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}

@@ -9,9 +9,11 @@ from fracflow._petsc import PETSc
 from fracflow.assembly.energy import Scheme, book, dissipated, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
+from fracflow.coupling.digits import digits_of, refuse_few
 from fracflow.coupling.initial import initial_acceleration, starting_pressure
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged
+from fracflow.mesh.data import Floats
 from fracflow.run_network import Network
 from fracflow.run_setup import Model
 from fracflow.run_wells import reached_after, reached_before, refuse_cycle
@@ -101,18 +103,23 @@ class Stepping:
         fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
         if network is not None:
-            self.network.look(network.conduct(state.motion.displacement, state.pressure).conductance)
-        trial: tuple[PETSc.Vec, PETSc.Vec] | None = None
+            opening = self.model.operators.joints.openings(state.sections.strain)
+            self.network.look(network.conduct(state.motion.displacement, state.pressure, opening).conductance)
+        trial: tuple[Floats, Floats] | None = None
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
             limited = self._limited(loads, reached)
             closed = self._closed(limited, rule.storage)
             problem = StepProblem(
                 self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial
             )
-            trial = None
             try:
                 report = self._coupling(closed).solve(problem)
+                found = digits_of(self.model.operators, problem.sections)
+                refuse_few(found, self.model.scene.accuracy.digits, time)
+                report = replace(report, digits=found.digits)
                 new = problem.accept(state.energy)
+                same = self._is_closed(problem, limited, rule.storage)
+                trial = None if same else problem.hand_on()
             except NotConverged:
                 if self._is_closed(problem, limited, rule.storage):
                     self.network.refuse_inflow(limited, rule.storage, time, controls)
@@ -122,7 +129,7 @@ class Stepping:
             finally:
                 problem.destroy()
             now = reached_after(loads, reached, new, fluid.flow_depth if fluid is not None else 1.0)
-            if now == reached and self._is_closed(problem, limited, rule.storage):
+            if now == reached and same:
                 self.network.refuse_inflow(limited, rule.storage, time, controls)
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
@@ -130,15 +137,10 @@ class Stepping:
                 friction = dissipated(state, new)
                 self.network.tell(time)
                 return replace(new, energy=energy, limited=wells, friction=friction, memory=memory), report
-            if now == reached:
-                trial = new.motion.displacement.copy(), new.pressure.copy()
             new.destroy()
             reached = now
         if loads.limits:
             refuse_cycle(reached, time)
-        if trial is not None:
-            trial[0].destroy()
-            trial[1].destroy()
         raise NotConverged(
             f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
             " time_step, or give minimum_hydraulic_aperture"
@@ -181,7 +183,7 @@ class Stepping:
                 problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
             pressure, forces = problem.pressure.copy(), problem.forces(motion)
-            sections = problem.sections
+            sections = replace(problem.sections, strain=state.sections.strain, blur=state.sections.blur)
         finally:
             problem.destroy()
         start = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces, energy=energy)

@@ -44,7 +44,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class Sections:
-    """What the laws answered at this rank's joint sections; meanings as in ``laws.base.JointResponse``."""
+    """What the laws answered at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
+
+    blur  (s, dim) what round-off may have done to the strain since the start [length]
+    """
 
     strain: Floats
     traction: Floats
@@ -56,6 +59,7 @@ class Sections:
     is_sliding: NDArray[Any]
     is_open: NDArray[Any]
     margin: Floats
+    blur: Floats
     past: Past
 
 
@@ -134,6 +138,7 @@ class State:
 class StepReport:
     """What a step cost and how it ended.
 
+    digits          fewest digits that round-off leaves of the tractions of a fracture
     out_of_balance  (4.9a) at the start of the step and after each iteration [force per thickness]; of a monolithic solve
     predicted       factor of the error in a plain cycle of the fixed point, before the first; NaN elsewhere
     measured        that of the cycles as they were made, between the last two
@@ -147,6 +152,7 @@ class StepReport:
     solid_residual: float
     flow_residual: float
     out_of_balance: tuple[float, ...] = ()
+    digits: float = 15.65
     predicted: float = np.nan
     measured: float = np.nan
     handed_over: str = ""

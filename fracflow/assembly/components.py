@@ -59,10 +59,6 @@ class Closure:
     row: Ints
     weights: PETSc.Vec
 
-    def defect(self, now: PETSc.Vec, before: PETSc.Vec) -> float:
-        """Change of what is to be kept, between displacements or pressures. Collective."""
-        return float(self.weights.dot(now)) - float(self.weights.dot(before))
-
 
 def conducting(conductance: Floats, comm: MPI.Comm) -> np.ndarray:
     """Which elements (j,) of this rank conduct. Collective."""

@@ -74,13 +74,14 @@ class Flow:
     mean: str
     viscosity: float
 
-    def apertures(self, displacement: PETSc.Vec) -> Floats:
-        """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]. Collective."""
-        return self.aperture + _apply(self.opening, displacement).reshape(-1, 2)
+    def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
+        """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
+        jump = _apply(self.opening, displacement).reshape(-1, 2) if opening is None else opening
+        return self.aperture + jump
 
-    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> Conduction:
+    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
         """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
-        mechanical = self.apertures(displacement)
+        mechanical = self.apertures(displacement, opening)
         hydraulic = np.maximum(mechanical, self.least)
         mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
         slope = np.stack([slope_1, slope_2], axis=1) * (mechanical >= self.least)
@@ -91,10 +92,10 @@ class Flow:
             self.driving(pressure),
         )
 
-    def at_least(self, displacement: PETSc.Vec) -> np.ndarray:
+    def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
         """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
         return np.asarray(
-            (self.least > 0.0) & (self.apertures(displacement) < self.least) & np.isnan(self.given)[:, None]
+            (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & np.isnan(self.given)[:, None]
         )
 
     def driving(self, pressure: PETSc.Vec) -> Floats:

@@ -15,6 +15,7 @@ from fracflow.assembly.layout import add_blocks, create_matrix
 from fracflow.assembly.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.assembly.solid import nodal_layout, node_unknowns
 from fracflow.elements import joint
+from fracflow.elements.shape import line_shape
 from fracflow.errors import InputError
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.blocks import Blocks
@@ -45,20 +46,27 @@ class Joints:
     """All joint sections of a rank; section = joint * rule points + point.
 
     jump      G: displacement unknowns -> strains, rows section * dim + component
+    sizes     |G|, entry by entry
     weights   (s,) length a section stands for [length]
     initial   (s, dim) initial effective traction, joint frame [stress]
     groups    sections by unknowns, for the tangent
     laws      sections by law
-    points    sections of a joint
+    natural   natural coordinates of a joint's sections
     """
 
     dim: int
     jump: PETSc.Mat
+    sizes: PETSc.Mat
     weights: Floats
     initial: Floats
     groups: tuple[SectionGroup, ...]
     laws: tuple[LawGroup, ...]
-    points: int
+    natural: Floats
+
+    @property
+    def points(self) -> int:
+        """Sections of a joint."""
+        return len(self.natural)
 
     def rest(self) -> Past:
         """Histories of all laws at the initial state."""
@@ -66,11 +74,29 @@ class Joints:
 
     def strain(self, displacement: PETSc.Vec) -> Floats:
         """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
-        strains = self.jump.createVecLeft()
-        self.jump.mult(displacement, strains)
+        return self._apply(self.jump, displacement)
+
+    def moved(self, displacement: PETSc.Vec) -> Floats:
+        """Sums of sizes (s, dim) of what the strains are the differences of, whose digits cancel [length]. Collective."""
+        size = displacement.copy()
+        size.abs()
+        result = self._apply(self.sizes, size)
+        size.destroy()
+        return result
+
+    def _apply(self, matrix: PETSc.Mat, displacement: PETSc.Vec) -> Floats:
+        strains = matrix.createVecLeft()
+        matrix.mult(displacement, strains)
         local = strains.getArray().reshape(-1, self.dim).copy()
         strains.destroy()
         return local
+
+    def openings(self, strain: Floats) -> Floats | None:
+        """Normal jumps (j, 2) at the joint ends of strains (s, dim); None of the one-point rule, which does not tell."""
+        normal = strain[:, -1].reshape(-1, self.points)
+        if self.points == 1:
+            return None
+        return np.asarray(normal @ line_shape(1.0 / self.natural).T)
 
     def respond(self, strain: Floats, past: Past, hold: bool = False) -> Sections:
         """What the laws answer to strains (s, dim) after ``past``, which stays as it is; ``hold`` keeps every status."""
@@ -86,12 +112,13 @@ class Joints:
             "is_sliding": np.zeros(count, dtype=bool),
             "is_open": np.zeros(count, dtype=bool),
             "margin": np.full(count, np.inf),
+            "blur": np.zeros((count, self.dim)),
         }
         new = []
         for group, history in zip(self.laws, past, strict=True):
             answer = group.law.respond(strain[group.sections], history, hold)
             for name, values in whole.items():
-                if name != "strain":
+                if name not in ("strain", "blur"):
                     values[group.sections] = getattr(answer, name)
             new.append(answer.past)
         return Sections(past=tuple(new), **whole)
@@ -151,6 +178,12 @@ def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PET
     product = matrix.matMult(expand)
     matrix.destroy()
     return product
+
+
+def entry_sizes(matrix: PETSc.Mat) -> PETSc.Mat:
+    """The absolute values of a matrix, entry by entry. The caller destroys it. Collective."""
+    indptr, indices, values = matrix.getValuesCSR()
+    return PETSc.Mat().createAIJ(matrix.getSizes(), csr=(indptr, indices, np.abs(values)), comm=matrix.getComm())
 
 
 def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:
@@ -254,4 +287,5 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
     if not scene.equilibrates:
         refuse_bad_start(blocks, groups, initial, len(xi))
     jump = jump_matrix(blocks, xi, expand)
-    return Joints(blocks.sizes.dim, jump, weights, initial, section_groups(jump, blocks.sizes.dim), groups, len(xi))
+    sizes = entry_sizes(jump)
+    return Joints(blocks.sizes.dim, jump, sizes, weights, initial, section_groups(jump, blocks.sizes.dim), groups, xi)

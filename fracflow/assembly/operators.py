@@ -18,12 +18,16 @@ from fracflow.scene import Scene
 
 @dataclass(frozen=True)
 class Scales:
-    """Natural sizes that make both balances O(1): force and displacement of a node, pressure, length."""
+    """Natural sizes that make both balances O(1): force and displacement of a node, pressure, length.
+
+    stiffness  largest diagonal entry of K_s [force/length per thickness]
+    """
 
     force: float
     displacement: float
     pressure: float
     length: float
+    stiffness: float
 
 
 @dataclass(frozen=True)
@@ -59,13 +63,12 @@ def natural_scales(blocks: Blocks, scene: Scene, joints: Joints, stiff: PETSc.Ma
     candidates.append(float(np.abs(initial_stress(scene, blocks.solid.points)[..., :2, :2]).max(initial=0.0)))
     stress = max(comm.allgather(max(candidates)))
     diagonal = stiff.getDiagonal()
-    stiffness_scale = max(
-        max(comm.allgather(stiffness_scale)) * length, diagonal.max()[1] if diagonal.getSize() else 0.0
-    )
+    rock = float(diagonal.max()[1]) if diagonal.getSize() else 0.0
+    stiffness_scale = max(max(comm.allgather(stiffness_scale)) * length, rock)
     diagonal.destroy()
     stress = stress if stress > 0.0 else max(stiffness_scale, 1.0) * 1e-3 / length
     force = stress * length
-    return Scales(force, force / stiffness_scale if stiffness_scale > 0.0 else 1.0, stress, length)
+    return Scales(force, force / stiffness_scale if stiffness_scale > 0.0 else 1.0, stress, length, rock)
 
 
 def assemble(blocks: Blocks, scene: Scene) -> Operators:

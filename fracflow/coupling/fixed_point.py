@@ -235,9 +235,8 @@ class FixedPoint:
 
     def _start_again(self, problem: StepProblem) -> None:
         """Put the trial back to where the step starts."""
-        problem.state.motion.displacement.copy(problem.displacement)
         problem.state.pressure.copy(problem.pressure)
-        problem.impose(problem.displacement, problem.pressure)
+        problem.move(np.zeros(problem.operators.layout.solid_count))
         problem.branch = problem.state.sections.past
 
     def _hand_over(self, problem: StepProblem) -> StepReport:

@@ -117,18 +117,19 @@ class Newton:
     def _pack(self, problem: StepProblem) -> None:
         scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
         local = self.unknowns.getArray()
-        local[:middle] = problem.displacement.getArray(readonly=True) / scales.displacement
+        local[:middle] = problem.increment.getArray(readonly=True) / scales.displacement
         local[middle:] = problem.pressure.getArray(readonly=True) / scales.pressure
 
     def _unpack(self, unknowns: PETSc.Vec) -> None:
         assert self.problem is not None
         scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
         local = unknowns.getArray(readonly=True)
-        if self.only != "flow":
-            self.problem.displacement.setArray(local[:middle] * scales.displacement)
         if self.only != "solid":
             self.problem.pressure.setArray(local[middle:] * scales.pressure)
-        self.problem.impose(self.problem.displacement, self.problem.pressure)
+        if self.only != "flow":
+            self.problem.move(local[:middle] * scales.displacement)
+        else:
+            self.problem.move(self.problem.increment.getArray().copy())
 
     def _function(self, snes: PETSc.SNES, unknowns: PETSc.Vec, balance: PETSc.Vec) -> None:
         problem = self.problem

@@ -35,10 +35,14 @@ def tangent_moduli(joints: Joints, sections: Sections) -> Floats:
 
 
 def secant_moduli(joints: Joints, sections: Sections) -> Floats:
-    """(f - f_0) / eps, component by component: from the initial state straight to here; the tangent where eps is 0."""
+    """(f - f_0) / eps, component by component: from the initial state straight to here; the tangent at the initial state.
+
+    Back at eps = 0 with plastic slip there is no secant: it is as steep there as round-off of eps lets it be.
+    """
     strain, tangent = sections.strain, np.diagonal(sections.tangent, axis1=1, axis2=2)
-    moved = strain != 0.0
-    slope = np.where(moved, (sections.traction - joints.initial) / np.where(moved, strain, 1.0), tangent)
+    least = np.where(strain < 0.0, -1.0, 1.0) * np.maximum(np.abs(strain), sections.blur)
+    moved = least != 0.0
+    slope = np.where(moved, (sections.traction - joints.initial) / np.where(moved, least, 1.0), tangent)
     return np.asarray(slope[:, :, None] * np.eye(joints.dim))
 
 

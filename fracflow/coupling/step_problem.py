@@ -7,7 +7,7 @@ flow   B_F' v + K_F(u) p - Q = 0
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,9 +15,10 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.digits import blur, noise_of
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
-from fracflow.state import Forces, Motion, Past, Sections, State
+from fracflow.state import Forces, Motion, MotionValues, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
 
 CANCELLATION = 1e-4
@@ -25,6 +26,7 @@ CANCELLATION = 1e-4
 state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have. So does that of the last
 pressures in a network that comes to rest."""
 TINY = 1e-300  # a network of closed fractures has no terms
+LEAST_FORCE = 1e-4  # share of the natural force that counts as a term of the balance where nothing is loaded
 LEAST_DRIVE = 1e-8
 """Share of the natural pressure that drives at least: a network come to rest has nothing but round-off to balance."""
 
@@ -80,12 +82,12 @@ class StepProblem:
         controls: Mapping[str, float],
         restraint: PETSc.Vec | None = None,
         lacking: float = 0.0,
-        start: tuple[PETSc.Vec, PETSc.Vec] | None = None,
+        start: tuple[Floats, Floats] | None = None,
     ) -> None:
         """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective.
 
         lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
-        start    displacements and pressures to begin from in place of the state's; the problem owns them
+        start    this rank's motion since the state, and pressures, to begin from
         """
         self.operators, self.loads, self.state = operators, loads, state
         self.alphas, self.time, self.controls = alphas, time, controls
@@ -96,8 +98,11 @@ class StepProblem:
             self.load.axpy(1.0, restraint)
         loads.source(time, controls, self.source)
         self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
-        self.displacement, self.pressure = start or (state.motion.displacement.copy(), state.pressure.copy())
-        self.impose(self.displacement, self.pressure)
+        self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
+        self.pressure = state.pressure.copy()
+        if start is not None:
+            self.pressure.setArray(start[1])
+        self.move(np.zeros(layout.solid_count) if start is None else start[0])
         self.branch: Past = state.sections.past
         self.sections: Sections = state.sections
         self.conduction: Conduction | None = None
@@ -116,14 +121,27 @@ class StepProblem:
             for part, lag in zip(parts, lags, strict=False):
                 vector.getArray()[part.numbers] += lag
 
+    def move(self, increment: Floats) -> None:
+        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for what is prescribed."""
+        old = self.state.motion.displacement.getArray(readonly=True)
+        self.increment.setArray(increment)
+        self.displacement.setArray(old + increment)
+        self.impose(self.displacement, self.pressure)
+        change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
+        for part in self.loads.supports:
+            change[part.numbers] = new[part.numbers] - old[part.numbers]
+
     def evaluate(self, hold: bool = True) -> None:
         """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
 
         Collective.
         """
         ops, u, p = self.operators, self.displacement, self.pressure
-        strain = ops.joints.strain(u)
-        self.sections = ops.joints.respond(strain, self.branch, hold)
+        # jumps of this step on top of those of the last state: a motion that walls share costs no digits afterwards
+        before = self.state.sections
+        self._moved = ops.joints.moved(self.increment)
+        answer = ops.joints.respond(before.strain + ops.joints.strain(self.increment), self.branch, hold)
+        self.sections = replace(answer, blur=blur(before.blur, self._moved))
         solid, terms = self.solid_balance, [self.load.norm(PETSc.NormType.INFINITY)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -155,19 +173,23 @@ class StepProblem:
         self._hold()
         self._measure(max(terms), max(flow_terms))
 
-    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run.
+    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. What moved in this step
+    # stands for the trial, and nothing for the last state: both are known to more digits so.
+    def _start(self) -> MotionValues:
+        old = self.state.motion.values()
+        return old._replace(displacement=np.zeros_like(old.displacement))
+
     def _acceleration(self) -> PETSc.Vec:
         """(4.2e) of the trial, in a new vector."""
-        trial, result = self.displacement.getArray(readonly=True), self.displacement.duplicate()
-        result.setArray(acceleration(self.alphas, trial, self.state.motion.values()))
+        moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
+        result.setArray(acceleration(self.alphas, moved, self._start()))
         return result
 
     def _velocity(self) -> PETSc.Vec:
         """(4.2f) of the trial, in a new vector."""
         before, result = self.state.memory.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
-        trial, old = self.displacement.getArray(readonly=True), self.state.motion.values()
-        result.setArray(velocity(self.alphas, trial, old, mean))
+        result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
         return result
 
     def _flow_balance(self) -> list[float]:
@@ -179,7 +201,8 @@ class StepProblem:
         network.squeeze.multTranspose(self.displacement, flow)
         terms.append(CANCELLATION * self.alphas.a1 * flow.norm(PETSc.NormType.INFINITY))
         network.squeeze.multTranspose(speed, flow)
-        self.conduction = network.conduct(self.displacement, self.pressure)
+        opening = self.operators.joints.openings(self.sections.strain)
+        self.conduction = network.conduct(self.displacement, self.pressure, opening)
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         speed.destroy()
@@ -193,12 +216,12 @@ class StepProblem:
     def _close(self) -> None:
         """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
         scales, local = self.operators.scales, self.flow_balance.getArray()
-        motion, pressure = self.state.motion.displacement, self.state.pressure
         for closure in self.loads.closures:
             if closure.by == "walls":
-                defect = closure.defect(self.displacement, motion) / (scales.length * scales.displacement)
+                defect = float(closure.weights.dot(self.increment)) / (scales.length * scales.displacement)
             else:
-                defect = closure.defect(self.pressure, pressure) / scales.pressure
+                kept = float(closure.weights.dot(self.state.pressure))
+                defect = (float(closure.weights.dot(self.pressure)) - kept) / scales.pressure
             local[closure.row] = self.flow_scale() * defect
 
     def _hold(self) -> None:
@@ -209,7 +232,9 @@ class StepProblem:
 
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         scales = self.operators.scales
-        solid = self.solid_balance.norm(PETSc.NormType.INFINITY) / max(solid_terms, scales.force)
+        noise = noise_of(self.operators, self.sections, self._moved, self.displacement)
+        beyond = max(self.solid_balance.norm(PETSc.NormType.INFINITY) - noise, 0.0)
+        solid = beyond / max(solid_terms, LEAST_FORCE * scales.force)
         flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / max(flow_terms, TINY)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2))
         if not np.isfinite(solid + flow):
@@ -274,13 +299,15 @@ class StepProblem:
         term.destroy()
         return Forces(self.load.copy(), support, conduction, source)
 
-    def hand_on(self) -> tuple[PETSc.Vec, PETSc.Vec] | None:
-        """Copies of the trial for another problem to start from; None where it is not finite. Collective."""
-        if not np.isfinite(self.displacement.norm() + self.pressure.norm()):
+    def hand_on(self) -> tuple[Floats, Floats] | None:
+        """This rank's motion and pressures for another problem to start from; None where they are not finite. Collective."""
+        if not np.isfinite(self.increment.norm() + self.pressure.norm()):
             return None
-        return self.displacement.copy(), self.pressure.copy()
+        return self.increment.getArray().copy(), self.pressure.getArray().copy()
 
     def destroy(self) -> None:
         """Free the vectors of the trial."""
-        for vector in (self.load, self.source, self.displacement, self.pressure, self.solid_balance, self.flow_balance):
+        for vector in (self.load, self.source, self.displacement, self.increment, self.pressure):
+            vector.destroy()
+        for vector in (self.solid_balance, self.flow_balance):
             vector.destroy()

@@ -116,9 +116,10 @@ def joint_ends(sampler: Sampler, state: State, names: tuple[str, ...]) -> Floats
         found["aperture"] = sampler.aperture + sections.strain[:, -1].reshape(count, joints.points)[:, [0, -1]]
         found["pressure"] = found["flow_rate"] = np.full((count, 2), np.nan)
     if flow is not None and not FLOW.isdisjoint(names):
-        network = flow.conduct(state.motion.displacement, state.pressure)
+        opening = joints.openings(sections.strain)
+        network = flow.conduct(state.motion.displacement, state.pressure, opening)
         found["pressure"] = network.pressure + flow.resting_end
-        found["aperture"] = flow.apertures(state.motion.displacement)
+        found["aperture"] = flow.apertures(state.motion.displacement, opening)
         through = network.conductance * (network.pressure[:, 0] - network.pressure[:, 1])
         found["flow_rate"] = np.repeat(through[:, None] * sampler.flow_depth, 2, axis=1)
     return np.stack([found[name] for name in names], axis=-1).astype(float)
@@ -146,8 +147,9 @@ def _at_least(sampler: Sampler, state: State) -> tuple[int, float]:
     flow, comm = sampler.operators.flow, sampler.operators.blocks.comm
     if flow is None:
         return 0, 0.0
-    ends = flow.at_least(state.motion.displacement)
-    network = flow.conduct(state.motion.displacement, state.pressure)
+    opening = sampler.operators.joints.openings(state.sections.strain)
+    ends = flow.at_least(state.motion.displacement, opening)
+    network = flow.conduct(state.motion.displacement, state.pressure, opening)
     through = np.abs(network.conductance * (network.pressure[:, 0] - network.pressure[:, 1]))[ends.any(axis=1)]
     most = comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX) * sampler.flow_depth
     return comm.allreduce(int(ends.sum())), most

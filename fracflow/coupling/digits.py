@@ -1,0 +1,90 @@
+"""How many digits of the joint tractions a double leaves, and the stop where they are too few.
+
+A wall that moved by u is known to eps |u|/2, so the jump between two walls to eps |u|, and the traction to eps k_n |u|. The
+jumps are summed up from the motion of each step, so u is what a wall moved in one step, not since the start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.operators import Operators
+from fracflow.errors import SolveError
+from fracflow.mesh.data import Floats
+from fracflow.state import Sections
+
+ROUND_OFF = 0.5 * float(np.finfo(float).eps)
+NOISE = 2.0  # round-offs of single displacements that meet in the balance of a node
+MOST_DIGITS = 15.65  # -log10 of the spacing of doubles
+LEAST_SHARE = 1e-6
+"""Tractions below this share of the largest in the scene have their digits counted from there: they may be nothing."""
+
+
+@dataclass(frozen=True)
+class Digits:
+    """Fewest digits of the tractions, over all fractures: where, the stiffness there, and its traction [stress]."""
+
+    digits: float
+    fracture: str
+    stiffness: float
+    traction: float
+
+
+def blur(before: Floats, moved: Floats) -> Floats:
+    """Round-off of the strains (s, dim) after a step [length]; ``moved`` is the sum of sizes of what a jump is made of.
+
+    Steps round off independently of each other.
+    """
+    return np.hypot(before, ROUND_OFF * moved)
+
+
+def noise_of(operators: Operators, sections: Sections, moved: Floats, displacement: PETSc.Vec) -> float:
+    """What of a balance of forces is only round-off of displacements, which no iteration can take away. Collective.
+
+    ``moved`` as for ``blur``, of this step. [force per thickness]
+    """
+    force = np.einsum("sij,sj->si", np.abs(sections.tangent), ROUND_OFF * moved) * operators.joints.weights[:, None]
+    here = float(force[np.isfinite(force)].max(initial=0.0))
+    rock = ROUND_OFF * operators.scales.stiffness * displacement.norm(PETSc.NormType.INFINITY)
+    return float(NOISE * (operators.layout.comm.allreduce(here, op=MPI.MAX) + rock))
+
+
+def digits_of(operators: Operators, sections: Sections) -> Digits:
+    """Digits of the tractions of each fracture, the worst of all ranks. Collective."""
+    blocks, comm = operators.blocks, operators.blocks.comm
+    count = len(blocks.joints.fractures)
+    fracture = np.repeat(blocks.joints.fracture, operators.joints.points)
+    error = np.abs(np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur)).max(axis=1, initial=0.0)
+    size = np.linalg.norm(sections.traction, axis=1)
+    stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
+    largest = np.zeros((3, count))
+    for row, values in enumerate((error, size, stiff)):
+        np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
+    comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+    error, size, stiff = largest
+    held = np.maximum(size, LEAST_SHARE * size.max(initial=0.0))
+    lost = np.divide(error, held, out=np.zeros(count), where=held > 0.0)
+    if not lost.any():
+        return Digits(MOST_DIGITS, "", 0.0, 0.0)
+    worst = int(lost.argmax())
+    return Digits(
+        min(MOST_DIGITS, float(-np.log10(lost[worst]))),
+        blocks.joints.fractures[worst],
+        float(stiff[worst]),
+        float(held[worst]),
+    )
+
+
+def refuse_few(found: Digits, limit: int, time: float) -> None:
+    """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
+    if found.digits >= limit:
+        return
+    enough = found.stiffness * 10.0 ** (found.digits - limit)
+    raise SolveError(
+        f"time {time:.6g}: tractions of {found.fracture} (largest {found.traction:.3g}) keep {max(found.digits, 0.0):.1f}"
+        f" digits, accuracy.digits asks for {limit}: stiffness {found.stiffness:.3g} times the motion that both walls share"
+        f" is rounded off; a stiffness of {enough:.2g} would do, or the same motion in more steps"
+    )
