@@ -107,12 +107,26 @@ def test_coupling_factor_of_the_card_is_that_of_the_matrices():
             "fracture.fault.aperture={along = [0, 4000], value = [0.01, 0.002]}",
         ], "exact"),
         ("film ringing", ["stage.failure.time_step=10"], "time_step below"),
+        ("film ringing", [
+            "stage.failure.kind=quasi-static", "stage.failure.time_step=10", "method.film=trapezoid",
+        ], "backward-euler"),
     ],
 )  # fmt: skip
 def test_a_limit_warns_only_where_its_method_is_used(number, overrides, remedy):
     assert not card_of(REPORT_5_3)[number].out_of_range
     found = card_of(REPORT_5_3, *overrides)[number]
     assert found.out_of_range and found.value > found.limit and remedy in found.remedy
+
+
+@pytest.mark.parametrize("setting", ["method.on_divergence=monolithic", "method.fixed_point=anderson"])
+def test_what_takes_care_of_divergence_is_no_warning(setting):
+    found = card_of(REPORT_5_3, "method.coupling=fixed-point", setting)["coupling, transient"]
+    assert found.value > 100 and not found.out_of_range and found.note
+
+
+def test_backward_euler_does_not_ring():
+    found = card_of(REPORT_5_3, "stage.failure.kind=quasi-static", "stage.failure.time_step=10")["film ringing"]
+    assert found.value > 1 and not found.out_of_range
 
 
 def test_without_a_drop_of_strength_slip_needs_no_length():

@@ -67,8 +67,9 @@ def _cycles(view: View) -> tuple[float | None, str]:
     method = view.scene.method
     if method.coupling != "fixed-point":
         return None, method.coupling
-    kind = str(getattr(method, "fixed_point", "plain"))
-    return (1.0, "") if kind == "plain" else (None, kind)
+    if method.on_divergence == "monolithic":
+        return None, "handed over"
+    return (1.0, "") if method.fixed_point == "plain" else (None, method.fixed_point)
 
 
 def transient(view: View) -> Number:

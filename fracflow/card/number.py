@@ -57,8 +57,7 @@ def film_stage(scene: Scene, stage: Stage) -> FilmStage | None:
     if stage.kind == "dynamic":
         beta, gamma = method.newmark_beta, method.newmark_gamma
         return FilmStage(name, dt, gamma / (beta * dt), 1.0 / (beta * dt**2), True)
-    rule = getattr(method, "film", "backward-euler")
-    return FilmStage(name, dt, WEIGHT[rule] / dt, 0.0, rule == "trapezoid")
+    return FilmStage(name, dt, WEIGHT[method.film] / dt, 0.0, method.film == "trapezoid")
 
 
 class View:

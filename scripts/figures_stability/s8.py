@@ -12,8 +12,9 @@ from sheets import BLUE, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, save, she
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.run_setup import prepare
+from fracflow.run_stages import run_stage
 from fracflow.run_start import rest, settle
-from fracflow.run_steps import Stepping, run_stage
+from fracflow.run_steps import Stepping
 from fracflow.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f9_rigid_motion" / "scene.toml"
