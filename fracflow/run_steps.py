@@ -114,7 +114,7 @@ class Stepping:
             )
             try:
                 report = self._coupling(closed).solve(problem)
-                found = digits_of(self.model.operators, problem.sections)
+                found = digits_of(self.model.operators, problem.sections, problem.displacement)
                 refuse_few(found, self.model.scene.accuracy.digits, time)
                 report = replace(report, digits=found.digits)
                 new = problem.accept(state.energy)

@@ -25,12 +25,17 @@ LEAST_SHARE = 1e-6
 
 @dataclass(frozen=True)
 class Digits:
-    """Fewest digits of the tractions, over all fractures: where, the stiffness there, and its traction [stress]."""
+    """Fewest digits of the tractions, over all fractures: where, its largest traction [stress], and what takes them.
+
+    stiffness  of the joints there, or of the rock beside them, E/h, if that takes more; 0 where nothing has moved
+    by_rock    whether it is that of the rock
+    """
 
     digits: float
     fracture: str
-    stiffness: float
     traction: float
+    stiffness: float
+    by_rock: bool
 
 
 def blur(before: Floats, moved: Floats) -> Floats:
@@ -52,30 +57,30 @@ def noise_of(operators: Operators, sections: Sections, moved: Floats, displaceme
     return float(NOISE * (operators.layout.comm.allreduce(here, op=MPI.MAX) + rock))
 
 
-def digits_of(operators: Operators, sections: Sections) -> Digits:
-    """Digits of the tractions of each fracture, the worst of all ranks. Collective."""
-    blocks, comm = operators.blocks, operators.blocks.comm
+def digits_of(operators: Operators, sections: Sections, displacement: PETSc.Vec) -> Digits:
+    """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective."""
+    blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
     count = len(blocks.joints.fractures)
-    fracture = np.repeat(blocks.joints.fracture, operators.joints.points)
-    error = np.abs(np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur)).max(axis=1, initial=0.0)
+    fracture = np.repeat(blocks.joints.fracture, joints.points)
+    error = np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur).max(axis=1, initial=0.0)
+    beside = operators.scales.stiffness / (joints.points * joints.weights)
+    rock = ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
     size = np.linalg.norm(sections.traction, axis=1)
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
-    largest = np.zeros((3, count))
-    for row, values in enumerate((error, size, stiff)):
+    is_closed = stiff > 0.0
+    largest = np.zeros((5, count))
+    for row, values in enumerate((error, rock * is_closed, size, stiff, beside)):
         np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
-    error, size, stiff = largest
+    error, rock, size, stiff, beside = largest
     held = np.maximum(size, LEAST_SHARE * size.max(initial=0.0))
-    lost = np.divide(error, held, out=np.zeros(count), where=held > 0.0)
+    lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
     if not lost.any():
-        return Digits(MOST_DIGITS, "", 0.0, 0.0)
+        return Digits(MOST_DIGITS, "", 0.0, 0.0, False)
     worst = int(lost.argmax())
-    return Digits(
-        min(MOST_DIGITS, float(-np.log10(lost[worst]))),
-        blocks.joints.fractures[worst],
-        float(stiff[worst]),
-        float(held[worst]),
-    )
+    left, by_rock = min(MOST_DIGITS, float(-np.log10(lost[worst]))), bool(rock[worst] > error[worst])
+    stiffness = float(beside[worst] if by_rock else stiff[worst])
+    return Digits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
 
 
 def refuse_few(found: Digits, limit: int, time: float) -> None:
@@ -83,8 +88,16 @@ def refuse_few(found: Digits, limit: int, time: float) -> None:
     if found.digits >= limit:
         return
     enough = found.stiffness * 10.0 ** (found.digits - limit)
+    what, remedy = (
+        (
+            "the rock's stiffness E/h =",
+            "in the rock, cells as much larger, or displacements counted from where it is now",
+        )
+        if found.by_rock
+        else ("stiffness", "or the same motion in more steps")
+    )
     raise SolveError(
         f"time {time:.6g}: tractions of {found.fracture} (largest {found.traction:.3g}) keep {max(found.digits, 0.0):.1f}"
-        f" digits, accuracy.digits asks for {limit}: stiffness {found.stiffness:.3g} times the motion that both walls share"
-        f" is rounded off; a stiffness of {enough:.2g} would do, or the same motion in more steps"
+        f" digits, accuracy.digits asks for {limit}: {what} {found.stiffness:.3g} times the motion that both walls share"
+        f" is rounded off; a stiffness of {enough:.2g} would do, {remedy}"
     )

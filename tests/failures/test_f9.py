@@ -56,3 +56,12 @@ def test_as_few_digits_as_the_scene_asks_for(shared_tmp):
     history, error = _ran(shared_tmp / "run", "accuracy.digits=4")
     assert error <= 10 * EPS * 1e14 * 1e3
     assert history["step/digits"][1] == pytest.approx(4.65, abs=0.01)
+
+
+def test_in_soft_joints_it_is_the_rock_that_takes_the_digits(shared_tmp):
+    with pytest.raises(SolveError, match=r"seam .* the rock's stiffness E/h = .* counted from where it is now"):
+        run(
+            load(SCENE, ["output.pictures=false", *_stiff(1e9), "accuracy.digits=12"]),
+            shared_tmp / "run",
+            MPI.COMM_WORLD,
+        )
