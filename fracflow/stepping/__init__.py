@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .film import BDF2, BackwardEuler, Trapezoid, drainage_time, first, ringing
+from .film import BDF2, BackwardEuler, Trapezoid, first
 from .newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, velocity
 
 STEPPERS: dict[str, type[Any]] = {
@@ -25,8 +25,6 @@ __all__ = [
     "Stepper",
     "Trapezoid",
     "acceleration",
-    "drainage_time",
     "first",
-    "ringing",
     "velocity",
 ]

@@ -71,17 +71,3 @@ def first(stepper: Stepper) -> Stepper:
     One step of first order leaves the order of the whole.
     """
     return BackwardEuler() if stepper.memory else stepper
-
-
-def drainage_time(viscosity: float, aperture: float, stiffness: float, wavenumber: float) -> float:
-    """tau_d = 12 mu/(d^3 kappa^2 k) [time], in which a pressure mode of the film falls to 1/e.
-
-    viscosity [stress time], aperture d [length], stiffness k of joint and rock together [stress/length], wavenumber
-    kappa along the fracture [1/length]: pi/L between two ends with a pressure, pi/2L where one of them is closed.
-    """
-    return 12.0 * viscosity / (aperture**3 * wavenumber**2 * stiffness)
-
-
-def ringing(time_step: float, drainage: float) -> float:
-    """dt/(2 tau_d) [1]: above 1 the trapezoid rings, its modes change sign from step to step."""
-    return checked(time_step) / (2.0 * drainage)

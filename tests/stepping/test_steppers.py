@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.stepping import STEPPERS, Alphas, Newmark, acceleration, drainage_time, first, ringing, velocity
+from fracflow.stepping import STEPPERS, Alphas, Newmark, acceleration, first, velocity
 
 
 @dataclass(frozen=True)
@@ -77,20 +77,12 @@ def test_spectrum_of_the_rules_for_the_film(x):
     assert found["backward-euler"] == pytest.approx((1 + x) ** -np.arange(9.0), rel=1e-14)
     rings = (1 - x / 2) / (1 + x / 2)
     assert found["trapezoid"][1:] == pytest.approx(rings ** np.arange(8) / (1 + x), rel=1e-12)
-    assert (rings < 0) == (ringing(1.0, 1 / x) > 1)
     one, two = np.roots([1.5 + x, -2.0, 0.5])
     # c1 one^n + c2 two^n through the start and the first step
     c1, c2 = np.linalg.solve([[1.0, 1.0], [one, two]], [1.0, 1 / (1 + x)])
     n = np.arange(9)
     assert found["bdf2"] == pytest.approx((c1 * one**n + c2 * two**n).real, rel=1e-9, abs=1e-14)
     assert max(abs(one), abs(two)) < 1.0 and (abs(one.imag) > 0) == (x > 0.5)
-
-
-def test_drainage_time():
-    """A film of 1 mm of water, walls held by 50 GPa/m, 10 m between two heads: 12 mu L^2/(d^3 pi^2 k) = 2.43 ms."""
-    found = drainage_time(viscosity=1e-3, aperture=1e-3, stiffness=50e9, wavenumber=np.pi / 10)
-    assert found == pytest.approx(12e-3 * 100 / (1e-9 * np.pi**2 * 50e9), rel=1e-14)
-    assert ringing(0.01, found) == pytest.approx(0.01 / (2 * 2.4317e-3), rel=1e-4)
 
 
 @pytest.mark.parametrize("frequency", [0.1, 0.5, 1.0, 10.0])
