@@ -12,7 +12,7 @@ from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.digits import digits_of, refuse_few
 from fracflow.coupling.initial import initial_acceleration, starting_pressure
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import NotConverged
+from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Floats
 from fracflow.run_network import Network
 from fracflow.run_setup import Model
@@ -114,10 +114,8 @@ class Stepping:
             )
             try:
                 report = self._coupling(closed).solve(problem)
-                found = digits_of(self.model.operators, problem.sections, problem.displacement)
-                refuse_few(found, self.model.scene.accuracy.digits, time)
-                report = replace(report, digits=found.digits)
                 new = problem.accept(state.energy)
+                report = replace(report, digits=self._digits(new))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
             except NotConverged:
@@ -145,6 +143,16 @@ class Stepping:
             f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
             " time_step, or give minimum_hydraulic_aperture"
         )
+
+    def _digits(self, new: State) -> float:
+        """Digits of the worst tractions. Raises SolveError, on every rank, where too few are left. Collective."""
+        found = digits_of(self.model.operators, new)
+        try:
+            refuse_few(found, self.model.scene.accuracy.digits, new.time)
+        except SolveError:
+            new.destroy()
+            raise
+        return found.digits
 
     def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
         """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
@@ -183,7 +191,8 @@ class Stepping:
                 problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
             pressure, forces = problem.pressure.copy(), problem.forces(motion)
-            sections = replace(problem.sections, strain=state.sections.strain, blur=state.sections.blur)
+            was = state.sections
+            sections = replace(problem.sections, strain=was.strain, blur=was.blur, record=was.record)
         finally:
             problem.destroy()
         start = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces, energy=energy)

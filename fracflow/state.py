@@ -46,7 +46,8 @@ class Motion:
 class Sections:
     """What the laws answered at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
 
-    blur  (s, dim) what round-off may have done to the strain since the start [length]
+    blur    (s, dim) what round-off may have done to the strain since the start [length]
+    record  (s,) largest traction that the section has carried since the start [stress]
     """
 
     strain: Floats
@@ -60,6 +61,7 @@ class Sections:
     is_open: NDArray[Any]
     margin: Floats
     blur: Floats
+    record: Floats
     past: Past
 
 

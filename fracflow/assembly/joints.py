@@ -113,12 +113,13 @@ class Joints:
             "is_open": np.zeros(count, dtype=bool),
             "margin": np.full(count, np.inf),
             "blur": np.zeros((count, self.dim)),
+            "record": np.zeros(count),
         }
         new = []
         for group, history in zip(self.laws, past, strict=True):
             answer = group.law.respond(strain[group.sections], history, hold)
             for name, values in whole.items():
-                if name not in ("strain", "blur"):
+                if name not in ("strain", "blur", "record"):
                     values[group.sections] = getattr(answer, name)
             new.append(answer.past)
         return Sections(past=tuple(new), **whole)

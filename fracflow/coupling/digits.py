@@ -14,18 +14,19 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
-from fracflow.state import Sections
+from fracflow.state import Sections, State
 
 ROUND_OFF = 0.5 * float(np.finfo(float).eps)
 NOISE = 2.0  # round-offs of single displacements that meet in the balance of a node
 MOST_DIGITS = 15.65  # -log10 of the spacing of doubles
 LEAST_SHARE = 1e-6
-"""Tractions below this share of the largest in the scene have their digits counted from there: they may be nothing."""
+"""Tractions below this share of the largest in the scene, or of the loads and reactions, have their digits counted from there:
+they may be nothing."""
 
 
 @dataclass(frozen=True)
 class Digits:
-    """Fewest digits of the tractions, over all fractures: where, its largest traction [stress], and what takes them.
+    """Fewest digits of the tractions of a fracture: which, the largest it has carried [stress], and what takes them.
 
     stiffness  of the joints there, or of the rock beside them, E/h, if that takes more; 0 where nothing has moved
     by_rock    whether it is that of the rock
@@ -57,23 +58,27 @@ def noise_of(operators: Operators, sections: Sections, moved: Floats, displaceme
     return float(NOISE * (operators.layout.comm.allreduce(here, op=MPI.MAX) + rock))
 
 
-def digits_of(operators: Operators, sections: Sections, displacement: PETSc.Vec) -> Digits:
-    """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective."""
+def digits_of(operators: Operators, state: State) -> Digits:
+    """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
+
+    Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
+    """
+    sections, displacement = state.sections, state.motion.displacement
     blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
     count = len(blocks.joints.fractures)
     fracture = np.repeat(blocks.joints.fracture, joints.points)
     error = np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur).max(axis=1, initial=0.0)
     beside = operators.scales.stiffness / (joints.points * joints.weights)
     rock = ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
-    size = np.linalg.norm(sections.traction, axis=1)
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
     is_closed = stiff > 0.0
     largest = np.zeros((5, count))
-    for row, values in enumerate((error, rock * is_closed, size, stiff, beside)):
+    for row, values in enumerate((error, rock * is_closed, sections.record, stiff, beside)):
         np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     error, rock, size, stiff, beside = largest
-    held = np.maximum(size, LEAST_SHARE * size.max(initial=0.0))
+    forces = (state.forces.load.norm(PETSc.NormType.INFINITY), state.forces.support.norm(PETSc.NormType.INFINITY))
+    held = np.maximum(size, LEAST_SHARE * max(size.max(initial=0.0), max(forces) / operators.scales.length))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
     if not lost.any():
         return Digits(MOST_DIGITS, "", 0.0, 0.0, False)

@@ -16,6 +16,7 @@ from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.digits import blur, noise_of
+from fracflow.coupling.lag import Lag
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import Forces, Motion, MotionValues, Past, Sections, State
@@ -42,31 +43,6 @@ class Residual:
     solid: float
     flow: float
     out_of_balance: float
-
-
-@dataclass(frozen=True)
-class Lag:
-    """What the prescribed displacements and pressures (an array a support, or well) still lack at the end of a step."""
-
-    displacement: tuple[Floats, ...] = ()
-    pressure: tuple[Floats, ...] = ()
-
-    @staticmethod
-    def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Lag:
-        """A share of what ``state`` lacks; forces that lack, and rates ``of_wells``, go into ``load`` and ``source``."""
-        for total, term, had, now in (
-            (load, load.duplicate(), state.forces.load, loads.force),
-            (source, source.duplicate(), state.forces.source, loads.source),
-        ):
-            now(state.time, state.controls, term)
-            if total is load or of_wells:
-                total.axpy(share, had)
-                total.axpy(-share, term)
-            term.destroy()
-        return Lag(*(
-            tuple(share * (vector.getArray(readonly=True)[part.numbers] - part.value(state.time)) for part in parts)
-            for vector, parts in ((state.motion.displacement, loads.supports), (state.pressure, loads.pressures))
-        ))  # fmt: skip
 
 
 class StepProblem:
@@ -141,7 +117,8 @@ class StepProblem:
         before = self.state.sections
         self._moved = ops.joints.moved(self.increment)
         answer = ops.joints.respond(before.strain + ops.joints.strain(self.increment), self.branch, hold)
-        self.sections = replace(answer, blur=blur(before.blur, self._moved))
+        record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
+        self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
         solid, terms = self.solid_balance, [self.load.norm(PETSc.NormType.INFINITY)]
         solid.set(0.0)
         term = solid.duplicate()
