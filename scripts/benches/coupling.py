@@ -68,6 +68,8 @@ def worker(unknowns: str, result: str, apertures: str, blocks: str) -> None:
         model = prepare(Scene.from_data(scene_of(int(unknowns), fault, is_drained)), comm)
         state = rest(model)
         for name in json.loads(blocks):
+            if comm.rank == 0:
+                print(f"{unknowns}, {comm.size} ranks: {fault}, {name} ...", file=sys.stderr, flush=True)
             found += measure_model(model, state, json.loads(apertures), name, {"fault": fault, "drained": is_drained})
     versions = {"PETSc": ".".join(map(str, PETSc.Sys.getVersion())), "MPI": MPI.Get_library_version().split(",")[0]}
     if comm.rank == 0:
