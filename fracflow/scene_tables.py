@@ -141,8 +141,9 @@ class Accuracy(Part):
     )
     displacement: Fraction = Field(default=1e-12, description="relative change of displacement of (4.9b) [1]")
     pressure: Fraction = Field(default=1e-10, description="epsilon_F of the fixed point (4.5), relative [1]")
-    digits: Annotated[int, Field(strict=True, ge=1, le=15)] = Field(
-        default=6, description="digits that round-off must leave of the joint tractions, or the run stops [1]"
+    digits: Annotated[int, Field(strict=True, ge=0, le=15)] = Field(
+        default=6,
+        description="digits that round-off must leave of the joint tractions, or the run stops; 0 lets it go on [1]",
     )
     max_iterations: Count = Field(default=50, description="Newton iterations of a step before it is halved or given up")
     max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] = Field(

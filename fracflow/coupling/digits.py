@@ -90,7 +90,7 @@ def digits_of(operators: Operators, state: State) -> Digits:
 
 def refuse_few(found: Digits, limit: int, time: float) -> None:
     """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
-    if found.digits >= limit:
+    if limit == 0 or found.digits >= limit:
         return
     enough = found.stiffness * 10.0 ** (found.digits - limit)
     what, remedy = (
