@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI
-from fracflow.assembly.components import Part, close, conducting, find_parts, free_walls
-from fracflow.assembly.loads import Loads
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.components import Part, close, conducting, find_parts, give_way
+from fracflow.assembly.loads import Limit, Loads
+from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.run_setup import Model
@@ -46,12 +47,33 @@ class Network:
         """
         return self._found(loads, stores).loads if self.model.operators.flow is not None else loads
 
-    def refuse_inflow(self, loads: Loads, stores: bool, time: float, controls: Mapping[str, float]) -> None:
-        """Raise SolveError, on every rank, naming a closed part into which more flows than out. Collective."""
-        for part, wells, moves in self._found(loads, stores).parts if self.model.operators.flow is not None else ():
-            rates = [loads.demanded(well, time, controls) for well in wells]
-            if abs(sum(rates)) > BALANCED * sum(map(abs, rates)):
-                self._refuse(part, wells, sum(rates), moves, time)
+    def overfull(self, loads: Loads, stores: bool, problem: StepProblem) -> frozenset[Limit]:
+        """Limits that wells come to because what they pump, at a solved or failed trial, has nowhere to go. Collective.
+
+        Raises SolveError, on every rank, naming a closed part into which more flows than out, and no well has a limit.
+        """
+        found: set[Limit] = set()
+        parts = self._found(loads, stores).parts if self.model.operators.flow is not None else ()
+        swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
+        numbers = self.model.operators.layout.flow_numbers
+        for part, wells, gives in parts:
+            rates = [loads.demanded(well, problem.time, problem.controls) for well in wells]
+            total = sum(rates)
+            if abs(total) > BALANCED * sum(map(abs, rates)):
+                inside = numbers(part.nodes)
+                limits = [each for each in loads.limits if each.node in inside and each.sign * total > 0.0]
+                if not limits:
+                    self._refuse(part, wells, total, gives, problem.time)
+                found.add(min(limits, key=lambda limit: limit.sign * limit.pressure))
+            room = swept[part.nodes]
+            slack = BALANCED * (np.abs(room).sum() + self.model.operators.scales.length * moved * len(room))
+            if not gives and abs(room.sum()) > slack and (stores or len(room) > 1):
+                raise SolveError(
+                    f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
+                    f" by {room.sum():.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
+                    f" there, or let a wall move{', or give fluid.compressibility' if stores else ''}"
+                )
+        return frozenset(found)
 
     def _found(self, loads: Loads, stores: bool) -> _Closed:
         key = (id(loads), stores)
@@ -62,7 +84,7 @@ class Network:
     def look(self, conductance: Floats) -> None:
         """Find the parts anew where elements (j,) of this rank have begun or ceased to conduct. Collective."""
         operators, before = self.model.operators, self._conducts
-        now = conducting(conductance, operators.layout.comm)
+        now = conducting(operators, conductance)
         if operators.layout.comm.allreduce(before is None or not np.array_equal(before, now), op=MPI.LOR):
             self.destroy()
             self.version += 1
@@ -95,20 +117,19 @@ class Network:
     def _make(self, loads: Loads, stores: bool) -> _Closed:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
-        drained, free = self._drained(loads), free_walls(operators, loads.fixed_solid)
+        drained, gives = self._drained(loads), give_way(operators, self._parts, loads.fixed_solid)
         if stores and getattr(fluid, "compressibility", 0.0) > 0.0:
             return _Closed(loads, loads, ())
         parts, closures = [], []
         nodes = {
             name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
         }
-        for part in self._parts:
-            moves = bool(free[part.nodes].any())
+        for part, moves in zip(self._parts, gives.tolist(), strict=True):
             if drained[part.nodes].any() or (stores and moves):
                 continue
             wells = tuple(name for name, node in nodes.items() if node in part.nodes)
             parts.append((part, wells, moves))
-            closures.append(close(operators, part, loads.fixed_solid))
+            closures.append(close(operators, part, moves))
         return _Closed(loads, replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
 
     def _node(self, vector: object) -> int:
@@ -133,6 +154,16 @@ class Network:
             for closure in found.loads.closures:
                 closure.weights.destroy()
         self._closed.clear()
+
+
+def _swept(problem: StepProblem) -> tuple[Floats, float]:
+    """What the walls have made room for in a step at all flow nodes (n,), and their largest motion. Collective."""
+    network, room = problem.operators.flow, problem.operators.layout.flow_vector()
+    assert network is not None
+    network.squeeze.multTranspose(problem.increment, room)
+    found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))
+    room.destroy()
+    return found, float(problem.increment.norm(PETSc.NormType.INFINITY))
 
 
 def _names(model: Model, chosen: np.ndarray) -> str:

@@ -173,11 +173,12 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
     held = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
     pumped: dict[int, list[str]] = {}
+    limited = {w.name for w in scene.well if w.maximum_pressure is not None or w.minimum_pressure is not None}
     for well in scene.well:
         if well.pressure is None:
             pumped.setdefault(int(label[wells[well.name]]), []).append(well.name)
     for component, names in pumped.items():
-        if component not in drained and len(names) == 1:
+        if component not in drained and len(names) == 1 and names[0] not in limited:
             inside = np.unique(mesh.joint_fracture[label[mesh.joint_flow[:, 0]] == component])
             fractures = ", ".join(mesh.fractures[i] for i in inside)
             raise InputError(

@@ -118,17 +118,19 @@ class Stepping:
                 report = replace(report, digits=self._digits(new))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
+                full = self.network.overfull(limited, rule.storage, problem) if same else frozenset()
             except NotConverged:
                 if self._is_closed(problem, limited, rule.storage):
-                    self.network.refuse_inflow(limited, rule.storage, time, controls)
-                    raise
+                    full = self.network.overfull(limited, rule.storage, problem)
+                    if not full:
+                        raise
+                    reached |= full
                 trial = problem.hand_on()
                 continue
             finally:
                 problem.destroy()
-            now = reached_after(loads, reached, new, fluid.flow_depth if fluid is not None else 1.0)
+            now = reached_after(loads, reached, new, fluid.flow_depth if fluid is not None else 1.0) | full
             if now == reached and same:
-                self.network.refuse_inflow(limited, rule.storage, time, controls)
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
                 memory = _remember(state, new, dt) if stepper.memory else Memory()

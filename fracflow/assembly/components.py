@@ -10,12 +10,14 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.layout import Layout
+from fracflow.assembly.layout import Layout, local_rows
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats, Ints
 
-CONDUCTS = 1e-12  # of the largest conductance of all: an element with less is pinched
-FREE = 1e-12  # of the volume that the walls of a free node take up
+CONDUCTS = 1e-15
+"""Of what the elements at its ends conduct together: an element with less is pinched, for the balance at its ends does not
+see it. Not of all elements: a thin fracture far from a wide one conducts what it conducts."""
+FREE = 1e-10  # of what single nodes take up of a wall's motion: less is round-off
 
 
 def label_parts(links: Ints, conducts: np.ndarray, count: int) -> Ints:
@@ -60,10 +62,18 @@ class Closure:
     weights: PETSc.Vec
 
 
-def conducting(conductance: Floats, comm: MPI.Comm) -> np.ndarray:
+def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
     """Which elements (j,) of this rank conduct. Collective."""
-    most = comm.allreduce(float(conductance.max(initial=0.0)), op=MPI.MAX)
-    return np.asarray(conductance > CONDUCTS * most)
+    network = operators.flow
+    assert network is not None
+    nodes, ends = operators.layout.flow_vector(), network.pick.createVecLeft()
+    ends.setArray(np.repeat(conductance, 2))
+    network.pick.multTranspose(ends, nodes)
+    network.pick.mult(nodes, ends)
+    beside = ends.getArray().reshape(-1, 2).max(axis=1)
+    nodes.destroy()
+    ends.destroy()
+    return np.asarray(conductance > CONDUCTS * beside)
 
 
 def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
@@ -85,31 +95,41 @@ def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
     )
 
 
-def free_walls(operators: Operators, fixed_solid: Ints) -> np.ndarray:
-    """Which flow nodes (all of them) have walls that can take up fluid, with some displacements held. Collective."""
+def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -> np.ndarray:
+    """Whether the volume of each part changes when its walls move, with some displacements held. Collective.
+
+    It does not, too, where walls move in such a way only that they make as much room as they take: a rigid block afloat.
+    """
     layout, network = operators.layout, operators.flow
     assert network is not None
-    motion, taken = layout.solid_vector(), layout.flow_vector()
-    first = int(layout.solid_starts[layout.comm.rank])
-    joined = layout.solid_numbers(np.arange(first, first + layout.solid_count))
-    some = 1.0 + 0.5 * np.sin(1.0 + np.arange(first, first + layout.solid_count))  # no motion of a rigid body
-    motion.setArray(np.where(np.isin(joined, fixed_solid), 0.0, some))
-    network.squeeze.multTranspose(motion, taken)
-    whole = np.concatenate(layout.comm.allgather(taken.getArray().copy()))
-    motion.destroy()
-    taken.destroy()
-    return np.asarray(np.abs(whole) > FREE * operators.scales.length)
+    part_of = np.zeros(int(layout.flow_starts[-1]), dtype=np.int64)
+    part_of[np.concatenate([part.nodes for part in parts])] = np.repeat(
+        np.arange(len(parts)), [len(part.nodes) for part in parts]
+    )
+    walls = local_rows(network.squeeze)
+    joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
+    free = ~np.isin(joined, fixed_solid)[walls.rows]
+    keys, inverse = np.unique(walls.rows[free] * len(parts) + part_of[walls.cols[free]], return_inverse=True)
+    room, size = np.zeros(len(keys)), np.zeros(len(keys))
+    np.add.at(room, inverse, walls.values[free])
+    np.add.at(size, inverse, np.abs(walls.values[free]))
+    largest, gives = np.zeros(len(parts)), np.zeros(len(parts), dtype=bool)
+    np.maximum.at(largest, keys % len(parts), size)
+    layout.comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+    np.logical_or.at(gives, keys % len(parts), np.abs(room) > FREE * largest[keys % len(parts)])
+    layout.comm.Allreduce(MPI.IN_PLACE, gives, op=MPI.LOR)
+    return gives
 
 
-def close(operators: Operators, part: Part, fixed_solid: Ints) -> Closure:
-    """The closure of a part that nothing drains. The caller owns its weights. Collective."""
+def close(operators: Operators, part: Part, gives: bool) -> Closure:
+    """The closure of a part that nothing drains, by whether its walls give way. The caller owns its weights. Collective."""
     layout, network = operators.layout, operators.flow
     assert network is not None
     inside = layout.flow_vector()
     first = int(layout.flow_starts[layout.comm.rank])
     local = part.nodes[(part.nodes >= first) & (part.nodes < first + layout.flow_count)] - first
     row = local[local + first == part.nodes[0]]
-    if len(part.nodes) == 1 or not free_walls(operators, fixed_solid)[part.nodes].any():
+    if len(part.nodes) == 1 or not gives:
         inside.getArray()[local] = 1.0 / len(part.nodes)
         return Closure("level", row, inside)
     inside.getArray()[local] = 1.0

@@ -82,3 +82,14 @@ def test_a_sealed_fracture_without_wells_keeps_its_volume(shared_tmp, model):
     assert after == pytest.approx(before, rel=1e-12)
     assert found["probe/in/pressure"][-1] == pytest.approx(found["probe/out/pressure"][-1], rel=1e-9)
     assert found["probe/in/pressure"][-1] > 1.05e6
+
+
+def test_a_well_with_a_limit_takes_what_goes_in(shared_tmp):
+    """Nothing, once the pressure is everywhere its highest; a lone one is no reason to refuse the scene either."""
+    limit = "well.in.maximum_pressure='6 MPa'"
+    for overrides in (["well.out.flow_rate=0"], ["well.out.at=[2, 3]"]):
+        found = history(shared_tmp / overrides[0][9:11], limit, *overrides)
+        assert found["probe/in/pressure"][-1] == pytest.approx(6e6, rel=1e-12)
+        assert found["probe/out/pressure"][-1] == pytest.approx(6e6, rel=1e-9)
+    with pytest.raises(SolveError, match=r"flow rates of in, out add up to -2e-05"):
+        history(shared_tmp / "drawn", limit, "well.in.flow_rate=0")
