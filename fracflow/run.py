@@ -133,7 +133,7 @@ def _steps(
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
                     recorder.log(f"stage {number} ({stage.name or stage.kind}) from time {state.time:.6g}")
-                    entered = stepping.enter(state, stepper_of(scene, stage))
+                    entered = stepping.enter(state, stepper_of(scene, stage), stage.time_step or 0.0)
                     state.destroy()
                     state, going_on = entered, {}
                 steps = equilibrate if stage.kind == "equilibrate" else run_stage

@@ -118,7 +118,7 @@ class Network:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
         drained, gives = self._drained(loads), give_way(operators, self._parts, loads.fixed_solid)
-        if stores and getattr(fluid, "compressibility", 0.0) > 0.0:
+        if stores and fluid.compressibility > 0.0:
             return _Closed(loads, loads, ())
         parts, closures = [], []
         nodes = {

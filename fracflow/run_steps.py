@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.energy import Scheme, book, dissipated, kinetic_energy, switch
+from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.digits import digits_of, refuse_few
-from fracflow.coupling.initial import initial_acceleration, starting_pressure
+from fracflow.coupling.initial import initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Floats
@@ -169,11 +169,13 @@ class Stepping:
             self._variants[key] = loads.at_limit(reached)
         return self._variants[key] if reached else loads
 
-    def enter(self, state: State, stepper: Stepper) -> State:
+    def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
         """A new state, as a stage takes it over. Collective.
 
         With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
-        Without, motion is dropped and what is prescribed arrives during the first step.
+        Pressures of a compressible fluid stay as they are, and the balance gives their rates; those prescribed jump, and
+        go on at their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is prescribed
+        arrives during the first step.
         """
         ops, old = self.model.operators, state.motion
         motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
@@ -182,13 +184,19 @@ class Stepping:
         energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
         if not stepper.inertia:
             pressure, forces = state.pressure.copy(), state.forces.copy()
-            return replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy, memory=Memory())
+            kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
+            return replace(kept, memory=Memory(), pressure_rate=None)
         loads = self._limited(self.model.loads, reached_before(self.model.loads, state))
-        now = Alphas(a4=-1.0)  # no change of displacement, the velocity as it is
-        problem = StepProblem(ops, loads, replace(state, motion=motion), now, state.time, state.controls)
+        now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
+        begun = replace(state, motion=motion, pressure_rate=None)
+        problem = StepProblem(ops, loads, begun, now, state.time, state.controls)
         try:
             problem.evaluate()
-            if problem.residual.flow > self.model.scene.accuracy.residual:
+            if ops.flow is not None and ops.flow.compressibility > 0.0:
+                rate = starting_rate(ops, problem, dt)
+                problem.state = replace(begun, pressure_rate=rate)
+                problem.evaluate()
+            elif problem.residual.flow > self.model.scene.accuracy.residual:
                 starting_pressure(self.model.scene, ops, loads, problem)
                 problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
@@ -198,7 +206,8 @@ class Stepping:
         finally:
             problem.destroy()
         start = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces, energy=energy)
-        return replace(start, memory=Memory())
+        start = replace(start, memory=Memory(), pressure_rate=rate)
+        return replace(start, energy=jumped(start.energy, compressed(ops, state, start))) if rate is not None else start
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
@@ -208,8 +217,12 @@ class Stepping:
 
 
 def _remember(old: State, new: State, dt: float) -> Memory:
-    """The mean velocity of the step between two states."""
+    """The mean velocity of the step between two states, and the mean rate of the pressures of a compressible fluid."""
     velocity = new.motion.displacement.duplicate()
     before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
     velocity.setArray((after - before) / dt)
-    return Memory(dt, velocity)
+    if new.pressure_rate is None:
+        return Memory(dt, velocity)
+    pressure = new.pressure.duplicate()
+    pressure.setArray((new.pressure.getArray(readonly=True) - old.pressure.getArray(readonly=True)) / dt)
+    return Memory(dt, velocity, pressure)

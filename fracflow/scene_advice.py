@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from fracflow.profiles import Profile
 from fracflow.scene import Scene
-from fracflow.units import DENSITY, LENGTH, STIFFNESS, STRESS, VISCOSITY
+from fracflow.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, VISCOSITY
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
 USUAL = {
@@ -17,7 +17,11 @@ USUAL = {
         "aperture": (LENGTH, 1e-7, 0.1),
         "friction_coefficient": ("", 0.01, 2.0),
     },
-    "fluid": {"viscosity": (VISCOSITY, 1e-5, 0.5), "density": (DENSITY, 0.1, 3e3)},
+    "fluid": {
+        "viscosity": (VISCOSITY, 1e-5, 0.5),
+        "density": (DENSITY, 0.1, 3e3),
+        "compressibility": (COMPRESSIBILITY, 1e-11, 1e-4),
+    },
 }
 
 

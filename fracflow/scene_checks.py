@@ -85,6 +85,8 @@ def _materials(scene: Scene) -> Iterator[Fault]:
     for name, fracture in scene.fracture.items():
         if scene.has_flow and fracture.aperture is None and fracture.conductance is None:
             yield ("fracture", name, "aperture"), "missing; the fluid needs it, or conductance"
+        elif scene.has_flow and scene.fluid is not None and scene.fluid.compressibility and fracture.aperture is None:
+            yield ("fracture", name, "aperture"), "missing; a fluid with compressibility needs the volume it fills"
         if fracture.pressure is not None and not scene.has_flow:
             yield ("fracture", name, "pressure"), "needs [fluid] with a viscosity: without it no fluid is modelled"
     if scene.fluid is None and scene.well:

@@ -15,6 +15,7 @@ from fracflow.scene_tables import Part, Size, Stress
 from fracflow.units import (
     ACCELERATION,
     ANGLE,
+    COMPRESSIBILITY,
     CONDUCTANCE,
     DENSITY,
     LENGTH,
@@ -211,6 +212,9 @@ class Fluid(Part):
     )
     density: Annotated[float, Quantity(DENSITY, at_least=0.0)] | None = Field(
         default=None, description="density of the fluid [force*time**2/length**4]; 0 leaves the flow out"
+    )
+    compressibility: Annotated[float, Quantity(COMPRESSIBILITY, at_least=0.0)] = Field(
+        default=0.0, description="c_f, relative change of volume by pressure [length**2/force]; 0: incompressible"
     )
     initial_pressure: Stress = Field(default=0.0, description="p0 [force/length**2]")
     pressure_gradient: Annotated[float, Quantity(WEIGHT)] = Field(

@@ -96,15 +96,18 @@ class Memory:
 
     time_step  its length, 0 where there was none [time]
     velocity   the mean velocity over it of the solid unknowns [length/time]
+    pressure   the mean rate over it of the pressures [stress/time]; of a compressible fluid only
     """
 
     time_step: float = 0.0
     velocity: PETSc.Vec | None = None
+    pressure: PETSc.Vec | None = None
 
     def destroy(self) -> None:
-        """Free the vector; its owner calls it."""
-        if self.velocity is not None:
-            self.velocity.destroy()
+        """Free the vectors; their owner calls it."""
+        for vector in (self.velocity, self.pressure):
+            if vector is not None:
+                vector.destroy()
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,7 @@ class State:
     energy    running totals of the energy books [energy per thickness]
     limited   wells that are kept at a limit of their pressure
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
+    pressure_rate  at the flow nodes [stress/time]; None where nothing is stored by compression
     """
 
     time: float
@@ -127,6 +131,7 @@ class State:
     limited: tuple[str, ...] = ()
     friction: Floats = field(default_factory=lambda: np.zeros(0))
     memory: Memory = Memory()
+    pressure_rate: PETSc.Vec | None = None
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""
@@ -134,6 +139,8 @@ class State:
         self.pressure.destroy()
         self.forces.destroy()
         self.memory.destroy()
+        if self.pressure_rate is not None:
+            self.pressure_rate.destroy()
 
 
 @dataclass(frozen=True)

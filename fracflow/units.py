@@ -14,6 +14,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 STRESS = "force/length**2"
+COMPRESSIBILITY = "length**2/force"
 STIFFNESS = "force/length**3"
 DENSITY = "force*time**2/length**4"
 WEIGHT = "force/length**3"
@@ -31,6 +32,7 @@ PLAIN = "1"
 
 EXAMPLES = {
     STRESS: "30 GPa",
+    COMPRESSIBILITY: "0.45 1/GPa",
     STIFFNESS: "10 GPa/m",
     DENSITY: "2700 kg/m^3",
     VISCOSITY: "1e-3 Pa s",

@@ -1,7 +1,7 @@
 """The energy books: every term booked over each step with (2.33b), and what is left over.
 
 Running totals, per unit thickness. The balance that must close:
-kinetic + rock_strain + joint_normal + joint_shear + friction + viscous + scheme + spurious + dropped
+kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + scheme + spurious + dropped
     = work_boundaries + work_wells + work_pressure + work_initial
 """
 
@@ -22,6 +22,7 @@ STORED = (
     "rock_strain",
     "joint_normal",
     "joint_shear",
+    "fluid_storage",
     "friction",
     "viscous",
     "scheme",
@@ -83,6 +84,8 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
     if ops.flow is not None:
         instants = (new,) if scheme.balance == "end" else (old, new)
         parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme.storage)
+        if ops.flow.compressibility > 0.0:
+            _add_compression(ops, parts, old, new, instants, dt, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_acceleration, mean_pressure, mean_displacement, term):
         vector.destroy()
@@ -101,6 +104,31 @@ def switch(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
     """Totals where a stage begins with another kinetic energy than the last one ended with: the rest is dropped."""
     lost = totals["kinetic"] - kinetic
     return _with_residuals({**totals, "kinetic": kinetic, "dropped": totals["dropped"] + lost})
+
+
+def jumped(totals: Mapping[str, float], stored: float) -> dict[str, float]:
+    """Totals where prescribed pressures jump as a stage begins: wells bring at once what the fluid stores there."""
+    stored_now, brought = totals["fluid_storage"] + stored, totals["work_wells"] + stored
+    return _with_residuals({**totals, "fluid_storage": stored_now, "work_wells": brought})
+
+
+def compressed(ops: Operators, old: State, new: State) -> float:
+    """Work of (2.33b) on a compressible fluid between two states, int c_f d p dp of what exceeds the resting pressure.
+
+    Collective.
+    """
+    assert ops.flow is not None
+    change, mean = _sum(1.0, new.pressure, -1.0, old.pressure), _sum(0.5, new.pressure, 0.5, old.pressure)
+    weight = sum(0.5 * ops.flow.compress(_apertures(ops, state), change).weight for state in (old, new))
+    work = np.sum(weight * ops.flow.at_ends(change) * ops.flow.driving(mean))
+    change.destroy()
+    mean.destroy()
+    return float(ops.layout.comm.allreduce(float(work)))
+
+
+def _apertures(ops: Operators, state: State) -> Floats:
+    assert ops.flow is not None
+    return ops.flow.apertures(state.motion.displacement, ops.joints.openings(state.sections.strain))
 
 
 def put_in(totals: Mapping[str, float]) -> dict[str, float]:
@@ -178,3 +206,30 @@ def _fluid_parts(
     for vector in (rate, driving, balanced):
         vector.destroy()
     return parts
+
+
+def _add_compression(
+    ops: Operators,
+    parts: dict[str, float],
+    old: State,
+    new: State,
+    instants: tuple[State, ...],
+    dt: float,
+    storage: bool,
+) -> None:
+    """Add what compression stores; of its term in (3.20), as above, what differs from it is the scheme's.
+
+    Without storage no fluid is drawn for it, and its work is outer as that on the walls. Collective.
+    """
+    assert ops.flow is not None
+    parts["fluid_storage"] = compressed(ops, old, new)
+    if not storage:
+        parts["work_pressure"] += parts["fluid_storage"]
+        return
+    balanced = sum(ops.flow.driving(state.pressure) for state in instants) / len(instants)
+    term = 0.0
+    for state in instants:
+        if state.pressure_rate is not None:
+            stored = ops.flow.compress(_apertures(ops, state), state.pressure_rate)
+            term += float(np.sum(stored.weight * stored.rate * balanced))
+    parts["fluid_scheme"] += dt / len(instants) * ops.layout.comm.allreduce(term) - parts["fluid_storage"]

@@ -36,12 +36,30 @@ def is_transposed(storage: str) -> bool:
 
 
 @dataclass(frozen=True)
+class Compression:
+    """What a compressible fluid takes up at the joint ends, all (j, 2); the rate of volume is weight times rate.
+
+    weight  c_f d L/2, nothing where the walls meet [volume/stress per thickness]
+    slope   its derivative by the opening of its end
+    rate    of the pressure [stress/time]
+    """
+
+    weight: Floats
+    slope: Floats
+    rate: Floats
+
+
+@dataclass(frozen=True)
 class Conduction:
-    """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2)."""
+    """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2).
+
+    ``compression`` is None where the fluid stores nothing by it.
+    """
 
     conductance: Floats
     slope: Floats
     pressure: Floats
+    compression: Compression | None = None
 
 
 @dataclass(frozen=True)
@@ -73,14 +91,24 @@ class Flow:
     resting_end: Floats
     mean: str
     viscosity: float
+    compressibility: float = 0.0
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
         """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
         jump = _apply(self.opening, displacement).reshape(-1, 2) if opening is None else opening
         return self.aperture + jump
 
-    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
-        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
+    def conduct(
+        self,
+        displacement: PETSc.Vec,
+        pressure: PETSc.Vec,
+        opening: Floats | None = None,
+        rate: PETSc.Vec | None = None,
+    ) -> Conduction:
+        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive.
+
+        rate  of the pressures, where a compressible fluid stores. Collective.
+        """
         mechanical = self.apertures(displacement, opening)
         hydraulic = np.maximum(mechanical, self.least)
         mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
@@ -90,6 +118,7 @@ class Flow:
             np.where(is_cubic, cubic, self.given / self.length),
             np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
             self.driving(pressure),
+            None if rate is None else self.compress(mechanical, rate),
         )
 
     def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
@@ -98,17 +127,30 @@ class Flow:
             (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & np.isnan(self.given)[:, None]
         )
 
+    def compress(self, aperture: Floats, rate: PETSc.Vec) -> Compression:
+        """What the fluid takes up at apertures (j, 2), while its pressures change. Collective."""
+        slope = 0.5 * self.compressibility * self.length[:, None] * (aperture > 0.0)
+        return Compression(slope * aperture, slope, self.at_ends(rate))
+
+    def taken_up(self, at_ends: Floats, result: PETSc.Vec) -> None:
+        """``result`` += volume rates (j, 2) at the joint ends, brought to the flow nodes. Collective."""
+        ends = self.pick.createVecLeft()
+        ends.setArray(at_ends.ravel())
+        self.pick.multTransposeAdd(ends, result, result)
+        ends.destroy()
+
+    def at_ends(self, nodes: PETSc.Vec) -> Floats:
+        """Values of the flow nodes at the joint ends (j, 2). Collective."""
+        return _apply(self.pick, nodes).reshape(-1, 2)
+
     def driving(self, pressure: PETSc.Vec) -> Floats:
         """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""
-        return _apply(self.pick, pressure).reshape(-1, 2) - self.resting_end
+        return self.at_ends(pressure) - self.resting_end
 
     def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
         """(3.20) ``result`` += K_F p, what each flow node sends into its elements. Collective."""
         through = flow.element_flow(state.conductance, state.pressure)
-        ends = self.pick.createVecLeft()
-        ends.setArray(np.stack([through, -through], axis=1).ravel())
-        self.pick.multTransposeAdd(ends, result, result)
-        ends.destroy()
+        self.taken_up(np.stack([through, -through], axis=1), result)
 
 
 def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
@@ -171,4 +213,5 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         _apply(pick, resting).reshape(-1, 2),
         scene.method.conductance,
         scene.fluid.viscosity,
+        scene.fluid.compressibility,
     )

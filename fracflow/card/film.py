@@ -180,7 +180,7 @@ def compressibility(view: View) -> Number:
     name, formula = "fluid compressibility", "k_n d/K_f"
     if not view.flows:
         return Number(name, formula, note="no flow")
-    given = getattr(view.scene.fluid, "compressibility", None)
+    given = view.scene.fluid.compressibility if view.scene.fluid is not None else 0.0
     if not given and view.scene.units == "none":
         return Number(name, formula, note="not stated")
     share = given or view.scene.unit_system.to_si(STRESS) / WATER

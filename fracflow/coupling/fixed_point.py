@@ -184,6 +184,8 @@ class FixedPoint:
             0.5 * problem.alphas.a1 * network.length,
             problem.sections.tangent.copy(),
         )
+        if conduction.compression is not None:
+            now = replace(now, feedback=now.feedback + conduction.compression.slope * conduction.compression.rate)
         old = self.linearised
         if old is not None and old.alphas == now.alphas:
             change, factor = old.change(now, problem.operators.layout.comm), old.prediction.factor

@@ -31,6 +31,27 @@ def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem:
         matrix.destroy()
 
 
+def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETSc.Vec:
+    """C p' = Q - B_F' v - K_F p: rates at which a compressible fluid starts, in a new vector, from an evaluated trial.
+
+    Prescribed pressures start at the rate at which they change over ``dt`` [time]; fluid without volume at none. Collective.
+    """
+    network = operators.flow
+    assert network is not None
+    rate, volume = problem.pressure.duplicate(), problem.pressure.duplicate()
+    rate.set(1.0)
+    volume.set(0.0)
+    aperture = network.apertures(problem.displacement, operators.joints.openings(problem.sections.strain))
+    network.taken_up(network.compress(aperture, rate).weight, volume)
+    weight, balance = volume.getArray(), problem.flow_balance.getArray(readonly=True)
+    rate.setArray(np.divide(-balance, weight, out=np.zeros(len(weight)), where=weight > 0.0))
+    if dt > 0.0:
+        for part in problem.loads.pressures:
+            rate.getArray()[part.numbers] = (part.value(problem.time + dt) - part.value(problem.time)) / dt
+    volume.destroy()
+    return rate
+
+
 def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
     """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective."""
     matrix, solver = _with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)

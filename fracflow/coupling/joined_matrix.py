@@ -39,7 +39,7 @@ class FreePart:
 
 
 class JoinedMatrix:
-    """Matrix [[A, -B], [alpha_1 B_F' + dK_F p/du, K_F]] in scaled unknowns, rows of what is held replaced by 1.
+    """Matrix [[A, -B], [alpha_1 B_F' + d(K_F p + C p')/du, K_F + b_1 C]] in scaled unknowns, rows of what is held are 1.
 
     ``only`` leaves one of the two splits free, "solid" or "flow"; None both.
     """
@@ -179,6 +179,8 @@ class JoinedMatrix:
         arrays = [moduli] + (
             [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]
         )
+        if conduction is not None and conduction.compression is not None:
+            arrays += [conduction.compression.weight, conduction.compression.slope * conduction.compression.rate]
         if conduction is not None and only == "solid":
             arrays = [moduli]
         same = (
@@ -217,8 +219,13 @@ class JoinedMatrix:
         if ops.flow is not None and conduction is not None:
             flow_flow = scales.pressure / flow_scale
             nodes = free.flow_rows
-            add_blocks(matrix, nodes, free.flow_nodes, flow_flow * flow_element.conductivity(conduction.conductance))
+            between = flow_element.conductivity(conduction.conductance)
             slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
+            if conduction.compression is not None:
+                here, stored = np.arange(2), conduction.compression
+                between[:, here, here] += alphas.b1 * stored.weight
+                slope[:, here, here] += stored.slope * stored.rate
+            add_blocks(matrix, nodes, free.flow_nodes, flow_flow * between)
             for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
                 joint, end = ends // 2, ends % 2
                 values = slope[joint, :, end][:, :, None] * normal[:, None, :]

@@ -1,13 +1,13 @@
 """(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
 
 solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p - R = 0
-flow   B_F' v + K_F(u) p - Q = 0
+flow   B_F' v + C(u) p' + K_F(u) p - Q = 0, C = c_f d L/2 of a compressible fluid, lumped
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.compression import pressure_rate
 from fracflow.coupling.digits import blur, noise_of
 from fracflow.coupling.lag import Lag
+from fracflow.coupling.residual import Residual
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import Forces, Motion, MotionValues, Past, Sections, State
@@ -30,19 +32,6 @@ TINY = 1e-300  # a network of closed fractures has no terms
 LEAST_FORCE = 1e-4  # share of the natural force that counts as a term of the balance where nothing is loaded
 LEAST_DRIVE = 1e-8
 """Share of the natural pressure that drives at least: a network come to rest has nothing but round-off to balance."""
-
-
-@dataclass(frozen=True)
-class Residual:
-    """Sizes of what is out of balance: largest entry over the largest of the terms that should balance, and (4.9a).
-
-    solid, flow      largest entry, relative
-    out_of_balance   Euclidean norm of the solid balance [force per thickness]
-    """
-
-    solid: float
-    flow: float
-    out_of_balance: float
 
 
 class StepProblem:
@@ -169,6 +158,10 @@ class StepProblem:
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
         return result
 
+    def _rate(self) -> PETSc.Vec | None:
+        """Rate of the trial's pressures, in a new vector; None where the fluid stores nothing by compression."""
+        return pressure_rate(self.operators.flow, self.state, self.alphas, self.pressure)
+
     def _flow_balance(self) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
@@ -178,16 +171,22 @@ class StepProblem:
         network.squeeze.multTranspose(self.displacement, flow)
         terms.append(CANCELLATION * self.alphas.a1 * flow.norm(PETSc.NormType.INFINITY))
         network.squeeze.multTranspose(speed, flow)
-        opening = self.operators.joints.openings(self.sections.strain)
-        self.conduction = network.conduct(self.displacement, self.pressure, opening)
+        rate, opening = self._rate(), self.operators.joints.openings(self.sections.strain)
+        self.conduction = network.conduct(self.displacement, self.pressure, opening, rate)
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
+        if (stored := self.conduction.compression) is not None:
+            network.taken_up(stored.weight * stored.rate, flow)
         speed.destroy()
         self._close()
         # what an element carries at full pressure: the size of the terms whose difference is its flow
         size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
         size = np.maximum(size, LEAST_DRIVE * self.operators.scales.pressure)
         through = (self.conduction.conductance[:, None] * size).max(initial=0.0)
+        if rate is not None and stored is not None:
+            change = CANCELLATION * self.alphas.b1 * network.at_ends(self.pressure)
+            through = max(through, (stored.weight * np.maximum(np.abs(stored.rate), np.abs(change))).max(initial=0.0))
+            rate.destroy()
         return [*terms, self.operators.layout.comm.allreduce(float(through), op=MPI.MAX)]
 
     def _close(self) -> None:
@@ -226,6 +225,9 @@ class StepProblem:
         scales, comm = self.operators.scales, self.operators.layout.comm
         largest = comm.allreduce(float(self.conduction.conductance.max(initial=0.0)), op=MPI.MAX)
         scale = max(self.alphas.a1 * scales.length * scales.displacement, largest * scales.pressure)
+        if self.conduction.compression is not None:
+            held = comm.allreduce(float(self.conduction.compression.weight.max(initial=0.0)), op=MPI.MAX)
+            scale = max(scale, self.alphas.b1 * held * scales.pressure)
         return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
 
     def change_statuses(self) -> np.ndarray:
@@ -246,7 +248,8 @@ class StepProblem:
         """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
         u, p = self.displacement, self.pressure
         motion = Motion(u.copy(), self._velocity(), self._acceleration())
-        return State(self.time, motion, p.copy(), self.sections, self.forces(motion), dict(self.controls), energy)
+        forces, controls, rate = self.forces(motion), dict(self.controls), self._rate()
+        return State(self.time, motion, p.copy(), self.sections, forces, controls, energy, pressure_rate=rate)
 
     def forces(self, motion: Motion) -> Forces:
         """Terms of both balances with the reactions of what is held. Collective."""
@@ -266,6 +269,8 @@ class StepProblem:
             drawn = ops.layout.flow_vector()
             ops.flow.squeeze.multTranspose(motion.velocity, drawn)
             drawn.axpy(1.0, conduction)
+            if (stored := self.conduction.compression) is not None:
+                ops.flow.taken_up(stored.weight * stored.rate, drawn)
             for part in self.loads.pressures:
                 source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
             drawn.destroy()

@@ -43,6 +43,7 @@ NOTES = (
     "events",
 )
 MEMORY = "mean_velocity"
+RATES = ("pressure_rate", "mean_pressure_rate")  # of a compressible fluid, where there are any
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
@@ -93,6 +94,9 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
     if state.memory.velocity is not None:
         local = state.memory.velocity.getArray(readonly=True)
         arrays[MEMORY] = blocks.gather(places[used], local[used], total)
+    for name, rate in zip(RATES, (state.pressure_rate, state.memory.pressure), strict=True):
+        if rate is not None:
+            arrays[name] = blocks.gather(blocks.flow.ids, rate.getArray().copy(), blocks.sizes.flow_nodes)
     joints, points = blocks.joints.ids, operators.joints.points
     at_sections = {f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "past"}
     for name, values in {**at_sections, "friction": state.friction}.items():
@@ -126,6 +130,9 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             vector.setArray(arrays[name][blocks.flow.ids])
         return vector
 
+    def saved(name: str) -> PETSc.Vec | None:
+        return flow(name) if name in arrays else None
+
     def at_sections(name: str) -> NDArray[Any]:
         values = arrays[name][blocks.joints.ids]
         return values.reshape(-1, *values.shape[2:])
@@ -145,7 +152,8 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         energy=notes["energy"],
         limited=tuple(notes["limited"]),
         friction=at_sections("friction"),
-        memory=Memory(notes["last_step"], solid(MEMORY)) if notes["last_step"] else Memory(),
+        memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1])) if notes["last_step"] else Memory(),
+        pressure_rate=saved(RATES[0]),
     )
 
 
@@ -155,6 +163,7 @@ def _check_lengths(arrays: Arrays, operators: Operators, unknowns: int, remember
         FLOW if operators.flow is not None else (), sizes.flow_nodes
     )
     lengths |= {MEMORY: unknowns} if remembers else {}
+    lengths |= {name: sizes.flow_nodes for name in RATES if name in arrays}
     lengths |= {f"sections/{field.name}": sizes.joints for field in fields(Sections) if field.name != "past"}
     for number, group in enumerate(operators.joints.laws):
         lengths |= {f"past/{number}/{name}": sizes.joints for name in group.law.history}

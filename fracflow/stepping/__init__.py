@@ -3,7 +3,7 @@
 from typing import Any
 
 from .film import BDF2, BackwardEuler, Trapezoid, first
-from .newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, velocity
+from .newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
 
 STEPPERS: dict[str, type[Any]] = {
     "newmark": Newmark,
@@ -26,5 +26,6 @@ __all__ = [
     "Trapezoid",
     "acceleration",
     "first",
+    "first_rate",
     "velocity",
 ]

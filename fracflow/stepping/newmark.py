@@ -25,6 +25,16 @@ class Alphas:
     a5: float = 0.0
     a6: float = 0.0
 
+    @property
+    def b1(self) -> float:
+        """Coefficient of the change of what has a first rate only, as a pressure: 1/(gamma dt) of Newmark, else alpha_1."""
+        return self.a0 / self.a1 if self.a0 else self.a1
+
+    @property
+    def b4(self) -> float:
+        """That of its last rate: (1 - gamma)/gamma of Newmark, else alpha_4."""
+        return self.a2 / self.a1 - 1.0 if self.a0 else self.a4
+
 
 class HasMotion(Protocol):
     """Displacement, velocity and acceleration, all arrays or all numbers."""
@@ -73,6 +83,14 @@ def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion, mean_
     """(4.2f) v_new = a1 (d_new - d) - a4 v - a5 a - a6 w, w = ``mean_old`` the mean velocity of the last step."""
     change, old = displacement_new - motion_old.displacement, motion_old
     return alphas.a1 * change - alphas.a4 * old.velocity - alphas.a5 * old.acceleration - alphas.a6 * mean_old
+
+
+def first_rate(alphas: Alphas, new: Any, old: Any, rate_old: Any = 0.0, mean_old: Any = 0.0) -> Any:
+    """p'_new = b1 (p_new - p) - b4 p' - a6 w of what has no second rate; w = ``mean_old`` is its mean in the last step.
+
+    Newmark's p_new = p + dt ((1 - gamma) p' + gamma p'_new); the film rules' own, as for the walls.
+    """
+    return alphas.b1 * (new - old) - alphas.b4 * rate_old - alphas.a6 * mean_old
 
 
 def checked(time_step: float) -> float:

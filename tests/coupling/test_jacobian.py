@@ -1,5 +1,7 @@
 """(4.8) The joint Jacobian against differences of the residual, on a network with a crossing, a T and an arc."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from fracflow.coupling.step_problem import StepProblem
 from fracflow.run_setup import prepare
 from fracflow.run_start import rest
 from fracflow.scene import load
-from fracflow.stepping import BackwardEuler, Newmark, Steady
+from fracflow.state import Memory
+from fracflow.stepping import BDF2, BackwardEuler, Newmark, Steady, Trapezoid
 
 
 @pytest.mark.parametrize("model", ["default", "report"])
@@ -35,6 +38,32 @@ def test_jacobian_is_the_derivative(stepper, model):
     newton.destroy()
     matrix.destroy()
     problem.destroy()
+
+
+@pytest.mark.parametrize(
+    "stepper", [BackwardEuler(), BDF2(), Trapezoid(), Newmark(0.3, 0.6)], ids=lambda s: type(s).__name__
+)
+def test_jacobian_of_a_compressible_fluid(stepper):
+    """C(u) p' with both its derivatives, of a fluid that gives far more than the walls, after rates of a step before."""
+    scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = rest(prepared), np.random.default_rng(11 + MPI.COMM_WORLD.rank)
+    rate, mean = state.pressure.duplicate(), state.pressure.duplicate()
+    for vector in (rate, mean):
+        vector.setArray(1e9 * random.standard_normal(vector.getLocalSize()))
+    state = replace(state, pressure_rate=rate, memory=Memory(2e-3, None, mean))
+    alphas = stepper.alphas(1e-3, 2e-3)
+    problem = StepProblem(prepared.operators, prepared.loads, state, alphas, 1e-3, {"pumping": 1e-5})
+    matrix = JoinedMatrix(prepared.operators, prepared.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    newton._pack(problem)
+    unknowns = newton.unknowns.copy()
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    for thing in (newton, matrix, problem):
+        thing.destroy()
 
 
 def check_derivative(newton, random):

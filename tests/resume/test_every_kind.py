@@ -41,6 +41,12 @@ CASES = {
     "stages": (CRACK + QUASI + DYNAMIC + QUASI, [], (3, 5, 8, 10, 12)),
     "bdf2": (CRACK + DYNAMIC + QUASI, ["method.film=bdf2", "method.storage=averaging"], (5, 6, 8)),
     "trapezoid": (CRACK + QUASI, ["method.film=trapezoid", "method.storage=consistent-lumped"], (0, 1, 3)),
+    "compressible": (
+        CRACK + QUASI + DYNAMIC + QUASI,
+        ["method.film=bdf2", "fluid.compressibility=1e-8"],
+        (1, 3, 5, 8, 10),
+    ),
+    "compressible trapezoid": (CRACK + QUASI, ["method.film=trapezoid", "fluid.compressibility=1e-8"], (0, 1, 3)),
     "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),

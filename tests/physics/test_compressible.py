@@ -1,0 +1,187 @@
+"""A compressible fluid, c_f d dp/dt: what it stores, how fast pressure spreads in it, its rules' orders and its books."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError
+from fracflow.output import list_steps, read_history, read_step
+from fracflow.run import run
+from fracflow.scene import load
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import winkler
+
+FILM = {"backward-euler": 1, "bdf2": 2, "trapezoid": 2}
+SOFT = winkler.SCENE.replace("viscosity = 1", "viscosity = 1\ncompressibility = 0.1")
+STIFF = SOFT.replace(
+    "[rock.springs]\nyoungs_modulus = 1e-15\npoissons_ratio = 0\n", "[rock.springs]\nrigid = true\n"
+).replace('[[support]]\non = "top"', '[[support]]\non = "springs"\ncomponents = ["x", "y", "rotation"]')
+"""c_f d = 1 and conductance 1: the diffusivity is 1; walls that answer, and walls that do not move."""
+INFLOW = '[[well]]\nname = "in"\nat = {fracture = "film", end = "start"}\nflow_rate = 0.3\n'
+PROBE = '[[probe]]\nname = "far"\nat = [%g, 0]\non = "film"\n'
+
+
+def stage(kind, end, steps):
+    return f'[[stage]]\nkind = "{kind}"\ntime_step = {end / steps!r}\nsteps = {steps}\n'
+
+
+def ran(folder, x, text, *options):
+    """The history of a run, and the fields of the film at its end."""
+    comm = MPI.COMM_WORLD
+    folder = folder / f"run{len(list(folder.iterdir())) if comm.rank == 0 else 0}"
+    folder = Path(comm.bcast(str(folder)))
+    if comm.rank == 0:
+        folder.mkdir()
+    run(load(winkler.write(folder, comm, x, text), options), folder / "run", comm)
+    found = None
+    if comm.rank == 0:
+        _, fields, _ = read_step(list_steps(folder / "run", "fractures")[-1][1])
+        found = read_history(folder / "run" / "history.h5"), fields
+    return comm.bcast(found)
+
+
+def closes(history):
+    largest = max(np.abs(values).max() for key, values in history.items() if key.startswith("energy/"))
+    assert np.abs(history["energy/residual"]).max() <= 1e-10 * largest
+    return largest
+
+
+@pytest.mark.parametrize("film", FILM)
+@pytest.mark.parametrize("kind", ["quasi-static", "dynamic"])
+def test_a_sealed_slot_stores_what_flows_in(shared_tmp, kind, film):
+    """Walls that do not move: mean pressure Q t/(c_f V), and the same anywhere once fluid runs freely."""
+    x, text = np.array([0.0, 1.0, 1.5, 4.0]), STIFF.format(pressure=0) + PROBE % 4 + INFLOW
+    history, fields = ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
+    length = np.repeat(np.diff(x), 2)
+    assert 0.5 * length @ np.ravel(fields["pressure"]) == pytest.approx(0.3 * 2.0, rel=1e-12)
+    assert history["probe/far/pressure"][-1] < 0.1  # it is still spreading
+    closes(history)
+    text = text.partition("[[well]]")[0] + evenly(x, 0.3)
+    history, _ = ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
+    assert history["probe/far/pressure"] == pytest.approx(0.3 * history["time"] / 4.0, rel=1e-11)
+    stored = 0.5 * 4.0 * (0.3 * history["time"] / 4.0) ** 2
+    assert history["energy/fluid_storage"] == pytest.approx(stored, rel=1e-11)
+
+
+def evenly(x, rate):
+    """Wells at all nodes of x that give each its share of ``rate``, so that no fluid has to run anywhere."""
+    share = np.convolve(np.diff(x), [0.5, 0.5], "full") / (x[-1] - x[0])
+    return "".join(
+        f'[[well]]\nname = "at {at}"\nat = [{at}, 0]\nflow_rate = {rate * part}\n'
+        for at, part in zip(x, share, strict=True)
+    )
+
+
+@pytest.mark.parametrize("coupling", ["monolithic", "fixed-point"])
+def test_without_a_pressure_anywhere_each_coupling_has_a_solution(shared_tmp, coupling):
+    """Sealed, with walls that give: backward Euler of c_f (10 + p/k_n) p' + p'/k_n = Q/L, k_n = 1."""
+    x, c = np.array([0.0, 1.0, 1.5, 4.0]), 10.0
+    text = SOFT.format(pressure=0).replace("compressibility = 0.1", f"compressibility = {c}") + PROBE % 4
+    text += evenly(x, 40.0) + stage("quasi-static", 1.0, 4)
+    history, _ = ran(shared_tmp, x, text, f"method.coupling={coupling}")
+    p = [0.0]
+    for _ in range(4):  # c p^2 + (10 c + 1 - c q) p - (10 c + 1) q - 40/4 dt = 0
+        p.append(np.roots([c, 10 * c + 1 - c * p[-1], -(10 * c + 1) * p[-1] - 40.0 / 4 * 0.25]).max())
+    assert history["probe/far/pressure"] == pytest.approx(np.array(p), rel=1e-9)
+    closes(history)
+
+
+def driven(rate, end):
+    """int_0^end 3 s^2 exp(-rate (end - s)) ds."""
+    return 3 * (end**2 / rate - 2 * end / rate**2 + 2 / rate**3 - 2 * np.exp(-rate * end) / rate**3)
+
+
+def series(x, end, length, spacing=0.0):
+    """Pressure at x where it is t^3 at 0 and no fluid leaves at the far end, after Carslaw and Jaeger 3.4.
+
+    With a ``spacing`` the finite series of nodes that far apart, whose storage is lumped.
+    """
+    count = round(length / spacing) if spacing else 4000
+    wave = (2 * np.arange(count) + 1) * np.pi / (2 * length)
+    rate, weight = wave**2, 2 / (wave * length)
+    if spacing:
+        rate = (2 / spacing * np.sin(wave * spacing / 2)) ** 2
+        weight = spacing / length / np.tan(wave * spacing / 2)
+    return end**3 - np.sum(weight * np.sin(wave * x) * driven(rate, end))
+
+
+def spread(folder, count, steps, *options, kind="quasi-static"):
+    """Pressure at the closed end of a slot of length 1.5 at time 1, and the history."""
+    times = np.linspace(0, 1, steps + 1)
+    text = STIFF.format(pressure=0) + PROBE % 1.5 + INFLOW.partition("flow_rate")[0]
+    text += f"pressure = {np.stack([times, times**3], 1).tolist()}\n" + stage(kind, 1.0, steps)
+    history, _ = ran(folder, np.linspace(0, 1.5, count + 1), text, *options)
+    return history["probe/far/pressure"][-1], history
+
+
+def test_pressure_spreads_by_the_diffusion_equation(shared_tmp):
+    """Order 2 in the spacing, against Fourier's series."""
+    wrong = [
+        abs(spread(shared_tmp, count, 100, "method.film=trapezoid")[0] - series(1.5, 1.0, 1.5)) for count in (3, 6, 12)
+    ]
+    assert np.log2(wrong[0] / wrong[1]) == pytest.approx(2, abs=0.15)
+    assert np.log2(wrong[1] / wrong[2]) == pytest.approx(2, abs=0.15)
+    assert wrong[2] < 1e-3
+
+
+@pytest.mark.parametrize("film", [*FILM, "newmark"])
+def test_order_in_time(shared_tmp, film):
+    """Against the finite series of the same nodes; a dynamic stage goes by Newmark's gamma."""
+    exact, wrong = series(1.5, 1.0, 1.5, 0.25), []
+    kind, options = ("dynamic", ()) if film == "newmark" else ("quasi-static", (f"method.film={film}",))
+    for steps in (20, 40, 80):
+        pressure, history = spread(shared_tmp, 6, steps, *options, kind=kind)
+        wrong.append(abs(pressure - exact))
+        closes(history)
+        if film == "newmark":  # no more than the trapezoid loses
+            assert np.abs(history["energy/scheme"]).max() <= 1e-12
+    assert np.log2(wrong[1] / wrong[2]) == pytest.approx(FILM.get(film, 2), abs=0.15)
+
+
+@pytest.mark.parametrize("gamma", [0.5, 0.7])
+def test_walls_and_fluid_together_in_a_dynamic_stage(shared_tmp, gamma):
+    """Cubic law and walls that move: pressure, opening and books of order 2 from the first instant, 1 for gamma > 1/2.
+
+    The fluid begins to flow at once, at rates that the balance gives.
+    """
+    ends, x = [], np.array([0.0, 1.0, 2.5, 4.0])
+    for steps in (20, 40, 80):
+        times = np.linspace(0, 1, steps + 1)
+        text = SOFT.format(pressure=0.2).replace("aperture = 10\nconductance = 1", "aperture = 2") + PROBE % 4
+        text += 'quantities = ["pressure", "opening"]\n' + INFLOW
+        text += '[[well]]\nname = "out"\nat = {fracture = "film", end = "end"}\n'
+        text += f"pressure = {np.stack([times, 0.2 + np.sin(times)], 1).tolist()}\n"
+        text = text.replace("at = [4, 0]", "at = [1, 0]") + stage("dynamic", 1.0, steps)
+        history, _ = ran(shared_tmp, x, text, f"method.newmark_gamma={gamma}", "method.coupling=whole-lu")
+        closes(history)
+        names = ("probe/far/pressure", "probe/far/opening", "energy/fluid_storage", "energy/work_wells")
+        ends.append([history[name][-1] for name in names])
+    change = np.abs(np.diff(ends, axis=0))
+    assert np.log2(change[0] / change[1]) == pytest.approx(2.0 if gamma == 0.5 else 1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("film", FILM)
+def test_books_from_stage_to_stage(shared_tmp, film):
+    """Steady, film and inertia, with an aperture that opens and pressures that jump as a stage begins."""
+    text = SOFT.format(pressure=0.2).replace("aperture = 10\nconductance = 1", "aperture = 1.5") + PROBE % 4
+    text += '[[well]]\nname = "in"\nat = {fracture = "film", end = "start"}\n'
+    text += "pressure = [[0, 0.5], [1, 0.5], [1.000001, 0.1], [2, 0.4], [9, 0.3]]\n"
+    for kind in ("steady", "quasi-static", "dynamic", "quasi-static"):
+        text += stage(kind, 1.0, 4)
+    history, _ = ran(shared_tmp, np.array([0.0, 1.0, 2.5, 4.0]), text, f"method.film={film}")
+    largest = closes(history)
+    assert np.abs(history["energy/fluid_storage"]).max() > 0.01 * largest
+    assert np.diff(history["energy/viscous"]).min() >= 0.0
+
+
+def test_a_fluid_that_stores_needs_an_aperture(shared_tmp):
+    """A conductance of the scene alone says nothing about the volume."""
+    comm = MPI.COMM_WORLD
+    text = SOFT.format(pressure=0).replace("aperture = 10\n", "") + INFLOW + stage("steady", 1.0, 1)
+    file = winkler.write(shared_tmp, comm, np.arange(3.0), text)
+    with pytest.raises(InputError, match=r"fracture\.film.aperture: missing; a fluid with compressibility"):
+        load(file)
