@@ -9,6 +9,7 @@ from fracflow._petsc import PETSc
 from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
+from fracflow.coupling.accept import accept, balance_terms
 from fracflow.coupling.digits import digits_of, refuse_few
 from fracflow.coupling.initial import initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
@@ -114,7 +115,7 @@ class Stepping:
             )
             try:
                 report = self._coupling(closed).solve(problem)
-                new = problem.accept(state.energy)
+                new = accept(problem, state.energy)
                 report = replace(report, digits=self._digits(new))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
@@ -200,7 +201,7 @@ class Stepping:
                 starting_pressure(self.model.scene, ops, loads, problem)
                 problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
-            pressure, forces = problem.pressure.copy(), problem.forces(motion)
+            pressure, forces = problem.pressure.copy(), balance_terms(problem, motion)
             was = state.sections
             sections = replace(problem.sections, strain=was.strain, blur=was.blur, record=was.record)
         finally:

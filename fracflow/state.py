@@ -119,6 +119,7 @@ class State:
     limited   wells that are kept at a limit of their pressure
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
     pressure_rate  at the flow nodes [stress/time]; None where nothing is stored by compression
+    drive     largest pressure, above that at rest, at the end of a step since the start [stress]
     """
 
     time: float
@@ -132,6 +133,7 @@ class State:
     friction: Floats = field(default_factory=lambda: np.zeros(0))
     memory: Memory = Memory()
     pressure_rate: PETSc.Vec | None = None
+    drive: float = 0.0
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""

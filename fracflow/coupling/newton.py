@@ -275,7 +275,8 @@ class Newton:
         accuracy, residual = self.scene.accuracy, problem.residual
         if iteration < self.least:
             return False
-        flow = self.only == "solid" or residual.flow <= accuracy.residual
+        together = residual.flow if self.only else max(residual.flow, residual.at_nodes)
+        flow = self.only == "solid" or together <= accuracy.residual
         if self.only == "flow":
             return residual.flow <= accuracy.residual
         if self.scene.method.newton_test == "displacement":

@@ -46,7 +46,10 @@ def describe_failure(
     where += f"{weakness} (slipped before: {slipped}); " if slipped else ""
     reasons = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
     reason = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN if not np.isfinite(problem.residual.solid) else reason
-    wanted = f"relative residual of the solid {problem.residual.solid:.2e}, of the flow {problem.residual.flow:.2e}"
+    residual = problem.residual
+    wanted = (
+        f"relative residual of the solid {residual.solid:.2e}, of the flow {max(residual.flow, residual.at_nodes):.2e}"
+    )
     wanted += f", wanted {accuracy.residual:.0e}"
     if scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
         wanted = f"out-of-balance force {problem.residual.out_of_balance:.2e}, wanted {accuracy.out_of_balance:.0e}"

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.mesh.data import Floats, Ints
+
+ROUND_OFF = 1e-16  # of the largest term: what no node is held to
+TINY = 1e-300  # a network of closed fractures has no terms
 
 
 @dataclass(frozen=True)
@@ -11,8 +20,26 @@ class Residual:
 
     solid, flow      largest entry, relative
     out_of_balance   Euclidean norm of the solid balance [force per thickness]
+    at_nodes         of the flow, over the terms of the entry's own node: narrow fractures carry little beside wide ones
     """
 
     solid: float
     flow: float
     out_of_balance: float
+    at_nodes: float = 0.0
+
+
+def flow_residual(
+    balance: Floats, terms: Floats | None, largest: float, closed: Iterable[Ints], comm: MPI.Comm
+) -> float:
+    """Largest |balance| (n,) over the sum of the ``terms`` (n,) that should balance at its own node. Collective.
+
+    terms    None where there is no flow
+    largest  the largest single term of the network
+    closed   nodes whose row stands for something else, on that scale
+    """
+    own = np.full(len(balance), largest) if terms is None else np.maximum(terms, ROUND_OFF * largest)
+    for rows in closed:
+        own[rows] = largest
+    here = float((np.abs(balance) / np.maximum(own, TINY)).max(initial=0.0))
+    return float(comm.allreduce(here if np.isfinite(balance).all() else np.inf, op=MPI.MAX))

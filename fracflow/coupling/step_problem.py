@@ -18,20 +18,19 @@ from fracflow.assembly.operators import Operators
 from fracflow.coupling.compression import pressure_rate
 from fracflow.coupling.digits import blur, noise_of
 from fracflow.coupling.lag import Lag
-from fracflow.coupling.residual import Residual
+from fracflow.coupling.residual import TINY, Residual, flow_residual
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
-from fracflow.state import Forces, Motion, MotionValues, Past, Sections, State
+from fracflow.state import MotionValues, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
 
 CANCELLATION = 1e-4
 """Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
 state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have. So does that of the last
 pressures in a network that comes to rest."""
-TINY = 1e-300  # a network of closed fractures has no terms
 LEAST_FORCE = 1e-4  # share of the natural force that counts as a term of the balance where nothing is loaded
 LEAST_DRIVE = 1e-8
-"""Share of the natural pressure that drives at least: a network come to rest has nothing but round-off to balance."""
+"""Share of the largest pressure so far that drives at least: a network come to rest has only round-off to balance."""
 
 
 class StepProblem:
@@ -73,6 +72,7 @@ class StepProblem:
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
+        self._flow_rows: Floats | None = None
         network = operators.flow
         self._before = 0.0 if network is None else np.abs(network.driving(state.pressure))
 
@@ -116,7 +116,7 @@ class StepProblem:
             terms.append(term.norm(PETSc.NormType.INFINITY))
             solid.axpy(scale, term)
 
-        motion = self._acceleration()
+        motion = self.acceleration()
         ops.mass.mult(motion, term)
         add(1.0)
         ops.mass.mult(u, term)
@@ -145,33 +145,35 @@ class StepProblem:
         old = self.state.motion.values()
         return old._replace(displacement=np.zeros_like(old.displacement))
 
-    def _acceleration(self) -> PETSc.Vec:
+    def acceleration(self) -> PETSc.Vec:
         """(4.2e) of the trial, in a new vector."""
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
         result.setArray(acceleration(self.alphas, moved, self._start()))
         return result
 
-    def _velocity(self) -> PETSc.Vec:
+    def velocity(self) -> PETSc.Vec:
         """(4.2f) of the trial, in a new vector."""
         before, result = self.state.memory.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
         return result
 
-    def _rate(self) -> PETSc.Vec | None:
+    def rate(self) -> PETSc.Vec | None:
         """Rate of the trial's pressures, in a new vector; None where the fluid stores nothing by compression."""
         return pressure_rate(self.operators.flow, self.state, self.alphas, self.pressure)
 
     def _flow_balance(self) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
-        speed = self._velocity()
+        speed = self.velocity()
         network.squeeze.multTranspose(speed, flow)
         terms = [flow.norm(PETSc.NormType.INFINITY), self.source.norm(PETSc.NormType.INFINITY)]
+        rows = np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
         network.squeeze.multTranspose(self.displacement, flow)
         terms.append(CANCELLATION * self.alphas.a1 * flow.norm(PETSc.NormType.INFINITY))
+        rows += CANCELLATION * self.alphas.a1 * np.abs(flow.getArray())
         network.squeeze.multTranspose(speed, flow)
-        rate, opening = self._rate(), self.operators.joints.openings(self.sections.strain)
+        rate, opening = self.rate(), self.operators.joints.openings(self.sections.strain)
         self.conduction = network.conduct(self.displacement, self.pressure, opening, rate)
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
@@ -181,13 +183,18 @@ class StepProblem:
         self._close()
         # what an element carries at full pressure: the size of the terms whose difference is its flow
         size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
-        size = np.maximum(size, LEAST_DRIVE * self.operators.scales.pressure)
-        through = (self.conduction.conductance[:, None] * size).max(initial=0.0)
+        size = np.maximum(size, LEAST_DRIVE * self.state.drive)
+        through = self.conduction.conductance[:, None] * size
         if rate is not None and stored is not None:
             change = CANCELLATION * self.alphas.b1 * network.at_ends(self.pressure)
-            through = max(through, (stored.weight * np.maximum(np.abs(stored.rate), np.abs(change))).max(initial=0.0))
+            through = np.maximum(through, stored.weight * np.maximum(np.abs(stored.rate), np.abs(change)))
             rate.destroy()
-        return [*terms, self.operators.layout.comm.allreduce(float(through), op=MPI.MAX)]
+        moved = self.alphas.a1 * self.operators.scales.length * self.displacement.norm(PETSc.NormType.INFINITY)
+        sized = flow.duplicate()
+        network.taken_up(through, sized)
+        self._flow_rows = rows + sized.getArray() + CANCELLATION * moved
+        sized.destroy()
+        return [*terms, self.operators.layout.comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX)]
 
     def _close(self) -> None:
         """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
@@ -211,8 +218,10 @@ class StepProblem:
         noise = noise_of(self.operators, self.sections, self._moved, self.displacement)
         beyond = max(self.solid_balance.norm(PETSc.NormType.INFINITY) - noise, 0.0)
         solid = beyond / max(solid_terms, LEAST_FORCE * scales.force)
+        balance, closed = self.flow_balance.getArray(readonly=True), (closure.row for closure in self.loads.closures)
+        own = flow_residual(balance, self._flow_rows, flow_terms, closed, self.operators.layout.comm)
         flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / max(flow_terms, TINY)
-        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2))
+        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own)
         if not np.isfinite(solid + flow):
             raise NotConverged(
                 f"time {self.time:.6g}: the joint laws gave no finite traction (a joint closed beyond its aperture)"
@@ -243,43 +252,6 @@ class StepProblem:
                 changed[group.sections] = group.law.has_changed(old, new)
         self.branch = joints.follow(self.state.sections.past, reached)
         return changed
-
-    def accept(self, energy: Mapping[str, float]) -> State:
-        """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
-        u, p = self.displacement, self.pressure
-        motion = Motion(u.copy(), self._velocity(), self._acceleration())
-        forces, controls, rate = self.forces(motion), dict(self.controls), self._rate()
-        return State(self.time, motion, p.copy(), self.sections, forces, controls, energy, pressure_rate=rate)
-
-    def forces(self, motion: Motion) -> Forces:
-        """Terms of both balances with the reactions of what is held. Collective."""
-        ops = self.operators
-        support, term = ops.layout.solid_vector(), ops.layout.solid_vector()
-        ops.mass.mult(motion.acceleration, support)
-        ops.stiffness.multAdd(motion.displacement, support, support)
-        support.axpy(1.0, ops.prestress)
-        ops.joints.force(self.sections.traction, support)
-        support.axpy(-1.0, self.load)
-        conduction, source = ops.layout.flow_vector(), self.source.copy()
-        if ops.flow is not None:
-            ops.flow.push.mult(self.pressure, term)
-            support.axpy(-1.0, term)
-            assert self.conduction is not None
-            ops.flow.outflow(self.conduction, conduction)
-            drawn = ops.layout.flow_vector()
-            ops.flow.squeeze.multTranspose(motion.velocity, drawn)
-            drawn.axpy(1.0, conduction)
-            if (stored := self.conduction.compression) is not None:
-                ops.flow.taken_up(stored.weight * stored.rate, drawn)
-            for part in self.loads.pressures:
-                source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
-            drawn.destroy()
-        held = np.zeros(ops.layout.solid_count, dtype=bool)
-        for part in self.loads.supports:
-            held[part.numbers] = True
-        support.getArray()[~held] = 0.0
-        term.destroy()
-        return Forces(self.load.copy(), support, conduction, source)
 
     def hand_on(self) -> tuple[Floats, Floats] | None:
         """This rank's motion and pressures for another problem to start from; None where they are not finite. Collective."""

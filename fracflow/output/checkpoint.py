@@ -34,6 +34,7 @@ NOTES = (
     "energy",
     "limited",
     "last_step",
+    "drive",
     "stage",
     "progress",
     "totals",
@@ -154,6 +155,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         friction=at_sections("friction"),
         memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1])) if notes["last_step"] else Memory(),
         pressure_rate=saved(RATES[0]),
+        drive=notes["drive"],
     )
 
 

@@ -18,6 +18,7 @@ from sheets import BLUE, HALO, INK, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
 from fracflow.coupling import Coupling
+from fracflow.coupling.accept import accept
 from fracflow.coupling.fixed_point import FixedPoint
 from fracflow.coupling.monolithic import Monolithic
 from fracflow.coupling.step_problem import StepProblem
@@ -105,7 +106,7 @@ class Film:
         """Steady flow at a rate."""
         problem = self.problem(aperture, self.start, Steady(), 0.0, rate)
         self.steady.solve(problem)
-        state = problem.accept(self.start.energy)
+        state = accept(problem, self.start.energy)
         problem.destroy()
         return state
 

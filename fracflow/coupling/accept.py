@@ -1,0 +1,59 @@
+"""A trial becomes the state at the end of its step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.state import Forces, Motion, State
+
+
+def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
+    """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
+    motion = Motion(problem.displacement.copy(), problem.velocity(), problem.acceleration())
+    drive = 0.0 if problem.conduction is None else float(np.abs(problem.conduction.pressure).max(initial=0.0))
+    return State(
+        problem.time,
+        motion,
+        problem.pressure.copy(),
+        problem.sections,
+        balance_terms(problem, motion),
+        dict(problem.controls),
+        energy,
+        pressure_rate=problem.rate(),
+        drive=max(problem.state.drive, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)),
+    )
+
+
+def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
+    """Terms of both balances with the reactions of what is held. Collective."""
+    ops = problem.operators
+    support, term = ops.layout.solid_vector(), ops.layout.solid_vector()
+    ops.mass.mult(motion.acceleration, support)
+    ops.stiffness.multAdd(motion.displacement, support, support)
+    support.axpy(1.0, ops.prestress)
+    ops.joints.force(problem.sections.traction, support)
+    support.axpy(-1.0, problem.load)
+    conduction, source = ops.layout.flow_vector(), problem.source.copy()
+    if ops.flow is not None:
+        ops.flow.push.mult(problem.pressure, term)
+        support.axpy(-1.0, term)
+        assert problem.conduction is not None
+        ops.flow.outflow(problem.conduction, conduction)
+        drawn = ops.layout.flow_vector()
+        ops.flow.squeeze.multTranspose(motion.velocity, drawn)
+        drawn.axpy(1.0, conduction)
+        if (stored := problem.conduction.compression) is not None:
+            ops.flow.taken_up(stored.weight * stored.rate, drawn)
+        for part in problem.loads.pressures:
+            source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
+        drawn.destroy()
+    held = np.zeros(ops.layout.solid_count, dtype=bool)
+    for part in problem.loads.supports:
+        held[part.numbers] = True
+    support.getArray()[~held] = 0.0
+    term.destroy()
+    return Forces(problem.load.copy(), support, conduction, source)
