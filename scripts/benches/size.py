@@ -40,7 +40,7 @@ PARTS = {
     "Jacobian": ["coupling.joined_matrix:JoinedMatrix.__init__", "coupling.joined_matrix:JoinedMatrix.fill"],
     "balances": ["coupling.newton:Newton._function", "coupling.newton:Newton._pre_check"],
     SOLVE: ["coupling.newton:Newton.solve"],
-    "energy books": ["run_steps:book", "coupling.step_problem:StepProblem.accept"],
+    "energy books": ["run_steps:book", "run_steps:accept"],
     "output": [
         "run_record:Recorder.__init__",
         "run_record:Recorder.record",

@@ -8,7 +8,6 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.coupling.fixed_point import FixedPoint
-from fracflow.coupling.relaxation import RELAXATIONS
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.output import read_history
@@ -94,22 +93,24 @@ def test_refusal_names_the_number_and_the_limit(comm):
     stepping.destroy()
 
 
-@pytest.mark.parametrize("name", [name for name in RELAXATIONS if name != "plain"])
-def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, comm):
-    """The film at rho = 200, where plain cycles diverge, and with nothing but a closed end on either side."""
+@pytest.mark.parametrize(
+    "name, factor, most", [("aitken", 50.0, 45), ("anderson", 200.0, 15), ("added-storage", 200.0, 6)]
+)
+def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, factor, most, comm):
+    """The film where plain cycles diverge by a factor, in at most so many cycles; with both ends closed too."""
     for ends in (("start", "end"), ()):
         if not ends and name != "added-storage":
             continue
         scenes = [film({"fixed_point": name}, ends, 1e8), film({"coupling": "monolithic"}, ends, 1e8)]
         found, model = [], prepare(scenes[0], comm)  # one partition for both
-        dt = rho_of_film(1.0, np.pi / LENGTH) / 200.0
+        dt = rho_of_film(1.0, np.pi / LENGTH) / factor
         for scene in scenes:
             stepping, state = Stepping(replace(model, scene=scene)), rest(model)
             new, report = stepping.step(state, BackwardEuler(), dt, dt, {})
             found.append((new.pressure.getArray().copy(), new.motion.displacement.getArray().copy(), report))
             new.destroy()
             stepping.destroy()
-        assert found[0][2].cycles > 1 and found[0][2].flow_residual <= scenes[0].accuracy.residual
+        assert 1 < found[0][2].cycles <= most and found[0][2].flow_residual <= scenes[0].accuracy.residual
         for by_turns, at_once in zip(found[0][:2], found[1][:2], strict=True):
             size = comm.allreduce(np.abs(at_once).max(initial=0.0), op=MPI.MAX)
             assert size > 0.0
