@@ -15,6 +15,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from fracflow.endings import abort, stop
 from fracflow.errors import InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
@@ -45,13 +46,14 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     from fracflow.output.folder import check_folder
     from fracflow.output.tell import tell_card
     from fracflow.run import run
+    from fracflow.run_setup import on_root
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [])
     folder = output or Path("runs") / given.name
-    check_folder(folder)
+    on_root(comm, lambda: check_folder(folder))
     console = Console(quiet=comm.rank > 0, highlight=False)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True)
@@ -71,15 +73,15 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
 
     petsc_options(PETSc, context.args)
     from fracflow.output.folder import check_folder
-    from fracflow.run import has_ended, resume
+    from fracflow.run import has_ended, require_run, resume
+    from fracflow.run_setup import on_root
     from fracflow.scene import load
 
     comm = MPI.COMM_WORLD
-    check_folder(folder, resume=True)
-    if not (folder / "scene.toml").is_file():
-        raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
+    on_root(comm, lambda: check_folder(folder, resume=True))
+    on_root(comm, lambda: require_run(folder))
     console = Console(quiet=comm.rank > 0, highlight=False)
-    if has_ended(folder):
+    if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True)
     watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))
 
@@ -111,6 +113,7 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
     forget()
     if comm.rank == 0:
         show(folder, console, scene.output.pictures)
+    comm.barrier()  # all ranks end together, in whichever way
     if failure is not None:
         raise SolveError(f"{failure}; what was reached is in {folder}")
     if totals is not None:
@@ -250,42 +253,19 @@ def main() -> None:
         sys.exit(app(standalone_mode=False))
     except USAGE as error:
         message = error.format_message() or "no command"  # type: ignore[attr-defined]
-        _stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
+        stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
     except typer.Abort:
-        _stop("interrupted", 130)
+        stop("interrupted", 130)
     except InputError as error:
-        _stop(str(error), 2)
+        stop(str(error), 2)
     except SolveError as error:
-        _stop(str(error), 3)
+        stop(str(error), 3)
     except Interrupted as error:
-        _stop(str(error), 130)
+        stop(str(error), 130)
     except KeyboardInterrupt:
-        _stop("interrupted before the first step", 130)
+        stop("interrupted before the first step", 130)
     except BrokenPipeError:  # whoever read has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
     except Exception:
-        _abort()
-
-
-def _abort() -> None:
-    """A fault of ours on one rank must not leave the others waiting: show it and end them all."""
-    import traceback
-
-    from fracflow._petsc import MPI
-
-    traceback.print_exc()
-    if MPI.COMM_WORLD.size > 1:
-        MPI.COMM_WORLD.Abort(1)
-    sys.exit(1)
-
-
-def _stop(message: str, code: int) -> None:
-    from fracflow._petsc import MPI, PETSc
-
-    if code == 2:
-        PETSc.Options().delValue("options_left")  # what has not begun has used few of its options
-    if MPI.COMM_WORLD.rank == 0:
-        line = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
-        print(f"fracflow: {line}", file=sys.stderr, flush=True)
-    sys.exit(code)
+        abort()

@@ -70,7 +70,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     InputError, SolveError and Interrupted, on every rank.
     """
     began, folder = clock.perf_counter(), Path(folder)
-    on_root(comm, lambda: _require(folder))
+    on_root(comm, lambda: require_run(folder))
     scene, saved = load(folder / "scene.toml"), folder / "checkpoint.h5"
     if not comm.bcast(saved.exists(), root=0):
         return run(scene, folder, comm, progress)
@@ -97,7 +97,8 @@ def has_ended(folder: Path) -> bool:
     return saved.exists() and bool(read_notes(saved)["finished"])
 
 
-def _require(folder: Path) -> None:
+def require_run(folder: Path) -> None:
+    """Raise InputError where a folder has no scene to go on with."""
     if not (folder / "scene.toml").is_file():
         raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
 

@@ -23,7 +23,7 @@ FLOORS = (
     ({"coupling"},),
     ({"output"},),
     ({"plan*", "card*", "run*"},),
-    ({"cli", "__main__"}, {"api"}),
+    ({"cli", "__main__", "endings"}, {"api"}),
 )
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
 PLAIN = {"laws", "elements"}  # NumPy only

@@ -798,6 +798,7 @@ PROCESSES = {
 }
 
 
+@pytest.mark.starts_ranks
 def test_in_processes_of_their_own(tmp_path):
     """As above, for whatever C libraries say at their end; and two ranks, of which one speaks."""
 

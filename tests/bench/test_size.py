@@ -20,6 +20,7 @@ SUMS = {"all outside the solve", "whole"}
 
 
 @pytest.mark.serial
+@pytest.mark.starts_ranks
 def test_small_size(tmp_path):
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
     command = [sys.executable, ROOT / "scripts/benches/size.py", "1000", "--ranks", "2", "--out", tmp_path]

@@ -50,6 +50,7 @@ def _settled(history):
 
 
 @pytest.mark.serial
+@pytest.mark.starts_ranks
 @pytest.mark.parametrize("scene", SCENES)
 def test_ranks_agree(scene, tmp_path):
     length, stress = SCENES[scene]

@@ -20,7 +20,7 @@ from fracflow.output import list_steps, read_events, read_history, read_step
 from fracflow.run import resume, run
 from fracflow.scene import load
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.starts_ranks]
 ROOT = Path(__file__).parents[2]
 SCENE = str(ROOT / "meshes/report_5_5/scene.toml")
 # the first 60 dynamic steps hold the strength drops of nodes 4, 3 and 5
