@@ -34,12 +34,12 @@ STEPS = {"steady": 0.0, "quasi-static": 1.0, "dynamic": 0.01}
 FAULTS = {"buried": (0.25, 0.75), "through-going": (0.0, 1.0)}
 
 
-def scene_of(unknowns: int, fault: str, is_drained: bool) -> dict[str, Any]:
+def scene_of(unknowns: int, fault: str, drained: bool) -> dict[str, Any]:
     """The scene of a case, its aperture apart."""
     low, high = (EXTENT * end for end in FAULTS[fault])
     middle = 0.5 * EXTENT
     wells: list[dict[str, Any]] = [{"name": "in", "at": {"fracture": "fault", "end": "end"}, "flow_rate": 0.0}]
-    wells += [{"name": "out", "at": {"fracture": "fault", "end": "start"}, "pressure": 0.0}] if is_drained else []
+    wells += [{"name": "out", "at": {"fracture": "fault", "end": "start"}, "pressure": 0.0}] if drained else []
     return {
         "geometry": {
             "domain": [0.0, 0.0, EXTENT, EXTENT], "size": EXTENT / (unknowns / 2) ** 0.5, "cells": "quads",
@@ -56,21 +56,18 @@ def scene_of(unknowns: int, fault: str, is_drained: bool) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def worker(unknowns: str, result: str, apertures: str, blocks: str) -> None:
-    """Measure all cases of a size on this rank of several; rank 0 writes them."""
+def worker(unknowns: str, fault: str, drained: str, result: str, apertures: str, blocks: str) -> None:
+    """Measure all cases of a fault on this rank of several; rank 0 writes them."""
     from fracflow._petsc import MPI, PETSc
     from fracflow.run_setup import prepare
     from fracflow.run_start import rest
     from fracflow.scene import Scene
 
-    comm, found = MPI.COMM_WORLD, []
-    for fault, is_drained in itertools.product(FAULTS, (True, False)):
-        model = prepare(Scene.from_data(scene_of(int(unknowns), fault, is_drained)), comm)
-        state = rest(model)
-        for name in json.loads(blocks):
-            if comm.rank == 0:
-                print(f"{unknowns}, {comm.size} ranks: {fault}, {name} ...", file=sys.stderr, flush=True)
-            found += measure_model(model, state, json.loads(apertures), name, {"fault": fault, "drained": is_drained})
+    comm, case = MPI.COMM_WORLD, {"fault": fault, "drained": json.loads(drained)}
+    model = prepare(Scene.from_data(scene_of(int(unknowns), **case)), comm)
+    state, found = rest(model), []
+    for name in json.loads(blocks):
+        found += measure_model(model, state, json.loads(apertures), name, case)
     versions = {"PETSc": ".".join(map(str, PETSc.Sys.getVersion())), "MPI": MPI.Get_library_version().split(",")[0]}
     if comm.rank == 0:
         Path(result).write_text(json.dumps({"cases": found, "versions": versions}), encoding="utf-8")
@@ -147,21 +144,21 @@ def watch(newton: Any) -> list[tuple[int, float]]:
 
 
 def measure(unknowns: int, ranks: int, out: Path, apertures: list[float], blocks: list[str]) -> dict[str, Any]:
-    """All cases of a size, in processes of their own."""
-    result = out / f"coupling-{unknowns}-{ranks}.json"
-    result.unlink(missing_ok=True)
-    command = [
-        sys.executable,
-        __file__,
-        "--worker",
-        str(unknowns),
-        str(result),
-        json.dumps(apertures),
-        json.dumps(blocks),
-    ]
+    """All cases of a size, each fault in processes of its own."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
-    subprocess.run(["mpirun", "-n", str(ranks), *command], check=True, env=clean)
-    return json.loads(result.read_text(encoding="utf-8"))
+    cases, versions = [], {}
+    for fault, drained in itertools.product(FAULTS, (True, False)):
+        print(
+            f"{unknowns}, {ranks} ranks: {fault}, {'drained' if drained else 'closed'} ...", file=sys.stderr, flush=True
+        )
+        result = out / f"coupling-{unknowns}-{ranks}-{fault}-{'drained' if drained else 'closed'}.json"
+        result.unlink(missing_ok=True)
+        given = [str(unknowns), fault, json.dumps(drained), str(result), json.dumps(apertures), json.dumps(blocks)]
+        command = ["mpirun", "-n", str(ranks), sys.executable, __file__, "--worker", *given]
+        subprocess.run(command, check=True, env=clean)
+        found = json.loads(result.read_text(encoding="utf-8"))
+        cases, versions = cases + found["cases"], found["versions"]
+    return {"cases": cases, "versions": versions}
 
 
 def is_missed(case: dict[str, Any]) -> bool:
