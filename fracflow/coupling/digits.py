@@ -47,15 +47,18 @@ def blur(before: Floats, moved: Floats) -> Floats:
     return np.hypot(before, ROUND_OFF * moved)
 
 
-def noise_of(operators: Operators, sections: Sections, moved: Floats, displacement: PETSc.Vec) -> float:
-    """What of a balance of forces is only round-off of displacements, which no iteration can take away. Collective.
+def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float:
+    """What of a balance of forces is only round-off of this rank's jumps, which no iteration can take away.
 
     ``moved`` as for ``blur``, of this step. [force per thickness]
     """
     force = np.einsum("sij,sj->si", np.abs(sections.tangent), ROUND_OFF * moved) * operators.joints.weights[:, None]
-    here = float(force[np.isfinite(force)].max(initial=0.0))
-    rock = ROUND_OFF * operators.scales.stiffness * displacement.norm(PETSc.NormType.INFINITY)
-    return float(NOISE * (operators.layout.comm.allreduce(here, op=MPI.MAX) + rock))
+    return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
+
+
+def noise_of_rock(operators: Operators, displacement: float) -> float:
+    """The same of the rock [force per thickness], from the largest displacement."""
+    return NOISE * ROUND_OFF * operators.scales.stiffness * displacement
 
 
 def digits_of(operators: Operators, state: State) -> Digits:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Floats, Ints
 
 ROUND_OFF = 1e-16  # of the largest term: what no node is held to
@@ -29,6 +29,23 @@ class Residual:
     at_nodes: float = 0.0
 
 
+def largest(vector: PETSc.Vec) -> float:
+    """Size of the largest entry on this rank; infinite where one is not a number."""
+    return _told(vector.getArray(readonly=True))
+
+
+def _told(values: Floats) -> float:
+    size = float(np.abs(values).max(initial=0.0))
+    return size if size == size else np.inf
+
+
+def over_ranks(here: list[float], comm: MPI.Comm) -> list[float]:
+    """The largest of each number over all ranks. Collective."""
+    sizes = np.array(here)
+    comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
+    return [float(size) for size in sizes]
+
+
 def flow_residual(
     balance: Floats, terms: Floats | None, largest: float, closed: Iterable[Ints], comm: MPI.Comm
 ) -> float:
@@ -41,5 +58,4 @@ def flow_residual(
     own = np.full(len(balance), largest) if terms is None else np.maximum(terms, ROUND_OFF * largest)
     for rows in closed:
         own[rows] = largest
-    here = float((np.abs(balance) / np.maximum(own, TINY)).max(initial=0.0))
-    return float(comm.allreduce(here if np.isfinite(balance).all() else np.inf, op=MPI.MAX))
+    return over_ranks([_told(balance / np.maximum(own, TINY))], comm)[0]

@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import PETSc
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.compression import pressure_rate
-from fracflow.coupling.digits import blur, noise_of
+from fracflow.coupling.digits import blur, noise_here, noise_of_rock
 from fracflow.coupling.lag import Lag
-from fracflow.coupling.residual import TINY, Residual, flow_residual
+from fracflow.coupling.residual import TINY, Residual, flow_residual, largest, over_ranks
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import MotionValues, Past, Sections, State
@@ -73,6 +73,7 @@ class StepProblem:
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
         self._flow_rows: Floats | None = None
+        self._widest: list[float] | None = None
         network = operators.flow
         self._before = 0.0 if network is None else np.abs(network.driving(state.pressure))
 
@@ -108,19 +109,19 @@ class StepProblem:
         answer = ops.joints.respond(before.strain + ops.joints.strain(self.increment), self.branch, hold)
         record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
         self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
-        solid, terms = self.solid_balance, [self.load.norm(PETSc.NormType.INFINITY)]
+        solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
 
         def add(scale: float) -> None:
-            terms.append(term.norm(PETSc.NormType.INFINITY))
+            terms.append(largest(term))
             solid.axpy(scale, term)
 
         motion = self.acceleration()
         ops.mass.mult(motion, term)
         add(1.0)
         ops.mass.mult(u, term)
-        terms.append(CANCELLATION * self.alphas.a0 * term.norm(PETSc.NormType.INFINITY))
+        terms.append(CANCELLATION * self.alphas.a0 * largest(term))
         ops.stiffness.mult(u, term)
         add(1.0)
         ops.prestress.copy(term)
@@ -167,14 +168,14 @@ class StepProblem:
         assert network is not None
         speed = self.velocity()
         network.squeeze.multTranspose(speed, flow)
-        terms = [flow.norm(PETSc.NormType.INFINITY), self.source.norm(PETSc.NormType.INFINITY)]
+        terms = [largest(flow), largest(self.source)]
         rows = np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
         network.squeeze.multTranspose(self.displacement, flow)
-        terms.append(CANCELLATION * self.alphas.a1 * flow.norm(PETSc.NormType.INFINITY))
+        terms.append(CANCELLATION * self.alphas.a1 * largest(flow))
         rows += CANCELLATION * self.alphas.a1 * np.abs(flow.getArray())
         network.squeeze.multTranspose(speed, flow)
         rate, opening = self.rate(), self.operators.joints.openings(self.sections.strain)
-        self.conduction = network.conduct(self.displacement, self.pressure, opening, rate)
+        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening, rate), None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         if (stored := self.conduction.compression) is not None:
@@ -189,12 +190,11 @@ class StepProblem:
             change = CANCELLATION * self.alphas.b1 * network.at_ends(self.pressure)
             through = np.maximum(through, stored.weight * np.maximum(np.abs(stored.rate), np.abs(change)))
             rate.destroy()
-        moved = self.alphas.a1 * self.operators.scales.length * self.displacement.norm(PETSc.NormType.INFINITY)
         sized = flow.duplicate()
         network.taken_up(through, sized)
-        self._flow_rows = rows + sized.getArray() + CANCELLATION * moved
+        self._flow_rows = rows + sized.getArray()
         sized.destroy()
-        return [*terms, self.operators.layout.comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX)]
+        return [*terms, float(through.max(initial=0.0))]
 
     def _close(self) -> None:
         """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
@@ -214,13 +214,20 @@ class StepProblem:
                 local[part.numbers] = 0.0
 
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
-        scales = self.operators.scales
-        noise = noise_of(self.operators, self.sections, self._moved, self.displacement)
-        beyond = max(self.solid_balance.norm(PETSc.NormType.INFINITY) - noise, 0.0)
-        solid = beyond / max(solid_terms, LEAST_FORCE * scales.force)
-        balance, closed = self.flow_balance.getArray(readonly=True), (closure.row for closure in self.loads.closures)
-        own = flow_residual(balance, self._flow_rows, flow_terms, closed, self.operators.layout.comm)
-        flow = self.flow_balance.norm(PETSc.NormType.INFINITY) / max(flow_terms, TINY)
+        """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
+        scales, comm = self.operators.scales, self.operators.layout.comm
+        blurred = noise_here(self.operators, self.sections, self._moved)
+        here = [largest(self.solid_balance), solid_terms, largest(self.flow_balance), flow_terms]
+        here += [blurred, largest(self.displacement)]
+        solid, solid_terms, flow, flow_terms, blurred, moved = over_ranks(here, comm)
+        noise = blurred + noise_of_rock(self.operators, moved)
+        solid = max(solid - noise, 0.0) / max(solid_terms, LEAST_FORCE * scales.force)
+        flow /= max(flow_terms, TINY)
+        rows = (
+            None if self._flow_rows is None else self._flow_rows + CANCELLATION * self.alphas.a1 * scales.length * moved
+        )
+        closed = (closure.row for closure in self.loads.closures)
+        own = flow_residual(self.flow_balance.getArray(readonly=True), rows, flow_terms, closed, comm)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own)
         if not np.isfinite(solid + flow):
             raise NotConverged(
@@ -231,12 +238,14 @@ class StepProblem:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""
         if self.conduction is None:
             return 1.0
-        scales, comm = self.operators.scales, self.operators.layout.comm
-        largest = comm.allreduce(float(self.conduction.conductance.max(initial=0.0)), op=MPI.MAX)
-        scale = max(self.alphas.a1 * scales.length * scales.displacement, largest * scales.pressure)
-        if self.conduction.compression is not None:
-            held = comm.allreduce(float(self.conduction.compression.weight.max(initial=0.0)), op=MPI.MAX)
-            scale = max(scale, self.alphas.b1 * held * scales.pressure)
+        if self._widest is None:
+            stored = self.conduction.compression
+            held = 0.0 if stored is None else float(stored.weight.max(initial=0.0))
+            here = [float(self.conduction.conductance.max(initial=0.0)), held]
+            self._widest = over_ranks(here, self.operators.layout.comm)
+        (conducts, holds), scales = self._widest, self.operators.scales
+        scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
+        scale = max(scale, self.alphas.b1 * holds * scales.pressure)
         return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
 
     def change_statuses(self) -> np.ndarray:
