@@ -93,3 +93,14 @@ def test_a_well_with_a_limit_takes_what_goes_in(shared_tmp):
         assert found["probe/out/pressure"][-1] == pytest.approx(6e6, rel=1e-9)
     with pytest.raises(SolveError, match=r"flow rates of in, out add up to -2e-05"):
         history(shared_tmp / "drawn", limit, "well.in.flow_rate=0")
+
+
+def test_the_fixed_point_names_it_or_adds_storage(shared_tmp):
+    """Plain cycles have no level for the sealed part; with added storage they find the monolithic solver's."""
+    fixed = "method.coupling=fixed-point"
+    with pytest.raises(SolveError, match=r"\(sealed\) has no prescribed pressure"):
+        history(shared_tmp / "plain", fixed)
+    one = history(shared_tmp / "one")
+    other = history(shared_tmp / "other", fixed, "method.fixed_point=added-storage")
+    for name in ("probe/in/pressure", "probe/out/pressure"):
+        assert other[name] == pytest.approx(one[name], rel=1e-10)
