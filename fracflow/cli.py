@@ -110,7 +110,8 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
             failure = error
         except Interrupted as error:
             raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
-    forget()
+        finally:
+            forget()
     if comm.rank == 0:
         show(folder, console, scene.output.pictures)
     comm.barrier()  # all ranks end together, in whichever way

@@ -10,10 +10,12 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.components import Part, close, conducting, find_parts, give_way
 from fracflow.assembly.loads import Limit, Loads
+from fracflow.coupling.initial import Enclosed
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.run_setup import Model
+from fracflow.state import State
 
 MOST_TOLD = 5  # parts that the log lists
 BALANCED = 1e-12  # of the sum of the flow rates' sizes
@@ -37,7 +39,7 @@ class Network:
         self._conducts: np.ndarray | None = None
         self._told: np.ndarray | None = None
         self._parts: tuple[Part, ...] = ()
-        self._closed: dict[tuple[int, bool], _Closed] = {}
+        self._closed: dict[tuple[int, bool, bool], _Closed] = {}
         self.version = 0
 
     def close(self, loads: Loads, stores: bool) -> Loads:
@@ -46,6 +48,42 @@ class Network:
         stores  the walls' motion takes part in the balance, so that it settles the pressures of a part
         """
         return self._found(loads, stores).loads if self.model.operators.flow is not None else loads
+
+    def level(self, loads: Loads, state: State) -> Loads:
+        """The same loads for the first instant of a stage with inertia: parts that nothing drains keep their mean pressure.
+
+        The walls have their velocities then, and leave the level open. Raises SolveError, on every rank, naming a part
+        into which wells pump from that instant. Collective.
+        """
+        found = self._found(loads, True, at_start=True)
+        for part, wells, _ in found.parts:
+            rates = [loads.demanded(well, state.time, state.controls) for well in wells]
+            swept = abs(sum(rates)) > BALANCED * sum(map(abs, rates))
+            if swept and not state.motion.velocity.norm(PETSc.NormType.INFINITY):
+                raise SolveError(
+                    f"time {state.time:.6g}: no initial pressures: {', '.join(wells)} pump at once into {part}, which no"
+                    " pressure drains: let flow_rate start at 0, or give a [[well]] with a pressure there"
+                )
+        return found.loads
+
+    def enclosed(self, loads: Loads, state: State, dt: float) -> list[Enclosed]:
+        """The parts whose level the walls settle, with what wells begin to pump in the first ``dt``. The caller owns them.
+
+        Collective.
+        """
+        layout = self.model.operators.layout
+        fluid = self.model.scene.fluid
+        depth = fluid.flow_depth if fluid is not None else 1.0
+        first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[Enclosed]()
+        for part, wells, moves in self._found(loads, True, at_start=True).parts:
+            if not moves or len(part.nodes) == 1:
+                continue
+            rate = 0.0
+            for time, sign in ((state.time + dt, 1.0), (state.time, -1.0)) if dt > 0.0 else ():
+                rate += sign * sum(loads.demanded(well, time, state.controls) for well in wells) / (dt * depth)
+            nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
+            found.append(Enclosed(nodes, close(self.model.operators, part, True).weights, rate))
+        return found
 
     def overfull(self, loads: Loads, stores: bool, problem: StepProblem) -> frozenset[Limit]:
         """Limits that wells come to because what they pump, at a solved or failed trial, has nowhere to go. Collective.
@@ -75,10 +113,10 @@ class Network:
                 )
         return frozenset(found)
 
-    def _found(self, loads: Loads, stores: bool) -> _Closed:
-        key = (id(loads), stores)
+    def _found(self, loads: Loads, stores: bool, at_start: bool = False) -> _Closed:
+        key = (id(loads), stores, at_start)
         if key not in self._closed:
-            self._closed[key] = self._make(loads, stores)
+            self._closed[key] = self._make(loads, stores, at_start)
         return self._closed[key]
 
     def look(self, conductance: Floats) -> None:
@@ -96,16 +134,26 @@ class Network:
         if now is None:
             return
         self._told = now
-        same = before is None or np.array_equal(before, now)
-        if before is None or self.model.operators.layout.comm.allreduce(same, op=MPI.LAND):
-            return
-        pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
-        what = [f"{names} {word}" for names, word in ((pinched, "pinched shut"), (opened, "conducts again")) if names]
-        self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
+        if before is not None:
+            if self.model.operators.layout.comm.allreduce(np.array_equal(before, now), op=MPI.LAND):
+                return
+            pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
+            what = [
+                f"{names} {word}" for names, word in ((pinched, "pinched shut"), (opened, "conducts again")) if names
+            ]
+            self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
         drained = self._drained(self.model.loads)
-        cut_off = sorted((part for part in self._parts if not drained[part.nodes].any()), key=lambda p: -len(p.nodes))
-        for part in cut_off[:MOST_TOLD]:
-            self.log(f"time {time:.6g}: no pressure is prescribed in {part}")
+        gives = give_way(self.model.operators, self._parts, self.model.loads.fixed_solid)
+        fluid = self.model.scene.fluid
+        stores = fluid is not None and fluid.compressibility > 0.0
+        cut_off = [
+            (part, moves) for part, moves in zip(self._parts, gives, strict=True) if not drained[part.nodes].any()
+        ]
+        cut_off.sort(key=lambda found: -len(found[0].nodes))
+        for part, moves in cut_off[:MOST_TOLD]:
+            by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
+            both = " and by compression" if moves and stores else ""
+            self.log(f"time {time:.6g}: no pressure is prescribed in {part}, whose level is settled {by}{both}")
         if len(cut_off) > MOST_TOLD:
             self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_TOLD} more parts")
 
@@ -114,7 +162,7 @@ class Network:
         numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
         return np.isin(numbers, loads.fixed_flow)
 
-    def _make(self, loads: Loads, stores: bool) -> _Closed:
+    def _make(self, loads: Loads, stores: bool, at_start: bool) -> _Closed:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
         drained, gives = self._drained(loads), give_way(operators, self._parts, loads.fixed_solid)
@@ -125,11 +173,11 @@ class Network:
             name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
         }
         for part, moves in zip(self._parts, gives.tolist(), strict=True):
-            if drained[part.nodes].any() or (stores and moves):
+            if drained[part.nodes].any() or (stores and moves and not at_start):
                 continue
             wells = tuple(name for name, node in nodes.items() if node in part.nodes)
             parts.append((part, wells, moves))
-            closures.append(close(operators, part, moves))
+            closures.append(close(operators, part, moves and not at_start))
         return _Closed(loads, replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
 
     def _node(self, vector: object) -> int:

@@ -11,7 +11,7 @@ from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, balance_terms
 from fracflow.coupling.digits import digits_of, refuse_few
-from fracflow.coupling.initial import initial_acceleration, starting_pressure, starting_rate
+from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Floats
@@ -104,9 +104,9 @@ class Stepping:
         fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
         if network is not None:
-            opening = self.model.operators.joints.openings(state.sections.strain)
-            self.network.look(network.conduct(state.motion.displacement, state.pressure, opening).conductance)
+            self._look(state)
         trial: tuple[Floats, Floats] | None = None
+        failed, same = None, False
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
             limited = self._limited(loads, reached)
             closed = self._closed(limited, rule.storage)
@@ -119,8 +119,13 @@ class Stepping:
                 report = replace(report, digits=self._digits(new))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
-                full = self.network.overfull(limited, rule.storage, problem) if same else frozenset()
-            except NotConverged:
+                try:
+                    full = self.network.overfull(limited, rule.storage, problem) if same else frozenset()
+                except SolveError:
+                    new.destroy()
+                    raise
+            except NotConverged as error:
+                failed = error
                 if self._is_closed(problem, limited, rule.storage):
                     full = self.network.overfull(limited, rule.storage, problem)
                     if not full:
@@ -139,13 +144,20 @@ class Stepping:
                 self.network.tell(time)
                 return replace(new, energy=energy, limited=wells, friction=friction, memory=memory), report
             new.destroy()
-            reached = now
-        if loads.limits:
+            reached, failed = now, None
+        if same and not failed:
             refuse_cycle(reached, time)
         raise NotConverged(
             f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
-            " time_step, or give minimum_hydraulic_aperture"
+            f" time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}"
         )
+
+    def _look(self, state: State) -> None:
+        """Let the network see what conducts at a state. Collective."""
+        network = self.model.operators.flow
+        assert network is not None
+        opening = self.model.operators.joints.openings(state.sections.strain)
+        self.network.look(network.conduct(state.motion.displacement, state.pressure, opening).conductance)
 
     def _digits(self, new: State) -> float:
         """Digits of the worst tractions. Raises SolveError, on every rank, where too few are left. Collective."""
@@ -188,9 +200,13 @@ class Stepping:
             kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
             return replace(kept, memory=Memory(), pressure_rate=None)
         loads = self._limited(self.model.loads, reached_before(self.model.loads, state))
+        closed = loads
+        if ops.flow is not None:
+            self._look(state)
+            closed = self.network.level(loads, state)
         now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
         begun = replace(state, motion=motion, pressure_rate=None)
-        problem = StepProblem(ops, loads, begun, now, state.time, state.controls)
+        problem = StepProblem(ops, closed, begun, now, state.time, state.controls)
         try:
             problem.evaluate()
             if ops.flow is not None and ops.flow.compressibility > 0.0:
@@ -198,9 +214,16 @@ class Stepping:
                 problem.state = replace(begun, pressure_rate=rate)
                 problem.evaluate()
             elif problem.residual.flow > self.model.scene.accuracy.residual:
-                starting_pressure(self.model.scene, ops, loads, problem)
+                starting_pressure(self.model.scene, ops, closed, problem)
                 problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
+            parts = self.network.enclosed(loads, state, dt) if ops.flow is not None else []
+            for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
+                problem.pressure.getArray()[part.nodes] += level
+                part.walls.destroy()
+            if parts:
+                problem.evaluate()
+                initial_acceleration(ops, problem, motion.acceleration)
             pressure, forces = problem.pressure.copy(), balance_terms(problem, motion)
             was = state.sections
             sections = replace(problem.sections, strain=was.strain, blur=was.blur, record=was.record)

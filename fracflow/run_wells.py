@@ -7,7 +7,7 @@ from typing import NoReturn
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Limit, Loads
-from fracflow.errors import SolveError
+from fracflow.errors import NotConverged
 from fracflow.state import State
 
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
@@ -42,9 +42,9 @@ def reached_after(loads: Loads, reached: frozenset[Limit], trial: State, depth: 
 
 
 def refuse_cycle(reached: frozenset[Limit], time: float) -> NoReturn:
-    """Raise SolveError naming the wells that find neither rate nor limit."""
+    """Raise NotConverged naming the wells that find neither rate nor limit."""
     names = ", ".join(sorted({limit.well for limit in reached})) or "none"
-    raise SolveError(
+    raise NotConverged(
         f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
         f" {names}): move their limits apart, or take a smaller time_step"
     )

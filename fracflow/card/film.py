@@ -33,10 +33,15 @@ def wall_stiffness(
     return result
 
 
-def coupling_factor(alpha_1: float, conducting: Floats, wavenumber: Floats, stiffness: Floats) -> Floats:
-    """rho_t = alpha_1/(C kappa^2 k_tot), C = d^3/(12 mu): by which a cycle of (4.5) multiplies an error; inf at kappa = 0."""
-    with np.errstate(divide="ignore"):
-        result: Floats = alpha_1 / (conducting * wavenumber**2 * stiffness)
+def coupling_factor(
+    alpha_1: float, conducting: Floats, wavenumber: Floats, stiffness: Floats, held: Floats | float = 0.0
+) -> Floats:
+    """rho_t = alpha_1/((C kappa^2 + alpha_1 c_f d) k_tot), C = d^3/(12 mu): by which a cycle of (4.5) multiplies an error.
+
+    held  c_f d, what a compressible fluid stores [length/stress]; without it rho_t is infinite at kappa = 0
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        result: Floats = alpha_1 / ((conducting * wavenumber**2 + alpha_1 * held) * stiffness)
     return result
 
 
@@ -60,8 +65,17 @@ def slowest(view: View, film: FilmStage) -> Floats:
         total = np.bincount(joints.component, joints.length * values)
         return np.asarray((total / np.where(length > 0.0, length, 1.0))[joints.component])
 
-    conducting = 1.0 / mean((1.0 / joints.conducting).mean(axis=1))
-    return np.where(moves, coupling_factor(film.alpha_1, conducting, kappa, 1.0 / mean(1.0 / stiff)), 0.0)
+    conducting, held = 1.0 / mean((1.0 / joints.conducting).mean(axis=1)), mean(_held(view))
+    return np.where(moves, coupling_factor(film.alpha_1, conducting, kappa, 1.0 / mean(1.0 / stiff), held), 0.0)
+
+
+def _held(view: View) -> Floats:
+    """c_f d (j,), what the fluid stores by its pressure [length/stress]."""
+    fluid = view.scene.fluid
+    held: Floats = (0.0 if fluid is None else fluid.compressibility) * np.maximum(view.joints.aperture, 0.0).mean(
+        axis=1
+    )
+    return held
 
 
 def _cycles(view: View) -> tuple[float | None, str]:
@@ -130,9 +144,8 @@ def ringing(view: View) -> Number:
 
     def worst(film: FilmStage) -> tuple[float, str]:
         stiff = wall_stiffness(joints.normal.max(axis=1), soft, kappa, film, joints.impedance, joints.mass)
-        conducting = joints.conducting.max(axis=1)
-        with np.errstate(divide="ignore"):
-            value, _, where = view.worst(1.0 / coupling_factor(2.0 / film.time_step, conducting, kappa, stiff))
+        conducting, yields = joints.conducting.max(axis=1), 1.0 / stiff + _held(view)
+        value, _, where = view.worst(conducting * kappa**2 * film.time_step / (2.0 * yields))
         return value or 0.0, where
 
     film = max(films, key=lambda each: worst(each)[0])

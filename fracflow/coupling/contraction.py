@@ -17,7 +17,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.coupling.true_residual import UNSOLVED, true_residual
+from fracflow.coupling.true_residual import UNSOLVED, check_solution, true_residual
 from fracflow.mesh.data import Floats
 from fracflow.stepping import Alphas
 
@@ -35,7 +35,7 @@ class Cycle:
     def __init__(self, matrix: JoinedMatrix, problem: StepProblem, alphas: Alphas | None = None) -> None:
         """Fill ``matrix`` and take its blocks; ``alphas`` in place of the step's own. Collective."""
         sections, conduction = problem.sections, problem.conduction
-        self.scale = problem.flow_scale() / matrix.operators.scales.pressure
+        self.scale, self.time = problem.flow_scale() / matrix.operators.scales.pressure, problem.time
         matrix.fill(alphas or problem.alphas, sections.tangent, conduction, problem.flow_scale())
         splits = matrix.layout.index_sets()
         self.blocks = [[matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
@@ -49,6 +49,7 @@ class Cycle:
         """``result`` = C p. Collective."""
         self.blocks[0][1].mult(pressure, self.force)
         self.solid.solve(self.force, self.wall)
+        check_solution(self.solid, self.wall, self.force, f"time {self.time:.6g}: the walls under the fluid")
         self.blocks[1][0].mult(self.wall, result)
         result.scale(-1.0)
 
@@ -123,16 +124,18 @@ class Prediction:
 def predict(matrix: JoinedMatrix, problem: StepProblem, with_storage: bool) -> Prediction:
     """Linearise at the trial, which has been evaluated. Collective."""
     cycle = Cycle(matrix, problem)
-    factor, mode = cycle.radius()
-    for closure in problem.loads.closures if not np.isfinite(factor) else ():
-        mode[:] = 0.0  # of these parts the flow alone says nothing: the last of them is named
-        mode[closure.row] = 1.0
-    found = Prediction(factor, worst_fracture(matrix.operators, mode))
-    if with_storage:
-        storage, stored = added_storage(cycle)
-        found = replace(found, storage=storage * cycle.scale, stored=stored)
-    cycle.destroy()
-    return found
+    try:
+        factor, mode = cycle.radius()
+        for closure in problem.loads.closures if not np.isfinite(factor) else ():
+            mode[:] = 0.0  # of these parts the flow alone says nothing: the last of them is named
+            mode[closure.row] = 1.0
+        found = Prediction(factor, worst_fracture(matrix.operators, mode))
+        if with_storage:
+            storage, stored = added_storage(cycle)
+            found = replace(found, storage=storage * cycle.scale, stored=stored)
+        return found
+    finally:
+        cycle.destroy()
 
 
 def added_storage(cycle: Cycle) -> tuple[Floats, float]:

@@ -73,7 +73,12 @@ class Linearised:
 
 
 class _Lost(Exception):
-    """The cycles do not converge; the text says what stopped them, where something did."""
+    """The cycles do not converge; the text says what stopped them, where something did, and ``cost`` what they took."""
+
+    def __init__(self, why: str = "", cost: StepReport | None = None) -> None:
+        """Say why, and at what cost."""
+        super().__init__(why)
+        self.cost = cost or StepReport(0, 0, 0, 0, 0.0, 0.0)
 
 
 class FixedPoint:
@@ -113,7 +118,15 @@ class FixedPoint:
             why = self._reason(problem, prediction, changes) + (f" ({lost})" if str(lost) else "")
             if not hands_over:  # a smaller time step may help the solid, where it was the solid that failed
                 raise (NotConverged if str(lost) and not is_hopeless else SolveError)(why) from lost
-            report = replace(self._hand_over(problem), cycles=len(changes), handed_over=why)
+            report = self._hand_over(problem)
+            report = replace(
+                report,
+                newton=report.newton + lost.cost.newton,
+                krylov=report.krylov + lost.cost.krylov,
+                factorisations=report.factorisations + lost.cost.factorisations,
+                cycles=len(changes),
+                handed_over=why,
+            )
         return replace(report, predicted=prediction.factor, measured=_measured(changes))
 
     def _cycle(
@@ -132,7 +145,7 @@ class FixedPoint:
                 problem.pressure.setArray(problem.pressure.getArray() + step)
                 report = self.solid.solve(problem)
             except SolveError as error:
-                raise _Lost(f"in cycle {number}: {error}") from error
+                raise _Lost(f"in cycle {number}: {error}", total) from error
             changes.append(self._largest(added))
             residual = problem.residual
             total = StepReport(
@@ -149,7 +162,7 @@ class FixedPoint:
             growing = self.name == "plain" and len(changes) > 3 and changes[-1] > changes[-2] > changes[-3]
             if growing or not np.isfinite(changes[-1]):
                 break
-        raise _Lost
+        raise _Lost("", total)
 
     def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
         """(4.5a) What the flow adds to the pressures (n,) of this rank, the walls as they are. Collective."""

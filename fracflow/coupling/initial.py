@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracflow._petsc import PETSc
@@ -12,7 +15,22 @@ from fracflow.coupling.newton import Newton
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.coupling.true_residual import check_solution
 from fracflow.errors import SolveError
+from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Scene
+
+
+@dataclass(frozen=True)
+class Enclosed:
+    """A part of the network that nothing drains.
+
+    nodes  local numbers of its flow nodes on this rank
+    walls  change of its volume with the displacements [area]
+    rate   sum of the rates at which its wells' flow rates change [area/time^2]
+    """
+
+    nodes: Ints
+    walls: PETSc.Vec
+    rate: float
 
 
 def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem: StepProblem) -> None:
@@ -22,10 +40,7 @@ def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem:
     try:
         newton.solve(problem)
     except SolveError as error:
-        raise SolveError(
-            f"time {problem.time:.6g}: no initial pressures: wells pump at once into fractures that nothing drains;"
-            " let flow_rate start at 0, or give a [[well]] with a pressure"
-        ) from error
+        raise SolveError(f"time {problem.time:.6g}: no initial pressures: {error}") from error
     finally:
         newton.destroy()
         matrix.destroy()
@@ -54,6 +69,43 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
 
 def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
     """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective."""
+    matrix, solver = _mass(operators, problem)
+    solver.solve(problem.solid_balance, acceleration)
+    check_solution(solver, acceleration, problem.solid_balance, f"time {problem.time:.6g}: first accelerations")
+    acceleration.scale(-1.0)
+    solver.destroy()
+    matrix.destroy()
+
+
+def first_levels(
+    operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[Enclosed]
+) -> Floats:
+    """What to add to the pressures of each of the parts (k,), so that its walls take up what flows in from the start.
+
+    The sum of (3.20) over a part that nothing drains, w v = sum Q, says nothing of its level; its rate does: w a = sum Q',
+    where a level adds M^-1 w to the ``acceleration`` that there would be without. Collective.
+    """
+    if not parts:
+        return np.zeros(0)
+    matrix, solver = _mass(operators, problem)
+    held = np.concatenate([part.numbers for part in problem.loads.supports] or [np.zeros(0, dtype=np.int64)])
+    yields = [part.walls.copy() for part in parts]
+    lacks, gives = np.zeros(len(parts)), np.zeros((len(parts), len(parts)))
+    for walls in yields:
+        walls.getArray()[held] = 0.0
+    moved = acceleration.duplicate()
+    for row, (part, walls) in enumerate(zip(parts, yields, strict=True)):
+        lacks[row] = part.rate - walls.dot(acceleration)
+        solver.solve(walls, moved)
+        gives[:, row] = [other.dot(moved) for other in yields]
+    for thing in (*yields, moved, solver, matrix):
+        thing.destroy()
+    added: Floats = np.linalg.lstsq(gives, lacks, rcond=None)[0]
+    return added
+
+
+def _mass(operators: Operators, problem: StepProblem) -> tuple[PETSc.Mat, PETSc.KSP]:
+    """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
     matrix, solver = _with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
     start = matrix.getOwnershipRange()[0]
     held = np.concatenate([start + part.numbers for part in problem.loads.supports] or [np.zeros(0)])
@@ -61,11 +113,7 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
     solver.setOperators(matrix)
     solver.setOptionsPrefix("mass_")
     solver.setFromOptions()
-    solver.solve(problem.solid_balance, acceleration)
-    check_solution(solver, acceleration, problem.solid_balance, f"time {problem.time:.6g}: first accelerations")
-    acceleration.scale(-1.0)
-    solver.destroy()
-    matrix.destroy()
+    return matrix, solver
 
 
 def _with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:

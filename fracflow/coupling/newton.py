@@ -19,7 +19,7 @@ from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
 from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.coupling.near_null import tell_rigid_motions
 from fracflow.coupling.newton_failure import describe_failure, describe_floating
-from fracflow.coupling.newton_methods import NEWTON_METHODS
+from fracflow.coupling.newton_methods import NEWTON_METHODS, SingularMatrix
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.coupling.true_residual import check_solution
 from fracflow.errors import NotConverged, SolveError
@@ -95,9 +95,7 @@ class Newton:
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 self.snes.solve(None, self.unknowns)
-            except SolveError as error:
-                if not self.method.weakness:
-                    raise
+            except SingularMatrix as error:
                 raise self._failure(0, iterations + self.snes.getIterationNumber()) from error
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
@@ -194,14 +192,13 @@ class Newton:
         problem, layout = self.problem, self.matrix.layout
         assert problem is not None
         self._krylov += self.snes.getKSP().getIterationNumber()
-        change = layout.solid_vector()
-        scale = self.matrix.operators.scales.displacement
+        self._step = step.norm()
+        if self.method.weakness and not np.isfinite(self._step):
+            raise SingularMatrix
+        check_solution(self.snes.getKSP(), step, self.balance, f"time {problem.time:.6g}: {self.prefix}")
+        change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
         change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
         self._step = change.norm()
-        if self.method.weakness and not np.isfinite(self._step):
-            raise SolveError("the matrix is singular")
-        check_solution(self.snes.getKSP(), step, self.balance, f"time {problem.time:.6g}: {self.prefix}")
-        change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
         joints = self.matrix.operators.joints
         strains = joints.strain(change)
         allowed = joints.step_limit(problem.sections.strain, strains)
@@ -230,7 +227,10 @@ class Newton:
             self._function(self.snes, trial, balance)
 
         def size(fraction: float) -> float:
-            at(fraction)
+            try:
+                at(fraction)
+            except NotConverged:  # the laws have no answer there, on any rank
+                return np.inf
             return float(balance.norm())
 
         def power(fraction: float) -> float:
@@ -252,7 +252,10 @@ class Newton:
         same = np.array([np.array_equal(is_open, old) for old in self._patterns], dtype=np.int32)
         everywhere = np.zeros_like(same)
         self.matrix.layout.comm.Allreduce(same, everywhere, op=MPI.MIN)
-        self._flipped = is_open ^ self._patterns[-1] if self._patterns else np.zeros(len(is_open), dtype=bool)
+        cycle = self._patterns[int(np.flatnonzero(everywhere)[-1]) :] if everywhere.any() else self._patterns[-1:]
+        self._flipped = np.zeros(len(is_open), dtype=bool)
+        for old in cycle:  # all that changed since the same was open, or else in the last iteration
+            self._flipped |= is_open ^ old
         if self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow":
             returns = bool(everywhere.any()) and not everywhere[-1]
             self._circles |= returns or iteration >= PATIENCE

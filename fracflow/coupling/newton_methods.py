@@ -15,6 +15,10 @@ from fracflow.mesh.data import Floats
 from fracflow.state import Sections
 
 
+class SingularMatrix(Exception):
+    """What a method without the tangent may come to."""
+
+
 @dataclass(frozen=True)
 class Stiffness:
     """How an iteration makes its matrix.

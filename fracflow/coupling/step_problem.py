@@ -167,13 +167,12 @@ class StepProblem:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
         speed = self.velocity()
-        network.squeeze.multTranspose(speed, flow)
-        terms = [largest(flow), largest(self.source)]
-        rows = np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
         network.squeeze.multTranspose(self.displacement, flow)
-        terms.append(CANCELLATION * self.alphas.a1 * largest(flow))
-        rows += CANCELLATION * self.alphas.a1 * np.abs(flow.getArray())
+        terms = [CANCELLATION * self.alphas.a1 * largest(flow), largest(self.source)]
+        rows = CANCELLATION * self.alphas.a1 * np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
         network.squeeze.multTranspose(speed, flow)
+        terms.append(largest(flow))
+        rows += np.abs(flow.getArray())
         rate, opening = self.rate(), self.operators.joints.openings(self.sections.strain)
         self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening, rate), None
         network.outflow(self.conduction, flow)

@@ -104,3 +104,18 @@ def test_the_fixed_point_names_it_or_adds_storage(shared_tmp):
     other = history(shared_tmp / "other", fixed, "method.fixed_point=added-storage")
     for name in ("probe/in/pressure", "probe/out/pressure"):
         assert other[name] == pytest.approx(one[name], rel=1e-10)
+
+
+def test_a_stage_with_inertia_begins_at_the_level_that_its_walls_settle(shared_tmp):
+    """Neither arbitrary nor kept, which would ring from step to step: walls that start as the wells pump, w a = 0."""
+    stage = "stage.0={kind = 'dynamic', time_step = 1e-9, steps = 5}"
+    found = history(shared_tmp / "run", stage)
+    inlet, outlet = (found[f"probe/{name}/pressure"][1:] for name in ("in", "out"))
+    drop = 12e-3 * np.hypot(6, 3) * 2e-5 / 1e-9
+    assert inlet - outlet == pytest.approx(np.full(5, drop), rel=1e-3)
+    level = 0.5 * (inlet + outlet)
+    assert np.ptp(level) <= 1e-5 * drop and abs(level[0] - 1e6) <= 0.05 * drop
+    log = (shared_tmp / "run" / "log.txt").read_text()
+    assert "no pressure is prescribed in" in log and "settled by its walls" in log
+    with pytest.raises(SolveError, match=r"in pump at once into .*sealed"):
+        history(shared_tmp / "refused", stage, "well.out.flow_rate=0")
