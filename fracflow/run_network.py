@@ -58,11 +58,11 @@ class Network:
         found = self._found(loads, True, at_start=True)
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls) for well in wells]
-            swept = abs(sum(rates)) > BALANCED * sum(map(abs, rates))
-            if swept and not state.motion.velocity.norm(PETSc.NormType.INFINITY):
+            is_swept = abs(sum(rates)) > BALANCED * sum(map(abs, rates))
+            if is_swept and not state.motion.velocity.norm(PETSc.NormType.INFINITY):
                 raise SolveError(
-                    f"time {state.time:.6g}: no initial pressures: {', '.join(wells)} pump at once into {part}, which no"
-                    " pressure drains: let flow_rate start at 0, or give a [[well]] with a pressure there"
+                    f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, sum(rates))} from the first instant in"
+                    f" {part}, which no pressure drains: let them start at 0, or give a [[well]] with a pressure there"
                 )
         return found.loads
 
@@ -186,15 +186,17 @@ class Network:
         return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
 
     def _refuse(self, part: Part, wells: tuple[str, ...], total: float, moves: bool, time: float) -> None:
-        system = self.model.scene.unit_system
-        unit = system.unit("length**3/time") if system.name != "none" else ""
         why = "in a steady stage its walls store nothing" if moves else "its walls cannot move"
         other = 'use kind = "quasi-static", whose walls store the fluid' if moves else "give fluid.compressibility"
         raise SolveError(
-            f"time {time:.6g}: flow rates of {', '.join(wells)} add up to {total:.6g} {unit}".rstrip()
-            + f" in {part}, which no pressure drains, and {why}: give a [[well]] with a pressure there, let the flow rates"
-            f" add up to zero, or {other}"
+            f"time {time:.6g}: {self._sum_of(wells, total)} in {part}, which no pressure drains, and {why}: give a [[well]]"
+            f" with a pressure there, let the flow rates add up to zero, or {other}"
         )
+
+    def _sum_of(self, wells: tuple[str, ...], total: float) -> str:
+        system = self.model.scene.unit_system
+        unit = system.unit("length**3/time") if system.name != "none" else ""
+        return f"flow rates of {', '.join(wells)} add up to {total:.6g} {unit}".rstrip()
 
     def destroy(self) -> None:
         """Forget the closed loads. Collective."""

@@ -253,9 +253,8 @@ class Newton:
         everywhere = np.zeros_like(same)
         self.matrix.layout.comm.Allreduce(same, everywhere, op=MPI.MIN)
         cycle = self._patterns[int(np.flatnonzero(everywhere)[-1]) :] if everywhere.any() else self._patterns[-1:]
-        self._flipped = np.zeros(len(is_open), dtype=bool)
-        for old in cycle:  # all that changed since the same was open, or else in the last iteration
-            self._flipped |= is_open ^ old
+        # all that changed since the same was open, or else in the last iteration
+        self._flipped = np.any([is_open ^ old for old in cycle], axis=0) if cycle else np.zeros_like(is_open)
         if self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow":
             returns = bool(everywhere.any()) and not everywhere[-1]
             self._circles |= returns or iteration >= PATIENCE
