@@ -227,6 +227,7 @@ class Files:
             "step/measured_factor": report.measured,
             "step/handed_over": int(bool(report.handed_over)),
             "step/solid_residual": report.solid_residual,
+            "step/round_off": report.round_off,
             "step/flow_residual": report.flow_residual,
             "step/slipping": int(snapshot.column("sliding").sum()),
             "step/open": int(snapshot.column("open").sum()),

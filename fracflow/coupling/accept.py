@@ -7,8 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.coupling.newton import NewtonReport
+from fracflow.coupling.residual import Residual
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.state import Forces, Motion, State
+from fracflow.state import Forces, Motion, State, StepReport
 
 
 def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
@@ -25,6 +27,20 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
         energy,
         pressure_rate=problem.rate(),
         drive=max(problem.state.drive, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)),
+    )
+
+
+def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepReport:
+    """What a step cost that one solve of Newton's did."""
+    return StepReport(
+        report.newton,
+        report.krylov,
+        cycles,
+        report.fills,
+        residual.solid,
+        residual.flow,
+        report.out_of_balance,
+        round_off=residual.round_off,
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.accept import step_report
 from fracflow.coupling.contraction import (
     Cycle,
     Prediction,
@@ -155,6 +156,7 @@ class FixedPoint:
                 total.factorisations + report.fills + 1,
                 residual.solid,
                 residual.flow,
+                round_off=residual.round_off,
             )
             is_still = changes[-1] <= max(accuracy.pressure * self._driven(problem), ROUND_OFF * self._size(problem))
             if most is None and is_still and residual.flow <= accuracy.residual:
@@ -258,10 +260,7 @@ class FixedPoint:
         """The step with both balances at once. Collective."""
         if self.monolithic is None:
             self.monolithic = Newton(self.scene, self.whole_matrix, "monolithic")
-        report, residual = self.monolithic.solve(problem), problem.residual
-        return StepReport(
-            report.newton, report.krylov, 0, report.fills, residual.solid, residual.flow, report.out_of_balance
-        )
+        return step_report(self.monolithic.solve(problem), problem.residual, 0)
 
     def _together(self, values: Floats) -> Floats:
         return np.asarray(self.whole_matrix.layout.comm.allreduce(values, op=MPI.SUM))

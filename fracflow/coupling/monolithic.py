@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.accept import step_report
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.step_problem import StepProblem
@@ -24,10 +25,7 @@ class Monolithic:
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
         report = self.newton.solve(problem)
-        residual = problem.residual
-        return StepReport(
-            report.newton, report.krylov, 1, report.fills, residual.solid, residual.flow, report.out_of_balance
-        )
+        return step_report(report, problem.residual, 1)
 
     def destroy(self) -> None:
         """Free matrix and solver. Collective."""

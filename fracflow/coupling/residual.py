@@ -18,15 +18,17 @@ TINY = 1e-300  # a network of closed fractures has no terms
 class Residual:
     """Sizes of what is out of balance: largest entry over the largest of the terms that should balance, and (4.9a).
 
-    solid, flow      largest entry, relative
+    solid, flow      largest entry, relative; of the solid what is beyond ``round_off``
     out_of_balance   Euclidean norm of the solid balance [force per thickness]
     at_nodes         of the flow, over the terms of the entry's own node: narrow fractures carry little beside wide ones
+    round_off        relative size of what displacements of finite digits leave of the solid balance, whatever is iterated
     """
 
     solid: float
     flow: float
     out_of_balance: float
     at_nodes: float = 0.0
+    round_off: float = 0.0
 
 
 def largest(vector: PETSc.Vec) -> float:

@@ -220,14 +220,15 @@ class StepProblem:
         here += [blurred, largest(self.displacement)]
         solid, solid_terms, flow, flow_terms, blurred, moved = over_ranks(here, comm)
         noise = blurred + noise_of_rock(self.operators, moved)
-        solid = max(solid - noise, 0.0) / max(solid_terms, LEAST_FORCE * scales.force)
+        size = max(solid_terms, LEAST_FORCE * scales.force)
+        solid, noise = max(solid - noise, 0.0) / size, noise / size
         flow /= max(flow_terms, TINY)
         rows = (
             None if self._flow_rows is None else self._flow_rows + CANCELLATION * self.alphas.a1 * scales.length * moved
         )
         closed = (closure.row for closure in self.loads.closures)
         own = flow_residual(self.flow_balance.getArray(readonly=True), rows, flow_terms, closed, comm)
-        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own)
+        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise)
         if not np.isfinite(solid + flow):
             raise NotConverged(
                 f"time {self.time:.6g}: the joint laws gave no finite traction (a joint closed beyond its aperture)"
