@@ -8,6 +8,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.run import run
 from fracflow.scene import load
 
+SHORT = {name: ["stage.1.steps=3"] for name in ("crossings", "report_5_3")}
 MESHES = Path(__file__).parents[1] / "meshes"
 
 
@@ -17,8 +18,10 @@ MESHES = Path(__file__).parents[1] / "meshes"
         ("crossings", []),
         ("report_5_3", ["method.coupling=fixed-point", "fracture.fault.aperture=0.2 ft", "stage.failure.steps=3"]),
         ("crossings", ["initial.velocity=[1e-6, 0]", "stage.0={kind = 'equilibrate', steps = 2}"]),
+        ("failures/f6a_closing", ["accuracy.max_iterations=6"]),
+        ("failures/f2b_no_outlet", ["stage.0={kind = 'dynamic', time_step = 1e-6, steps = 5}"]),
     ],
-    ids=["default", "fixed-point", "equilibrate"],
+    ids=["default", "fixed-point", "equilibrate", "halved", "enclosed"],
 )
 def test_nothing_is_left_to_a_collection(name, overrides, shared_tmp, capfd):
     """petsc4py keeps every object that was not destroyed until the end of the program, a few a step fill the memory."""
@@ -29,7 +32,7 @@ def test_nothing_is_left_to_a_collection(name, overrides, shared_tmp, capfd):
         PETSc.garbage_view()
         left.append(capfd.readouterr().out)
 
-    scene = load(MESHES / name / "scene.toml", ["output.pictures=false", "stage.1.steps=3", *overrides])
+    scene = load(MESHES / name / "scene.toml", ["output.pictures=false", *SHORT.get(name, ()), *overrides])
     run(scene, shared_tmp / "out", progress=count)
     assert len(left) > 3
     assert left[0] or MPI.COMM_WORLD.rank

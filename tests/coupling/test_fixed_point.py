@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.card.film import coupling_factor
 from fracflow.coupling.fixed_point import FixedPoint
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
@@ -68,6 +69,26 @@ def test_prediction_is_the_closed_form(ends, kappa, comm):
         expected = rho_of_film(1.0 / dt, kappa)
         assert abs(found.factor / expected - 1.0) <= 1e-3 and found.fracture == "film"
         problem.destroy()
+    coupling.destroy()
+
+
+def test_a_compressible_fluid_lowers_the_factor_as_the_card_says(comm):
+    """alpha_1/((C kappa^2 + alpha_1 c_f d) k_n): here the fluid stores half as much as the walls, and rho < 2 at any step."""
+    held = 0.5 / STIFFNESS
+    scene = film()
+    fluid = scene.fluid.model_copy(update={"compressibility": held / APERTURE})
+    model = prepare(scene.model_copy(update={"fluid": fluid}), comm)
+    settle(model)
+    coupling = FixedPoint(model.scene, model.operators, model.loads)
+    conducting = APERTURE**3 / (12.0 * VISCOSITY)
+    kappa = 2.0 * ELEMENTS / LENGTH * np.sin(0.5 * np.pi / ELEMENTS)
+    for dt in (10.0, 1e-3):
+        problem = StepProblem(model.operators, model.loads, rest(model), BackwardEuler().alphas(dt), dt, {})
+        problem.evaluate()
+        expected = coupling_factor(1.0 / dt, np.array([conducting]), np.array([kappa]), np.array([STIFFNESS]), held)[0]
+        assert abs(coupling._prediction(problem).factor / expected - 1.0) <= 1e-3
+        problem.destroy()
+    assert 1.9 < expected < 2.0
     coupling.destroy()
 
 
