@@ -113,7 +113,7 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
         finally:
             forget()
     if comm.rank == 0:
-        show(folder, console, scene.output.pictures)
+        show(folder, console, scene.output.pictures, failure is not None)
     comm.barrier()  # all ranks end together, in whichever way
     if failure is not None:
         raise SolveError(f"{failure}; what was reached is in {folder}")
@@ -122,12 +122,12 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
         console.print(counts)
 
 
-def show(folder: Path, console: Console, pictures: bool) -> None:
+def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
     """Tell what a run folder holds, and draw it."""
     from fracflow.output.pictures import draw
     from fracflow.output.tell import tell
 
-    tell(folder, console)
+    tell(folder, console, failed)
     for path in draw(folder) if pictures else ():
         console.print(f"picture: {path}", soft_wrap=True)
 

@@ -26,8 +26,21 @@ USUAL = {
 
 
 def advice(scene: Scene) -> list[str]:
-    """A line for each value far from what is usual; none where the units are not known."""
-    return list(_unusual(scene)) if scene.units != "none" else []
+    """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
+    return [*_idle(scene), *(_unusual(scene) if scene.units != "none" else ())]
+
+
+def _idle(scene: Scene) -> Iterator[str]:
+    for kind in ("well", "load"):
+        for entry in getattr(scene, kind):
+            name = getattr(entry, "control", None)
+            if name is None or scene.control[name].initial or any(stage.control == name for stage in scene.stage):
+                continue
+            yield f'{kind}: control "{name}" stays at 0 in every stage: give control.{name}.initial = 1, or stage.control'
+    for name, table in scene.fracture.items():
+        least, aperture = table.minimum_hydraulic_aperture, table.aperture
+        if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:
+            yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture: it conducts by it from the start"
 
 
 def _unusual(scene: Scene) -> Iterator[str]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.flow import Conduction
 from fracflow.assembly.operators import Operators
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
@@ -56,6 +57,17 @@ def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
+def noise_of_flow(conduction: Conduction, moved: Floats | None) -> Floats:
+    """The same of the flow at the joint ends (j, 2), from what openings are the differences of [volume rate per thickness].
+
+    A fracture that is nearly closed knows its aperture to few digits, and its cube to fewer.
+    """
+    drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
+    known = 0.0 if moved is None else NOISE * ROUND_OFF * np.abs(moved)
+    noise = (np.abs(conduction.slope) * known).sum(axis=1) * drop
+    return np.repeat(noise[:, None], 2, axis=1)
+
+
 def noise_of_rock(operators: Operators, displacement: float) -> float:
     """The same of the rock [force per thickness], from the largest displacement."""
     return NOISE * ROUND_OFF * operators.scales.stiffness * displacement
@@ -95,17 +107,18 @@ def refuse_few(found: Digits, limit: int, time: float) -> None:
     """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
     if limit == 0 or found.digits >= limit:
         return
-    enough = found.stiffness * 10.0 ** (found.digits - limit)
+    enough = 0.5 * found.stiffness * 10.0 ** (found.digits - limit)
+    left = min(max(round(found.digits, 1), 0.0), limit - 0.1)  # not as many as are asked for, by rounding
     what, remedy = (
         (
             "the rock's stiffness E/h =",
             "in the rock, cells as much larger, or displacements counted from where it is now",
         )
         if found.by_rock
-        else ("stiffness", "or the same motion in more steps")
+        else ("the larger of normal_stiffness and shear_stiffness,", "or the same motion in more steps")
     )
     raise SolveError(
-        f"time {time:.6g}: tractions of {found.fracture} (largest {found.traction:.3g}) keep {max(found.digits, 0.0):.1f}"
+        f"time {time:.6g}: tractions of {found.fracture} (largest {found.traction:.3g}) keep {left:.1f}"
         f" digits, accuracy.digits asks for {limit}: {what} {found.stiffness:.3g} times the motion that both walls share"
         f" is rounded off; a stiffness of {enough:.2g} would do, {remedy}"
     )

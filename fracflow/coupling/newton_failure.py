@@ -81,7 +81,7 @@ def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, sl
     elif abs(push[worst, 2]) > slack:
         pushed = f"net moment {push[worst, 2] * floating.frames.size[worst]:.4g} {system.force or ''}".rstrip()
     else:
-        pushed = "no net force, and nothing that tells where it rests"
+        pushed = "no net force just now, and nothing that tells where it rests"
     more = f" (and {len(loose) - 1} more blocks with it)" if len(loose) > 1 else ""
     return (
         f'time {problem.time:.6g}: block {worst} (rock "{block.rocks[block.piece_rock[worst]]}", centred at'
@@ -105,7 +105,8 @@ def _around(floating: Floating, problem: StepProblem, piece: int) -> str:
     """How many of the joints around a block are open, and how many slide. Collective."""
     sections, points = problem.sections, len(floating.natural)
     here = np.any(floating.sides == piece, axis=1) & (floating.sides[:, 0] != floating.sides[:, 1])
-    is_open, slides = (part.reshape(-1, points).all(axis=1) for part in (sections.is_open, sections.is_sliding))
+    loose = sections.is_open | sections.is_sliding  # one end of a joint may be open and the other slide
+    is_open, slides = (part.reshape(-1, points).all(axis=1) for part in (sections.is_open, loose))
     counts = np.array([here.sum(), (here & is_open).sum(), (here & slides & ~is_open).sum()])
     joints, open_, sliding = (int(n) for n in floating.operators.layout.comm.allreduce(counts))
     if not joints:

@@ -33,10 +33,11 @@ class Residual:
 
 def largest(vector: PETSc.Vec) -> float:
     """Size of the largest entry on this rank; infinite where one is not a number."""
-    return _told(vector.getArray(readonly=True))
+    return largest_of(vector.getArray(readonly=True))
 
 
-def _told(values: Floats) -> float:
+def largest_of(values: Floats) -> float:
+    """Size of the largest value; infinite where one is not a number."""
     size = float(np.abs(values).max(initial=0.0))
     return size if size == size else np.inf
 
@@ -60,4 +61,4 @@ def flow_residual(
     own = np.full(len(balance), largest) if terms is None else np.maximum(terms, ROUND_OFF * largest)
     for rows in closed:
         own[rows] = largest
-    return over_ranks([_told(balance / np.maximum(own, TINY))], comm)[0]
+    return over_ranks([largest_of(balance / np.maximum(own, TINY))], comm)[0]

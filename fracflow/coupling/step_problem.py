@@ -16,9 +16,9 @@ from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.compression import pressure_rate
-from fracflow.coupling.digits import blur, noise_here, noise_of_rock
+from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
-from fracflow.coupling.residual import TINY, Residual, flow_residual, largest, over_ranks
+from fracflow.coupling.residual import TINY, Residual, flow_residual, largest, largest_of, over_ranks
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import MotionValues, Past, Sections, State
@@ -73,6 +73,7 @@ class StepProblem:
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
         self._flow_rows: Floats | None = None
+        self._flow_noise: Floats | float = 0.0
         self._widest: list[float] | None = None
         network = operators.flow
         self._before = 0.0 if network is None else np.abs(network.driving(state.pressure))
@@ -189,10 +190,12 @@ class StepProblem:
             change = CANCELLATION * self.alphas.b1 * network.at_ends(self.pressure)
             through = np.maximum(through, stored.weight * np.maximum(np.abs(stored.rate), np.abs(change)))
             rate.destroy()
-        sized = flow.duplicate()
+        sized, noise = flow.duplicate(), flow.duplicate()
         network.taken_up(through, sized)
-        self._flow_rows = rows + sized.getArray()
+        network.taken_up(noise_of_flow(self.conduction, self.operators.joints.openings(self._moved)), noise)
+        self._flow_rows, self._flow_noise = rows + sized.getArray(), noise.getArray().copy()
         sized.destroy()
+        noise.destroy()
         return [*terms, float(through.max(initial=0.0))]
 
     def _close(self) -> None:
@@ -216,7 +219,9 @@ class StepProblem:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
         scales, comm = self.operators.scales, self.operators.layout.comm
         blurred = noise_here(self.operators, self.sections, self._moved)
-        here = [largest(self.solid_balance), solid_terms, largest(self.flow_balance), flow_terms]
+        balance = self.flow_balance.getArray(readonly=True)
+        balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
+        here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
         here += [blurred, largest(self.displacement)]
         solid, solid_terms, flow, flow_terms, blurred, moved = over_ranks(here, comm)
         noise = blurred + noise_of_rock(self.operators, moved)
@@ -227,7 +232,7 @@ class StepProblem:
             None if self._flow_rows is None else self._flow_rows + CANCELLATION * self.alphas.a1 * scales.length * moved
         )
         closed = (closure.row for closure in self.loads.closures)
-        own = flow_residual(self.flow_balance.getArray(readonly=True), rows, flow_terms, closed, comm)
+        own = flow_residual(balance, rows, flow_terms, closed, comm)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise)
         if not np.isfinite(solid + flow):
             raise NotConverged(

@@ -22,6 +22,7 @@ BOOKS = (
     "work_boundaries", "work_wells", "work_pressure", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
 MOST_EVENTS = 20
+OPEN = 1e-6  # of the largest entry of the books
 
 
 def _nearest(folder: Path) -> str:
@@ -43,8 +44,8 @@ def _nearest(folder: Path) -> str:
     )
 
 
-def tell(folder: Path, console: Console) -> None:
-    """Print books and events of a run folder."""
+def tell(folder: Path, console: Console, failed: bool = False) -> None:
+    """Print books and events of a run folder; of a run that ``failed`` without what more steps might bring."""
     history = read_history(folder / "history.h5")
     units = read_attributes(folder / "history.h5")["units"]
     units = json.loads(units) if isinstance(units, str) else units
@@ -55,9 +56,17 @@ def tell(folder: Path, console: Console) -> None:
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)
+    left, most = (max(np.abs(history[f"energy/{name}"]).max() for name in names) for names in (("residual",), BOOKS))
+    if left > OPEN * most:
+        console.print(
+            f"! energy books: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
+            " wrong unit, very wide beside very narrow fractures, or a loose tolerance",
+            soft_wrap=True,
+            markup=False,
+        )
     events = read_events(folder / "events.csv")
     if not events:
-        console.print(f"nothing slipped or opened{_nearest(folder)}", soft_wrap=True)
+        console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True)
         return
     heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
     slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")
