@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.flow import Conduction
+from fracflow.assembly.flow import Conduction, Flow
 from fracflow.assembly.operators import Operators
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
@@ -57,15 +57,19 @@ def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
-def noise_of_flow(conduction: Conduction, moved: Floats | None) -> Floats:
+def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
     """The same of the flow at the joint ends (j, 2), from what openings are the differences of [volume rate per thickness].
 
-    A fracture that is nearly closed knows its aperture to few digits, and its cube to fewer.
+    A fracture that is nearly closed knows its aperture to few digits, its cube to fewer, and what its walls squeeze out
+    to those of the motion that they share. ``rate`` is alpha_1.
     """
+    if moved is None:
+        return np.zeros_like(network.aperture)
+    known = NOISE * ROUND_OFF * np.abs(moved)
     drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
-    known = 0.0 if moved is None else NOISE * ROUND_OFF * np.abs(moved)
-    noise = (np.abs(conduction.slope) * known).sum(axis=1) * drop
-    return np.repeat(noise[:, None], 2, axis=1)
+    through = (np.abs(conduction.slope) * known).sum(axis=1) * drop
+    squeezed: Floats = 0.5 * rate * network.length[:, None] * known + through[:, None]
+    return squeezed
 
 
 def noise_of_rock(operators: Operators, displacement: float) -> float:

@@ -36,7 +36,9 @@ def test_refused_by_name_and_right_at_the_stiffness_named(shared_tmp):
     found = re.search(r"shear_stiffness, 1e\+14 .* a stiffness of ([\d.e+]+) would do", str(caught.value))
     assert found
     enough = float(found[1])
-    assert enough == pytest.approx(0.5 * 1e6 * 1e-6 / (EPS * 1e3), rel=0.03)  # with a margin, to be right as it is printed
+    assert enough == pytest.approx(
+        0.5 * 1e6 * 1e-6 / (EPS * 1e3), rel=0.03
+    )  # with a margin, to be right as it is printed
     history, error = _ran(shared_tmp / "right", *_stiff(enough))
     assert error <= 10 * EPS * enough * 1e3 and error <= 1e6 * 1e-5
     assert 6.2 <= history["step/digits"][1] < 6.4
