@@ -119,3 +119,12 @@ def test_a_stage_with_inertia_begins_at_the_level_that_its_walls_settle(shared_t
     assert "no pressure is prescribed in" in log and "settled by its walls" in log
     with pytest.raises(SolveError, match=r"in, out add up to 2e-05 .*from the first instant in sealed"):
         history(shared_tmp / "refused", stage, "well.out.flow_rate=0")
+
+
+def test_what_begins_to_flow_in_sets_the_first_level(shared_tmp):
+    """A well whose rate grows from nothing pushes walls that have mass: w a = Q', without ringing."""
+    stage = "stage.0={kind = 'dynamic', time_step = 1e-7, steps = 6}"
+    wells = ["well.in.flow_rate=[[0, 0], [1, 2]]", "well.out.flow_rate=0"]
+    found = history(shared_tmp / "run", stage, *wells)
+    level = 0.5 * (found["probe/in/pressure"] + found["probe/out/pressure"])[1:] - 1e6
+    assert level[0] > 100.0 and np.abs(np.diff(level, 2)).max() <= 1e-4 * level[0]  # it goes up evenly

@@ -42,6 +42,9 @@ def test_refused_by_name_and_right_at_the_stiffness_named(shared_tmp):
     history, error = _ran(shared_tmp / "right", *_stiff(enough))
     assert error <= 10 * EPS * enough * 1e3 and error <= 1e6 * 1e-5
     assert 6.2 <= history["step/digits"][1] < 6.4
+    assert (
+        0.0 < history["step/round_off"][1] <= 20.0 * 10.0 ** -history["step/digits"][1]
+    )  # no more is let pass than is lost
 
 
 def test_right_in_steps_where_one_step_is_refused(shared_tmp):
