@@ -18,10 +18,9 @@ from fracflow.assembly.floating import Floating
 from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
 from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.coupling.near_null import tell_rigid_motions
-from fracflow.coupling.newton_failure import describe_failure, describe_floating
+from fracflow.coupling.newton_failure import check_step, describe_failure, describe_floating
 from fracflow.coupling.newton_methods import NEWTON_METHODS, SingularMatrix
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.coupling.true_residual import check_solution
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
@@ -195,7 +194,7 @@ class Newton:
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
             raise SingularMatrix
-        check_solution(self.snes.getKSP(), step, self.balance, f"time {problem.time:.6g}: {self.prefix}")
+        check_step(self.snes.getKSP(), step, self.balance, problem, self.prefix)
         change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
         change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
         self._step = change.norm()

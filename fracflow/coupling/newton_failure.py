@@ -7,9 +7,13 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.assembly.floating import Floating
 from fracflow.assembly.properties import on_joints
+from fracflow.coupling.contraction import worst_fracture
 from fracflow.coupling.newton_methods import NEWTON_METHODS
+from fracflow.coupling.residual import over_ranks
 from fracflow.coupling.step_problem import StepProblem
+from fracflow.coupling.true_residual import check_solution, true_residual
 from fracflow.elements import joint
+from fracflow.errors import NotConverged
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
@@ -50,13 +54,55 @@ def describe_failure(
     wanted = (
         f"relative residual of the solid {residual.solid:.2e}, of the flow {max(residual.flow, residual.at_nodes):.2e}"
     )
-    wanted += f", wanted {accuracy.residual:.0e}"
+    flow = np.abs(problem.flow_balance.getArray(readonly=True))
+    solid = np.abs(problem.solid_balance.getArray(readonly=True))
+    worse = residual.solid > max(residual.flow, residual.at_nodes)
+    place = place_of(problem, np.where(worse, solid, 0.0), np.where(worse, 0.0, flow))
+    wanted += f", wanted {accuracy.residual:.0e}, worst {place}"
     if scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
         wanted = f"out-of-balance force {problem.residual.out_of_balance:.2e}, wanted {accuracy.out_of_balance:.0e}"
     return (
         f"time {problem.time:.6g}: {what} did not converge in {iterations} iterations"
         f" ({reasons.get(reason, reason)}): {where}{wanted}; {remedy}"
     )
+
+
+def check_step(solver: PETSc.KSP, step: PETSc.Vec, balance: PETSc.Vec, problem: StepProblem, name: str) -> None:
+    """Refine a step, or raise NotConverged, on every rank, with the place where the solve left most. Collective."""
+    try:
+        check_solution(solver, step, balance, f"time {problem.time:.6g}: {name}")
+    except NotConverged as error:
+        _, left = true_residual(solver.getOperators()[0], step, balance)
+        middle = problem.operators.layout.solid_count
+        solid, flow = np.split(np.abs(left.getArray()), [middle])
+        left.destroy()
+        raise NotConverged(
+            f"{error}; most is left {place_of(problem, solid, flow)}: look at supports, stiffness and aperture there, or"
+            " take a smaller time_step"
+        ) from error
+
+
+def place_of(problem: StepProblem, solid: Floats, flow: Floats) -> str:
+    """Where the larger of two vectors (n,) of this rank's unknowns is largest: "in" a fracture or "at" a point. Collective."""
+    ops = problem.operators
+    solid, flow = (np.where(np.isfinite(each), each, np.inf) for each in (solid, flow))
+    here = [float(each.max(initial=0.0)) for each in (solid, flow)]
+    in_rock, in_flow = over_ranks(here, ops.layout.comm)
+    if in_flow >= in_rock and ops.flow is not None:
+        return f"in {worst_fracture(ops, np.where(np.isinf(flow), 1e300, flow))}"
+    sizes = ops.layout.solid_vector()
+    sizes.setArray(np.where(np.isinf(solid), 1e300, solid))
+    nodal = ops.nodal(sizes)
+    at_nodes = np.abs(nodal.getArray()).reshape(-1, ops.blocks.sizes.dim).max(axis=1, initial=0.0)
+    for vector in (sizes, nodal):
+        vector.destroy()
+    worst = int(at_nodes.argmax()) if len(at_nodes) else -1
+    joints = ops.blocks.joints
+    faces = np.any(np.concatenate([joints.bottom, joints.top], axis=1) == worst, axis=1)
+    on = f"in {joints.fractures[joints.fracture[faces.argmax()]]} " if faces.any() else ""
+    mine = (float(at_nodes[worst]), tuple(ops.blocks.solid.points[worst]), on) if worst >= 0 else (-1.0, (), "")
+    _, point, on = max(ops.layout.comm.allgather(mine))
+    return f"{on}at ({', '.join(f'{x:.4g}' for x in point)})"
 
 
 def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, slack: float) -> str:
