@@ -31,7 +31,7 @@ def _ran(folder, *overrides):
 def test_whole_steps_go_in_circles_and_name_them(shared_tmp):
     expected = (
         r"11 sections keep changing between open and closed: bedding at \(10, 0\), .*bedding at \(7, 0\), .* more places;"
-        r' relative residual of the solid \S+, .*wanted 1e-11, worst at \(.*\); .*line_search = "energy"'
+        r' relative residual of the solid \S+, .*wanted 1e-11, worst in bedding at \(.*\); .*line_search = "energy"'
     )
     with pytest.raises(SolveError, match=expected):
         _ran(shared_tmp / "run", "method.line_search=none", "accuracy.max_halvings=0")
