@@ -41,7 +41,7 @@ class Totals:
         if self.least:
             yield (
                 f"up to {self.least} joint ends conducted by minimum_hydraulic_aperture, at most {self.least_flow:.3g}"
-                f" (volume/time) through one of them: halve it, and see whether anything changes"
+                " (volume/time) through one of them: halve it, and see whether anything changes"
             )
         if self.handed_over:
             yield f"{self.handed_over} steps were handed over to the monolithic solver"

@@ -36,7 +36,9 @@ def _idle(scene: Scene) -> Iterator[str]:
             name = getattr(entry, "control", None)
             if name is None or scene.control[name].initial or any(stage.control == name for stage in scene.stage):
                 continue
-            yield f'{kind}: control "{name}" stays at 0 in every stage: give control.{name}.initial = 1, or stage.control'
+            label = getattr(entry, "name", None)
+            where = f"{kind}.{label}" if label else kind
+            yield f'{where}: control "{name}" stays at 0 in every stage: give control.{name}.initial = 1, or stage.control'
     for name, table in scene.fracture.items():
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:

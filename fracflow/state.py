@@ -149,7 +149,7 @@ class State:
 class StepReport:
     """What a step cost and how it ended.
 
-    solid_residual  beyond ``round_off``, what displacements of finite digits leave of the balance; both relative
+    solid_residual  beyond ``round_off``, what displacements of finite digits leave of the balances; both relative
     digits          fewest digits that round-off leaves of the tractions of a fracture
     out_of_balance  (4.9a) at the start of the step and after each iteration [force per thickness]; of a monolithic solve
     predicted       factor of the error in a plain cycle of the fixed point, before the first; NaN elsewhere

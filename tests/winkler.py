@@ -1,6 +1,13 @@
 """A film whose nodes move alone: rock so soft that only joint and fluid act; meshes with exact coordinates."""
 
+from pathlib import Path
+
 import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.output import list_steps, read_history, read_step
+from fracflow.run import run
+from fracflow.scene import load
 
 SCENE = """
 units = "none"
@@ -64,3 +71,18 @@ def write(folder, comm, x, text):
         (folder / "scene.toml").write_text(text, encoding="utf-8")
     comm.barrier()
     return folder / "scene.toml"
+
+
+def ran(folder, x, text, *options):
+    """Run a film in a folder of its own: its history, and the fields of its nodes at the end. Collective."""
+    comm = MPI.COMM_WORLD
+    folder = folder / f"run{len(list(folder.iterdir())) if comm.rank == 0 else 0}"
+    folder = Path(comm.bcast(str(folder)))
+    if comm.rank == 0:
+        folder.mkdir()
+    run(load(write(folder, comm, x, text), options), folder / "run", comm)
+    found = None
+    if comm.rank == 0:
+        _, fields, _ = read_step(list_steps(folder / "run", "fractures")[-1][1])
+        found = read_history(folder / "run" / "history.h5"), fields
+    return comm.bcast(found)

@@ -240,9 +240,12 @@ class FixedPoint:
 
         def radius(step: float) -> float:
             cycle = Cycle(self.whole_matrix, problem, scaled(problem.alphas, step / dt))
-            found, _ = cycle.radius()
-            cycle.destroy()
-            return found
+            try:
+                return cycle.radius()[0]
+            except NotConverged:  # walls that cannot be solved for say nothing of a limit
+                return np.inf
+            finally:
+                cycle.destroy()
 
         below, above = limits_of_time_step(radius, factor, dt)
         limits = [f"{sign} {step:.2g}" for sign, step in (("<", below), (">", above)) if step is not None]

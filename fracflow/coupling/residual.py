@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.coupling.digits import ROUND_OFF
 from fracflow.mesh.data import Floats, Ints
 
-ROUND_OFF = 1e-16  # of the largest term: what no node is held to
 TINY = 1e-300  # a network of closed fractures has no terms
 
 
@@ -18,10 +18,10 @@ TINY = 1e-300  # a network of closed fractures has no terms
 class Residual:
     """Sizes of what is out of balance: largest entry over the largest of the terms that should balance, and (4.9a).
 
-    solid, flow      largest entry, relative; of the solid what is beyond ``round_off``
+    solid, flow      largest entry, relative; what is beyond ``round_off``
     out_of_balance   Euclidean norm of the solid balance [force per thickness]
     at_nodes         of the flow, over the terms of the entry's own node: narrow fractures carry little beside wide ones
-    round_off        relative size of what displacements of finite digits leave of the solid balance, whatever is iterated
+    round_off        relative size of what displacements of finite digits leave of either balance, whatever is iterated
     """
 
     solid: float
@@ -55,7 +55,7 @@ def flow_residual(
     """Largest |balance| (n,) over the sum of the ``terms`` (n,) that should balance at its own node. Collective.
 
     terms    None where there is no flow
-    largest  the largest single term of the network
+    largest  the largest single term of the network, to whose round-off no node is held
     closed   nodes whose row stands for something else, on that scale
     """
     own = np.full(len(balance), largest) if terms is None else np.maximum(terms, ROUND_OFF * largest)

@@ -223,12 +223,12 @@ class StepProblem:
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
-        here += [blurred, largest(self.displacement)]
-        solid, solid_terms, flow, flow_terms, blurred, moved = over_ranks(here, comm)
+        here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0))]
+        solid, solid_terms, flow, flow_terms, blurred, moved, hidden = over_ranks(here, comm)
         noise = blurred + noise_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
         solid, noise = max(solid - noise, 0.0) / size, noise / size
-        flow /= max(flow_terms, TINY)
+        flow, noise = flow / max(flow_terms, TINY), max(noise, hidden / max(flow_terms, TINY))
         rows = (
             None if self._flow_rows is None else self._flow_rows + CANCELLATION * self.alphas.a1 * scales.length * moved
         )

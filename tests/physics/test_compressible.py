@@ -8,8 +8,6 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.output import list_steps, read_history, read_step
-from fracflow.run import run
 from fracflow.scene import load
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -29,21 +27,6 @@ def stage(kind, end, steps):
     return f'[[stage]]\nkind = "{kind}"\ntime_step = {end / steps!r}\nsteps = {steps}\n'
 
 
-def ran(folder, x, text, *options):
-    """The history of a run, and the fields of the film at its end."""
-    comm = MPI.COMM_WORLD
-    folder = folder / f"run{len(list(folder.iterdir())) if comm.rank == 0 else 0}"
-    folder = Path(comm.bcast(str(folder)))
-    if comm.rank == 0:
-        folder.mkdir()
-    run(load(winkler.write(folder, comm, x, text), options), folder / "run", comm)
-    found = None
-    if comm.rank == 0:
-        _, fields, _ = read_step(list_steps(folder / "run", "fractures")[-1][1])
-        found = read_history(folder / "run" / "history.h5"), fields
-    return comm.bcast(found)
-
-
 def closes(history):
     largest = max(np.abs(values).max() for key, values in history.items() if key.startswith("energy/"))
     assert np.abs(history["energy/residual"]).max() <= 1e-10 * largest
@@ -55,13 +38,13 @@ def closes(history):
 def test_a_sealed_slot_stores_what_flows_in(shared_tmp, kind, film):
     """Walls that do not move: mean pressure Q t/(c_f V), and the same anywhere once fluid runs freely."""
     x, text = np.array([0.0, 1.0, 1.5, 4.0]), STIFF.format(pressure=0) + PROBE % 4 + INFLOW
-    history, fields = ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
+    history, fields = winkler.ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
     length = np.repeat(np.diff(x), 2)
     assert 0.5 * length @ np.ravel(fields["pressure"]) == pytest.approx(0.3 * 2.0, rel=1e-12)
     assert history["probe/far/pressure"][-1] < 0.1  # it is still spreading
     closes(history)
     text = text.partition("[[well]]")[0] + evenly(x, 0.3)
-    history, _ = ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
+    history, _ = winkler.ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
     assert history["probe/far/pressure"] == pytest.approx(0.3 * history["time"] / 4.0, rel=1e-11)
     stored = 0.5 * 4.0 * (0.3 * history["time"] / 4.0) ** 2
     assert history["energy/fluid_storage"] == pytest.approx(stored, rel=1e-11)
@@ -82,7 +65,7 @@ def test_without_a_pressure_anywhere_each_coupling_has_a_solution(shared_tmp, co
     x, c = np.array([0.0, 1.0, 1.5, 4.0]), 10.0
     text = SOFT.format(pressure=0).replace("compressibility = 0.1", f"compressibility = {c}") + PROBE % 4
     text += evenly(x, 40.0) + stage("quasi-static", 1.0, 4)
-    history, _ = ran(shared_tmp, x, text, f"method.coupling={coupling}")
+    history, _ = winkler.ran(shared_tmp, x, text, f"method.coupling={coupling}")
     p = [0.0]
     for _ in range(4):  # c p^2 + (10 c + 1 - c q) p - (10 c + 1) q - 40/4 dt = 0
         p.append(np.roots([c, 10 * c + 1 - c * p[-1], -(10 * c + 1) * p[-1] - 40.0 / 4 * 0.25]).max())
@@ -114,7 +97,7 @@ def spread(folder, count, steps, *options, kind="quasi-static"):
     times = np.linspace(0, 1, steps + 1)
     text = STIFF.format(pressure=0) + PROBE % 1.5 + INFLOW.partition("flow_rate")[0]
     text += f"pressure = {np.stack([times, times**3], 1).tolist()}\n" + stage(kind, 1.0, steps)
-    history, _ = ran(folder, np.linspace(0, 1.5, count + 1), text, *options)
+    history, _ = winkler.ran(folder, np.linspace(0, 1.5, count + 1), text, *options)
     return history["probe/far/pressure"][-1], history
 
 
@@ -156,7 +139,7 @@ def test_walls_and_fluid_together_in_a_dynamic_stage(shared_tmp, gamma):
         text += '[[well]]\nname = "out"\nat = {fracture = "film", end = "end"}\n'
         text += f"pressure = {np.stack([times, 0.2 + np.sin(times)], 1).tolist()}\n"
         text = text.replace("at = [4, 0]", "at = [1, 0]") + stage("dynamic", 1.0, steps)
-        history, _ = ran(shared_tmp, x, text, f"method.newmark_gamma={gamma}", "method.coupling=whole-lu")
+        history, _ = winkler.ran(shared_tmp, x, text, f"method.newmark_gamma={gamma}", "method.coupling=whole-lu")
         closes(history)
         names = ("probe/far/pressure", "probe/far/opening", "energy/fluid_storage", "energy/work_wells")
         ends.append([history[name][-1] for name in names])
@@ -172,7 +155,7 @@ def test_books_from_stage_to_stage(shared_tmp, film):
     text += "pressure = [[0, 0.5], [1, 0.5], [1.000001, 0.1], [2, 0.4], [9, 0.3]]\n"
     for kind in ("steady", "quasi-static", "dynamic", "quasi-static"):
         text += stage(kind, 1.0, 4)
-    history, _ = ran(shared_tmp, np.array([0.0, 1.0, 2.5, 4.0]), text, f"method.film={film}")
+    history, _ = winkler.ran(shared_tmp, np.array([0.0, 1.0, 2.5, 4.0]), text, f"method.film={film}")
     largest = closes(history)
     assert np.abs(history["energy/fluid_storage"]).max() > 0.01 * largest
     assert np.diff(history["energy/viscous"]).min() >= 0.0

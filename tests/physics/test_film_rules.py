@@ -6,11 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fracflow._petsc import MPI
 from fracflow.assembly.flow import STORAGE, is_transposed
-from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import winkler
@@ -30,13 +26,7 @@ displacement_gradient = [[0, 0], [0, 1]]
 
 
 def history(folder, x, text, *options):
-    comm = MPI.COMM_WORLD
-    folder = folder / f"run{len(list(folder.iterdir())) if comm.rank == 0 else 0}"
-    folder = Path(comm.bcast(str(folder)))
-    if comm.rank == 0:
-        folder.mkdir()
-    run(load(winkler.write(folder, comm, x, text), options), folder / "run", comm)
-    return comm.bcast(read_history(folder / "run" / "history.h5") if comm.rank == 0 else None)
+    return winkler.ran(folder, x, text, *options)[0]
 
 
 def energies(found):
