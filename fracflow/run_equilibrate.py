@@ -10,11 +10,11 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.assembly.loads import Loads, Prescribed
 from fracflow.assembly.properties import initial_pressure
-from fracflow.run_halving import most_halvings, whole_or_halves
+from fracflow.run_parts import Attempted, Rules, in_parts, most_halvings
 from fracflow.run_setup import Model
 from fracflow.run_start import imbalance
 from fracflow.run_steps import DONE, Progress, Step, Stepping
-from fracflow.state import State, StepReport
+from fracflow.state import State
 from fracflow.stepping import Steady
 
 
@@ -34,15 +34,16 @@ def equilibrate(
     held_back = imbalance(model, state.motion.displacement, state.sections.traction, state.pressure)
     model.loads.release(held_back)
 
-    def attempt(state: State, begin: float, end: float) -> tuple[State, StepReport]:
+    def attempt(state: State, begin: float, end: float, _: bool) -> Attempted:
         held_back.copy(restraint)
         restraint.scale(1.0 - (n - 1 + end) / count)
-        return stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
+        new, report = stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
+        return Attempted(new, report, end)
 
     restraint = held_back.duplicate()
     try:
         for n in range(1, count + 1):
-            for part in whole_or_halves(attempt, state, most_halvings(model.scene), log):
+            for part in in_parts(attempt, state, Rules(most_halvings(model.scene)), log):
                 state = part.state
                 yield Step(state, number, 0.0, part.report, DONE if n == count and part.is_last else None)
     finally:

@@ -235,6 +235,7 @@ class Files:
             "step/minimum_aperture": snapshot.least[0],
             "step/minimum_aperture_flow": snapshot.least[1],
             "step/digits": report.digits,
+            "step/located": report.located,
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}

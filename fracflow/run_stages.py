@@ -8,7 +8,9 @@ from scipy.optimize import brentq
 
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
-from fracflow.run_halving import most_halvings, on_the_way, still_lacking, whole_or_halves
+from fracflow.run_accuracy import step_error
+from fracflow.run_events import to_first_event
+from fracflow.run_parts import Attempted, Place, Rules, in_parts, most_halvings, on_the_way, still_lacking
 from fracflow.run_setup import Model
 from fracflow.run_steps import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.scene_actions import Stage
@@ -128,20 +130,38 @@ def run_stage(
     start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
     count = stage.step_count(start)
-    part_done = progress.get("part", 0.0)
+    place = Place.of(progress)
+    method, accuracy = model.scene.method, model.scene.accuracy
+    rules = Rules(
+        most_halvings(model.scene),
+        0 if accuracy.step_error is None else stepper.order,
+        accuracy.max_events if stepper.inertia and method.events == "located" else 0,
+    )
 
-    def attempt(state: State, begin: float, end: float) -> tuple[State, StepReport]:
+    def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
         assert stage.time_step is not None
-        dt, reached = stage.time_step * (end - begin), start + (n - 1 + end) * stage.time_step
-        lacking = 0.0 if stepper.inertia else still_lacking(begin, end)
-        now = on_the_way(state.controls, controls, begin, end)
-        return stepping.step(state, stepper, reached, dt, now, lacking=lacking)
+        whole = stage.time_step * (end - begin)
+
+        def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
+            assert stage.time_step is not None
+            to = end if share == 1.0 else begin + share * (end - begin)
+            lacking = 0.0 if stepper.inertia else still_lacking(begin, to)
+            now, time = on_the_way(old.controls, controls, begin, to), start + (n - 1 + to) * stage.time_step
+            return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold)
+
+        new, report, share = (
+            to_first_event(stepping, state, take, whole) if may_stop else (*take(state, 1.0, False), 1.0)
+        )
+        error = 0.0
+        if accuracy.step_error is not None:
+            error = step_error(model.operators, stepper, share * whole, state, new) / accuracy.step_error
+        return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin), error)
 
     while count is None or n < count:
         n += 1
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + n * stage.increment_per_step)
-        for part in whole_or_halves(attempt, state, most_halvings(model.scene), log, part_done):
+        for part in in_parts(attempt, state, rules, log, place):
             state = part.state
             failed = utilisation(model, state) >= 1.0
             if failed and stage.then == "hold" and not held:
@@ -149,10 +169,9 @@ def run_stage(
                 controls[control] = state.controls[control]
                 log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
             ends = stage.until == "incipient" and failed
-            there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
-            if not part.is_last:
-                there = {**there, "n": n - 1, "part": part.end}
+            place = part.place.next_step() if part.is_last else part.place
+            there: Progress = {"n": n if part.is_last else n - 1, "start": start, "base": base, "held": float(held)}
+            there = {**there, **place.as_progress()}
             yield Step(state, number, stage.time_step * (part.end - part.start), part.report, DONE if ends else there)
             if ends:
                 return
-        part_done = 0.0

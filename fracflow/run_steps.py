@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from fracflow._petsc import PETSc
 from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
@@ -14,13 +16,13 @@ from fracflow.coupling.digits import digits_of, refuse_few
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Bools, Floats
 from fracflow.run_network import Network
 from fracflow.run_setup import Model
 from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
-from fracflow.state import Memory, Motion, State, StepReport
+from fracflow.state import Memory, Motion, Past, State, StepReport
 from fracflow.stepping import STEPPERS, Alphas, Steady, Stepper, first
 
 Progress = Mapping[str, float]
@@ -91,10 +93,12 @@ class Stepping:
         loads: Loads | None = None,
         restraint: PETSc.Vec | None = None,
         lacking: float = 0.0,
+        hold: bool = False,
     ) -> tuple[State, StepReport]:
         """One step to ``time``, by default under the loads of the scene and no restraint.
 
         lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
+        hold     all joint sections keep their status
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         last = state.memory.time_step
@@ -111,7 +115,7 @@ class Stepping:
             limited = self._limited(loads, reached)
             closed = self._closed(limited, rule.storage)
             problem = StepProblem(
-                self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial
+                self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial, hold
             )
             try:
                 report = self._coupling(closed).solve(problem)
@@ -199,25 +203,56 @@ class Stepping:
             pressure, forces = state.pressure.copy(), state.forces.copy()
             kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
             return replace(kept, memory=Memory(), pressure_rate=None)
-        loads = self._limited(self.model.loads, reached_before(self.model.loads, state))
+        was = state.sections
+        start = self._first_instant(replace(state, motion=motion, pressure_rate=None, energy=energy), was.past, dt)
+        sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record)
+        start = replace(start, sections=sections)
+        if start.pressure_rate is None:
+            return start
+        return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
+
+    def change(self, state: State, leaving: Bools) -> State:
+        """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective.
+
+        Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
+        """
+        ops = self.model.operators
+        branch = ops.joints.flip(state.sections.strain, state.sections.past, leaving)
+        old = state.motion
+        motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
+        new = self._first_instant(replace(state, motion=motion), branch)
+        # they stand at their threshold because they were brought there, not by chance
+        settled = replace(new.sections, margin=np.where(leaving, np.inf, new.sections.margin))
+        new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
+        new = replace(new, friction=dissipated(state, new))
+        return new if state.pressure_rate is None else replace(new, pressure_rate=state.pressure_rate.copy())
+
+    def _first_instant(self, begun: State, branch: Past, dt: float | None = None) -> State:
+        """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
+
+        ``begun`` owns its motion, which the new state takes over. With ``dt``, a compressible fluid gets its first rates.
+        """
+        ops, motion = self.model.operators, begun.motion
+        loads = self._limited(self.model.loads, reached_before(self.model.loads, begun))
         closed = loads
         if ops.flow is not None:
-            self._look(state)
-            closed = self.network.level(loads, state)
+            self._look(begun)
+            closed = self.network.level(loads, begun)
         now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
-        begun = replace(state, motion=motion, pressure_rate=None)
-        problem = StepProblem(ops, closed, begun, now, state.time, state.controls)
+        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls)
+        problem.branch = branch
         try:
             problem.evaluate()
-            if ops.flow is not None and ops.flow.compressibility > 0.0:
+            compressible = ops.flow is not None and ops.flow.compressibility > 0.0
+            if compressible and dt is not None:
                 rate = starting_rate(ops, problem, dt)
                 problem.state = replace(begun, pressure_rate=rate)
                 problem.evaluate()
-            elif problem.residual.flow > self.model.scene.accuracy.residual:
+            elif not compressible and problem.residual.flow > self.model.scene.accuracy.residual:
                 starting_pressure(self.model.scene, ops, closed, problem)
                 problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
-            parts = self.network.enclosed(loads, state, dt) if ops.flow is not None else []
+            parts = self.network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
             for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
                 problem.pressure.getArray()[part.nodes] += level
                 part.walls.destroy()
@@ -225,13 +260,11 @@ class Stepping:
                 problem.evaluate()
                 initial_acceleration(ops, problem, motion.acceleration)
             pressure, forces = problem.pressure.copy(), balance_terms(problem, motion)
-            was = state.sections
-            sections = replace(problem.sections, strain=was.strain, blur=was.blur, record=was.record)
+            sections = problem.sections
         finally:
             problem.destroy()
-        start = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces, energy=energy)
-        start = replace(start, memory=Memory(), pressure_rate=rate)
-        return replace(start, energy=jumped(start.energy, compressed(ops, state, start))) if rate is not None else start
+        start = replace(begun, pressure=pressure, sections=sections, forces=forces)
+        return replace(start, memory=Memory(), pressure_rate=rate)
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""

@@ -91,6 +91,11 @@ class Method(Part):
         default="refuse",
         description="what to do with a step whose fixed point (4.5) diverges, by prediction or by measurement",
     )
+    events: Literal["located", "at-step-ends"] = Field(
+        default="located",
+        description="changes of friction, opening and closing in dynamic stages: each ends a part of its step, or is taken as"
+        " the end of a step finds it",
+    )
     newton: Literal["newton", "modified", "secant"] = Field(
         default="newton",
         description="stiffness that an iteration corrects by: the tangent (4.7), that of the step's start (4.10), the secant",
@@ -122,6 +127,7 @@ class Method(Part):
         "report": {
             "storage": "report",
             "conductance": "report",
+            "events": "at-step-ends",
             "newton_test": "out-of-balance",
             "tangent": "decoupled",
             "open_strength": "cohesion",
@@ -148,6 +154,14 @@ class Accuracy(Part):
     max_iterations: Count = Field(default=50, description="Newton iterations of a step before it is halved or given up")
     max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] = Field(
         default=6, description="times that a step which does not converge is halved before the run stops"
+    )
+    step_error: Fraction | None = Field(
+        default=None,
+        description="largest error of displacement that a step may add, over the largest displacement so far: longer steps are"
+        " halved, at most max_halvings times; without it every step is of length time_step [1]",
+    )
+    max_events: Annotated[int, Field(strict=True, ge=0)] = Field(
+        default=20, description="events of joints in a step that parts of it end at; later ones are taken as they fall"
     )
     max_cycles: Count = Field(default=50, description="cycles of the fixed point (4.5) before it is given up")
 

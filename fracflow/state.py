@@ -155,6 +155,7 @@ class StepReport:
     predicted       factor of the error in a plain cycle of the fixed point, before the first; NaN elsewhere
     measured        that of the cycles as they were made, between the last two
     handed_over     why the fixed point left the step to the monolithic solver; empty if it did not
+    located         sections whose friction changed its status at the end of the step, which was sought
     """
 
     newton: int
@@ -169,3 +170,4 @@ class StepReport:
     measured: float = np.nan
     handed_over: str = ""
     round_off: float = 0.0
+    located: int = 0

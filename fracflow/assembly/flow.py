@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.joints import jump_matrix
+from fracflow.assembly.jump import jump_matrix
 from fracflow.assembly.layout import add_blocks, create_matrix
 from fracflow.assembly.properties import along_fractures, resting_pressure
 from fracflow.elements import flow, joint

@@ -10,7 +10,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.components import Closure, closure_row
 from fracflow.assembly.flow import Conduction
-from fracflow.assembly.joints import section_groups
+from fracflow.assembly.jump import section_groups
 from fracflow.assembly.layout import Rows, add_blocks, create_matrix, local_rows
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators

@@ -100,7 +100,7 @@ class Newton:
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
                 raise self._failure(self.snes.getConvergedReason(), iterations)
-            if self.only == "flow":
+            if self.only == "flow" or problem.hold:
                 break
             self._restless = problem.change_statuses()
             if not comm.allreduce(bool(self._restless.any()), op=MPI.LOR):
@@ -132,7 +132,7 @@ class Newton:
         problem = self.problem
         assert problem is not None
         self._unpack(unknowns)
-        problem.evaluate(hold=self.holds or self._is_start)
+        problem.evaluate(hold=self.holds or self._is_start or problem.hold)
         middle = self.matrix.layout.solid_count
         local = balance.getArray()
         local[:middle] = problem.solid_balance.getArray(readonly=True) / self.matrix.operators.scales.force

@@ -47,13 +47,15 @@ class StepProblem:
         restraint: PETSc.Vec | None = None,
         lacking: float = 0.0,
         start: tuple[Floats, Floats] | None = None,
+        hold: bool = False,
     ) -> None:
         """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective.
 
         lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
         start    this rank's motion since the state, and pressures, to begin from
+        hold     sections keep the status they have, whatever their tractions
         """
-        self.operators, self.loads, self.state = operators, loads, state
+        self.operators, self.loads, self.state, self.hold = operators, loads, state, hold
         self.alphas, self.time, self.controls = alphas, time, controls
         layout = operators.layout
         self.load, self.source = layout.solid_vector(), layout.flow_vector()

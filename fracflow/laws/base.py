@@ -70,6 +70,21 @@ class JointLaw(Protocol):
         """Fraction (n,) of the increment (n, dim), above 0, at which the walls part or meet; inf where they do neither."""
         ...
 
+    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+        """Two distances (n, 2) from the next event, of friction and of contact; only their signs and zeros count.
+
+        strain  (n, dim) at the instant looked at
+        change  (n, dim) its rate there times the time step
+
+        That of friction is positive while the status in ``past`` lasts, and falls through zero where it ends. That of
+        contact is positive where the walls are apart, negative where they touch. Infinite for never.
+        """
+        ...
+
+    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
+        """``past`` with the other status of friction at the chosen sections (n,)."""
+        ...
+
 
 def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[str, Floats]:
     """Zero arrays of the shapes that ``history`` declares."""

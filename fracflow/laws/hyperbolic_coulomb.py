@@ -11,6 +11,7 @@ from .base import Bools, Floats, JointResponse, Kind, Parameter, Past, per_secti
 
 STEP_FRACTION = 0.9  # of the gap that is left
 ROUND_OFF = 1e-12
+NOISE = 1e-10  # of the aperture: no opening or closing
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil
 
 
@@ -101,7 +102,7 @@ class HyperbolicCoulomb:
         residual = alpha * peak
 
         latch = past["sliding"]
-        trial = f_s0 + k_s[:, None] * (strain[:, :-1] - past["plastic_slip"])
+        trial = self._trial(strain, past)
         size = np.linalg.norm(trial, axis=-1)
         was_sliding = latch.any(axis=-1)
         along = np.einsum("ni,ni->n", trial, latch)
@@ -164,6 +165,44 @@ class HyperbolicCoulomb:
         moves = opening != 0.0
         fraction = np.where(moves, gap / np.where(moves, opening, 1.0), np.inf)
         return np.where(fraction > 0.0, fraction, np.inf)
+
+    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+        """Distances (n, 2) from the next event at strain (n, dim), which moves by ``change`` (n, dim) in a step.
+
+        Friction [stress]: sticking, strength (2.12) less trial traction; sliding, k_s times the plastic slip of a step, the
+        way it slides. Contact [1]: opening past that at which f_n vanishes, over d0. What round-off does is no event.
+        """
+        sections, opening = len(strain), strain[:, -1]
+        k_s, tan_phi, alpha, k_n0, d0, f_n0 = (
+            per_section(v, sections)
+            for v in (
+                self.shear_stiffness, self.friction_coefficient, self.stick_slip_ratio,
+                self.normal_stiffness, self.aperture, self.initial_normal_traction,
+            )
+        )  # fmt: skip
+        f_n, k_n, _ = self.normal(opening)
+        peak, latch = per_section(self.cohesion, sections) - f_n * tan_phi, past["sliding"]
+        slack = ROUND_OFF * (np.maximum(np.abs(f_n0), k_n0 * d0) + k_s * np.abs(strain[:, :-1]).sum(axis=-1))
+        left = peak - np.linalg.norm(self._trial(strain, past), axis=-1)
+        slips = k_s * np.einsum("ni,ni->n", change[:, :-1], latch) + alpha * tan_phi * k_n * change[:, -1]
+        free = self._is_open(opening) & (not self.strength_when_open)
+        friction = np.where(free, np.inf, np.where(latch.any(axis=-1), slips, left) + slack)
+        contact = (f_n0 / k_n0 + opening) / d0
+        distances = [np.where(np.isnan(friction), np.inf, friction), np.where(np.abs(contact) > NOISE, contact, 0.0)]
+        return np.stack(distances, axis=1)
+
+    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
+        """``past`` with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
+        trial, latch = self._trial(strain, past), past["sliding"]
+        size = np.linalg.norm(trial, axis=-1)
+        starts = ~latch.any(axis=-1) & (size > 0.0)
+        other = np.where(starts[:, None], trial / np.where(size > 0.0, size, 1.0)[:, None], 0.0)
+        return {**past, "sliding": np.where(chosen[:, None], other, latch)}
+
+    def _trial(self, strain: Floats, past: Past) -> Floats:
+        """(n, dim-1) The shear traction if no plastic slip were added."""
+        f_s0 = per_tangent(self.initial_shear_traction, len(strain), strain.shape[1] - 1)
+        return f_s0 + per_section(self.shear_stiffness, len(strain))[:, None] * (strain[:, :-1] - past["plastic_slip"])
 
     def _is_open(self, opening: Floats) -> Bools:
         """Fig. 3: strictly past the opening at which f_n vanishes."""

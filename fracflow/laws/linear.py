@@ -67,3 +67,11 @@ class Linear:
     def change_at(self, strain: Floats, increment: Floats) -> Floats:
         """Never: the springs hold in tension too."""
         return np.full(len(strain), np.inf)
+
+    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+        """Never: no strength, and no contact that could be lost."""
+        return np.full((len(strain), 2), np.inf)
+
+    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
+        """Nothing to flip."""
+        return dict(past)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from .error import local_error
 from .film import BDF2, BackwardEuler, Trapezoid, first
 from .newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
 
@@ -27,5 +28,6 @@ __all__ = [
     "acceleration",
     "first",
     "first_rate",
+    "local_error",
     "velocity",
 ]

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.assembly.joints import jump_matrix
+from fracflow.assembly.jump import jump_matrix
 from fracflow.card.rock import STIFF
 from fracflow.run_setup import prepare
 from fracflow.run_start import rest, settle

@@ -1,0 +1,95 @@
+"""Where inside a step the first joint sections begin or end to slide, part or meet.
+
+Between two states that a rule for motions connects with all statuses held, strains are taken as the cubic through both ends'
+strains and rates (Hermite), which for the trapezoidal rule is its own parabola.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.assembly.joints import Joints
+from fracflow.mesh.data import Bools, Floats
+from fracflow.state import Past, State
+
+SAMPLES = 8  # instants at which a step is looked at: what leaves and returns between two of them is not seen
+BISECTIONS = 40
+FRICTION, CONTACT = 0, 1  # the two distances of ``JointLaw.approach``
+TOGETHER = 1e-3  # of the step: events that lie so near behind the first are taken with it
+
+
+@dataclass(frozen=True)
+class Event:
+    """The first event in a step, with those just behind it.
+
+    fraction  of the step, where the last of them lies
+    sections  (s,) of this rank, whose friction changes its status there
+    """
+
+    fraction: float
+    sections: Bools
+
+
+def first_event(joints: Joints, old: State, new: State, dt: float, until: float = 1.0) -> Event | None:
+    """The first event on the way from ``old`` to ``new``, ``dt`` apart [time], or past it up to ``until`` of the step.
+
+    ``new`` was reached with the statuses of ``old``. None where there is none. Collective.
+    """
+    path = _path(joints, old, new, dt)
+    friction, contact = (_first_root(joints, path, old.sections.past, kind, until) for kind in (FRICTION, CONTACT))
+    comm = joints.jump.getComm().tompi4py()
+    here = min(friction.min(initial=np.inf), contact.min(initial=np.inf))
+    first = comm.allreduce(float(here), op=MPI.MIN)
+    if not np.isfinite(first):
+        return None
+    end = min(first + TOGETHER, until)
+    near = [roots[roots <= end] for roots in (friction, contact)]
+    last = comm.allreduce(float(max(part.max(initial=first) for part in near)), op=MPI.MAX)
+    return Event(last, friction <= last)
+
+
+Path = Callable[[Floats], tuple[Floats, Floats]]
+"""Fractions (s,) of the step -> strains, and their rates times the step's length (s, dim), at each section."""
+
+
+def _path(joints: Joints, old: State, new: State, dt: float) -> Path:
+    start: Floats = old.sections.strain
+    change: Floats = new.sections.strain - start
+    # what a straight path lacks of the rates at either end
+    left, right = (change - dt * joints.strain(state.motion.velocity) for state in (old, new))
+
+    def at(fraction: Floats) -> tuple[Floats, Floats]:
+        x = fraction[:, None]
+        bend, lean = x * (1.0 - x), x * right - (1.0 - x) * left
+        moved = change + (1.0 - 2.0 * x) * lean + bend * (left + right)
+        return np.asarray(start + x * change + bend * lean, float), np.asarray(moved, float)
+
+    return at
+
+
+def _first_root(joints: Joints, path: Path, past: Past, kind: int, until: float) -> Floats:
+    """Fraction (s,) of the step at which a distance falls through zero, for contact either way; inf where it does not."""
+    count = len(joints.weights)
+    sections, sign = np.arange(count), np.ones(count)
+
+    def distance(fraction: Floats) -> Floats:
+        return sign * joints.approach(*path(fraction), past)[:, kind]
+
+    times = np.linspace(0.0, until, SAMPLES + 1)
+    values = np.stack([distance(np.full(count, time)) for time in times])
+    if kind == CONTACT:
+        sign = np.sign(values[np.argmax(values != 0.0, axis=0), sections])
+        values = sign * values
+    falls = (values[:-1] >= 0.0) & (values[1:] < 0.0)
+    before = np.argmax(falls, axis=0)
+    low, high = times[before], times[before + 1]
+    for _ in range(BISECTIONS if falls.any() else 0):
+        middle = 0.5 * (low + high)
+        beyond = distance(middle) < 0.0
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    is_past = np.all(values < 0.0, axis=0)
+    return np.where(falls.any(axis=0), high, np.where(is_past, 0.0, np.inf))

@@ -1,0 +1,91 @@
+"""A dynamic step ends at the first change of status of a joint section in it, as event-driven methods do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.coupling.events import Event, first_event
+from fracflow.errors import NotConverged
+from fracflow.run_steps import Stepping
+from fracflow.state import State, StepReport
+
+NEAR = 1e-4  # of the step: how well the time of an event is known
+REFINEMENTS = 6
+BEYOND = 1.25  # a step towards an event looks so far past its own end for it
+
+Take = Callable[[State, float, bool], tuple[State, StepReport]]
+"""(state, fraction of the step, hold) -> the state there, with every status held or free to change."""
+
+
+def to_first_event(stepping: Stepping, state: State, take: Take, dt: float) -> tuple[State, StepReport, float]:
+    """The state at the first event of a step of length ``dt``, after it, or at the end where there is none.
+
+    The step is taken with all statuses held, and again to where the first section leaves its own; there the section
+    changes, and accelerations follow. One that would leave as the step begins does so at once, but once only: should it
+    want to return, statuses change as they do without location. Raises SolveError, on every rank. Collective.
+    """
+    start = state
+    try:
+        try:
+            new, report = take(start, 1.0, True)
+        except NotConverged:  # where no state keeps every status
+            return *take(start, 1.0, False), 1.0
+        event = first_event(stepping.model.operators.joints, start, new, dt)
+        if event is not None and event.fraction <= NEAR:
+            new.destroy()
+            start = stepping.change(state, event.sections)
+            new, more = take(start, 1.0, True)
+            report = _both(report, more)
+            event = first_event(stepping.model.operators.joints, start, new, dt)
+            if event is not None and event.fraction <= NEAR:
+                new.destroy()
+                new, more = take(start, 1.0, False)
+                return new, _both(report, more), 1.0
+        return (new, report, 1.0) if event is None else _approach(stepping, start, new, report, event, take, dt)
+    finally:
+        if start is not state:
+            start.destroy()
+
+
+def _approach(
+    stepping: Stepping, start: State, new: State, report: StepReport, event: Event, take: Take, dt: float
+) -> tuple[State, StepReport, float]:
+    """From a state past an event to the one at it, by steps that hold every status; ``new`` is used up. Collective."""
+    reached = 1.0
+    leaving = np.zeros_like(event.sections)
+    for _ in range(REFINEMENTS):
+        aim = min(event.fraction * reached, 1.0)
+        leaving = event.sections
+        if abs(aim - reached) <= NEAR:
+            break
+        new.destroy()
+        new, more = take(start, aim, True)
+        report, reached = _both(report, more), aim
+        found = first_event(stepping.model.operators.joints, start, new, aim * dt, BEYOND)
+        if found is None:
+            leaving = np.zeros_like(leaving)
+            break
+        event = found
+    comm = stepping.model.operators.layout.comm
+    count = comm.allreduce(int(leaving.sum()), op=MPI.SUM)
+    if count == 0:
+        return new, report, reached
+    after = stepping.change(new, leaving)
+    new.destroy()
+    return after, replace(report, located=report.located + count), reached
+
+
+def _both(first: StepReport, second: StepReport) -> StepReport:
+    """The report of the second of two solves, with the cost of both."""
+    return replace(
+        second,
+        newton=first.newton + second.newton,
+        krylov=first.krylov + second.krylov,
+        cycles=first.cycles + second.cycles,
+        factorisations=first.factorisations + second.factorisations,
+        located=first.located + second.located,
+    )

@@ -1,0 +1,180 @@
+"""A step is taken whole, or in parts: to where it converges, to where it is accurate, to its events.
+
+Parts are powers of 1/2 of a step, or of what is left of it after an event, each at a multiple of its own length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from fracflow.errors import NotConverged
+from fracflow.scene import Scene
+from fracflow.state import State, StepReport
+
+CALM = 2  # parts in a row that could have been twice as long, before the next one is
+EFFORT = 20  # Newton iterations of a part from which on the next one is shorter
+
+
+@dataclass(frozen=True)
+class Attempted:
+    """Where an attempt came to: state and cost, the fraction of the step, and its error over what is allowed."""
+
+    state: State
+    report: StepReport
+    fraction: float
+    error: float = 0.0
+
+
+Attempt = Callable[[State, float, float, bool], Attempted]
+"""(state, from, to, may stop at an event) -> the state at a fraction of a step, or at an event before; raises NotConverged."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When a step is taken in parts.
+
+    most     times that it may be halved
+    order    order of the local error in its length, 0 where nothing controls it
+    events   events in a step that parts end at; later ones are taken as they fall
+    """
+
+    most: int
+    order: int = 0
+    events: int = 0
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in a step a run is, and how long its next part may be.
+
+    base    fraction of the step at the last event in it
+    part    of what was left there, a sum of powers of 1/2
+    level   the next part is at most 2**-level of that
+    calm    parts in a row that could have been longer
+    events  of this step so far
+    """
+
+    base: float = 0.0
+    part: float = 0.0
+    level: int = 0
+    calm: int = 0
+    events: int = 0
+
+    @property
+    def fraction(self) -> float:
+        """Of the step."""
+        return self.base + self.part * (1.0 - self.base) if self.part < 1.0 else 1.0
+
+    def next_step(self) -> Place:
+        """At the start of the next step."""
+        return Place(level=self.level, calm=self.calm)
+
+    def as_progress(self) -> dict[str, float]:
+        """What a checkpoint keeps of it."""
+        return {f"place_{name}": float(value) for name, value in vars(self).items()}
+
+    @classmethod
+    def of(cls, progress: Mapping[str, float]) -> Place:
+        """The place that a checkpoint kept."""
+        base, part = progress.get("place_base", 0.0), progress.get("place_part", 0.0)
+        return cls(base, part, *(int(progress.get(f"place_{name}", 0)) for name in ("level", "calm", "events")))
+
+
+@dataclass(frozen=True)
+class PartOfStep:
+    """A state that was reached, the part of the step that led to it, and the place after it."""
+
+    state: State
+    report: StepReport
+    start: float
+    place: Place
+
+    @property
+    def end(self) -> float:
+        """Fraction of the step."""
+        return self.place.fraction
+
+    @property
+    def is_last(self) -> bool:
+        """Whether the step ends here."""
+        return self.end == 1.0
+
+
+def most_halvings(scene: Scene) -> int:
+    """How often a step may be halved: never where the report's own methods are to show how they fail."""
+    return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
+
+
+def in_parts(
+    attempt: Attempt, state: State, rules: Rules, log: Callable[[str], None], place: Place | None = None
+) -> Iterator[PartOfStep]:
+    """The whole step or the fewest parts of it that ``rules`` ask for, from ``place`` in it.
+
+    Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
+    """
+    place = place or Place()
+    while place.fraction < 1.0:
+        tries, failed = _sizes(place, rules.most), None
+        for level, size in tries:
+            start, end = place.fraction, replace(place, part=place.part + size).fraction
+            try:
+                found = attempt(state, start, end, place.events < rules.events)
+            except NotConverged as error:
+                failed = error
+                log(f"step halved: {str(error).partition(';')[0]}" if level < rules.most else f"step given up: {error}")
+                continue
+            if rules.order and found.error > 1.0 and level < rules.most:
+                found.state.destroy()
+                place = replace(place, level=level + 1, calm=0)
+                continue
+            break
+        else:
+            tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
+            raise NotConverged(f"{failed}{tried}") from failed
+        place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
+        yield PartOfStep(found.state, found.report, start, place)
+        state = found.state
+
+
+def _sizes(place: Place, most: int) -> Iterator[tuple[int, float]]:
+    """Lengths to try, with their levels: the longest that fits the place, and its halves."""
+    size = min(next_part(place.part), 0.5**place.level)
+    level = 0
+    while 0.5**level > size:
+        level += 1
+    yield from ((n, 0.5**n) for n in range(level, max(most, level) + 1))
+
+
+def _after(place: Place, size: float, found: Attempted, end: float, rules: Rules) -> Place:
+    """The place after a part: at an event the rest of the step is divided anew."""
+    if found.fraction < end:
+        return replace(place, base=found.fraction, part=0.0, events=place.events + 1)
+    place = replace(place, part=place.part + size)
+    if not rules.order:
+        return place
+    if found.report.newton > EFFORT and place.level < rules.most:
+        return replace(place, level=place.level + 1, calm=0)
+    calm = place.calm + 1 if found.error < 0.5 ** (rules.order + 1) else 0
+    return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)
+
+
+def next_part(start: float) -> float:
+    """Size of the part that begins at ``start``: its last binary digit, 1 at 0."""
+    if start == 0.0:
+        return 1.0
+    numerator, denominator = start.as_integer_ratio()
+    return (numerator & -numerator) / denominator
+
+
+def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: float, end: float) -> dict[str, float]:
+    """Controls at the fraction ``end`` of a step that goes on to ``after``, from ``before`` at the fraction ``start``."""
+    if end == 1.0:
+        return dict(after)
+    share = (end - start) / (1.0 - start)
+    return {name: value + share * (after[name] - value) for name, value in before.items()}
+
+
+def still_lacking(start: float, end: float) -> float:
+    """Share, at ``end``, of what the state at ``start`` lacks of the prescribed: all of it arrives by the end of the step."""
+    return (1.0 - end) / (1.0 - start)
