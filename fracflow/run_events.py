@@ -63,6 +63,9 @@ def _approach(
         if abs(aim - reached) <= NEAR:
             break
         new.destroy()
+        if aim <= NEAR:  # it returned to where it began: there is no way to keep the statuses
+            new, more = take(start, 1.0, False)
+            return new, _both(report, more), 1.0
         new, more = take(start, aim, True)
         report, reached = _both(report, more), aim
         found = first_event(stepping.model.operators.joints, start, new, aim * dt, BEYOND)
@@ -85,7 +88,7 @@ def _both(first: StepReport, second: StepReport) -> StepReport:
         second,
         newton=first.newton + second.newton,
         krylov=first.krylov + second.krylov,
-        cycles=first.cycles + second.cycles,
+        cycles=max(first.cycles, second.cycles),
         factorisations=first.factorisations + second.factorisations,
         located=first.located + second.located,
     )
