@@ -1,0 +1,105 @@
+"""A step in parts: halved where it fails or is not accurate, longer again when calm, divided anew after an event."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from fracflow.errors import NotConverged
+from fracflow.run_parts import Attempted, Place, Rules, in_parts
+
+pytestmark = pytest.mark.serial
+
+
+class Fake:
+    """A state that knows where it is, and that counts what is freed."""
+
+    freed = 0
+
+    def __init__(self, at):
+        self.at = at
+
+    def destroy(self):
+        type(self).freed += 1
+
+
+def taken(attempt, rules, place=None, start=0.0):
+    """(from, to, place after) of each part."""
+    return [
+        (part.start, part.end, part.place) for part in in_parts(attempt, Fake(start), rules, lambda line: None, place)
+    ]
+
+
+def reaching(longest=1.0, event=None, error=0.0, newton=1):
+    """An attempt that converges for parts up to ``longest``, and stops at the event where it may."""
+    tried = []
+
+    def attempt(state, begin, end, may_stop):
+        assert state.at == pytest.approx(begin)
+        tried.append((begin, end))
+        if end - begin > longest:
+            raise NotConverged("too long")
+        at = event if event is not None and may_stop and begin < event < end else end
+        wrong = error(at - begin) if callable(error) else error
+        return Attempted(Fake(at), SimpleNamespace(newton=newton), at, wrong)
+
+    attempt.tried = tried
+    return attempt
+
+
+def test_whole_where_it_can_be():
+    assert [part[:2] for part in taken(reaching(), Rules(6))] == [(0.0, 1.0)]
+
+
+def test_halves_as_few_as_converge():
+    assert [part[:2] for part in taken(reaching(0.3), Rules(6))] == [(0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 1.0)]
+
+
+def test_gives_up_by_name():
+    with pytest.raises(NotConverged, match="too long .after 3 halvings of the step"):
+        taken(reaching(0.1), Rules(3))
+
+
+def test_the_rest_after_an_event_is_one_part_and_ends_with_the_step():
+    parts = taken(reaching(event=0.3), Rules(6, events=5))
+    assert [part[:2] for part in parts] == [(0.0, 0.3), (0.3, 1.0)]
+    assert parts[0][2].events == 1 and parts[1][2].fraction == 1.0
+
+
+def test_events_beyond_the_most_are_not_stopped_at():
+    def attempt(state, begin, end, may_stop):
+        at = begin + 0.01 if may_stop else end
+        return Attempted(Fake(at), SimpleNamespace(newton=1), at)
+
+    ends = [part[1] for part in taken(attempt, Rules(6, events=3))]
+    assert ends == pytest.approx([0.01, 0.02, 0.03, 1.0])
+
+
+def test_goes_on_from_any_place():
+    parts = taken(reaching(0.3, event=0.3), Rules(6, events=5))
+    for n, (_, end, place) in enumerate(parts[:-1]):
+        again = Place.of(place.as_progress())
+        assert again == place
+        assert taken(reaching(0.3, event=0.3), Rules(6, events=5), again, end) == parts[n + 1 :]
+
+
+def test_an_inaccurate_part_is_freed_and_halved_and_the_level_is_kept():
+    Fake.freed = 0
+    attempt = reaching(error=lambda length: (length / 0.5) ** 3)  # right at halves
+    parts = taken(attempt, Rules(6, order=2))
+    assert [part[:2] for part in parts] == [(0.0, 0.5), (0.5, 1.0)]
+    assert Fake.freed == 1 and attempt.tried[0] == (0.0, 1.0)
+    assert parts[-1][2].next_step().level == 1
+
+
+def test_calm_parts_make_the_next_one_longer():
+    place, lengths = Place(level=3), []
+    for _ in range(3):
+        parts = taken(reaching(error=1e-3), Rules(6, order=2), place)
+        lengths += [end - start for start, end, _ in parts]
+        place = parts[-1][2].next_step()
+    assert lengths == [0.125] * 6 + [0.25] * 3 + [0.5] * 3
+
+
+def test_hard_work_makes_the_next_part_shorter():
+    assert taken(reaching(newton=25), Rules(6, order=2))[-1][2].level == 1
+    assert taken(reaching(newton=25), Rules(6))[-1][2].level == 0
