@@ -21,6 +21,7 @@ from fracflow.scene_materials import InitialMotion
 from fracflow.state import Forces, Motion, Sections, State
 
 EQUILIBRIUM = 1e-9  # of the natural force of a joint
+ANYTHING = 1e30  # times the natural force: more than any joint has
 
 
 def settle(model: Model) -> None:
@@ -28,7 +29,8 @@ def settle(model: Model) -> None:
 
     Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
     differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start. The
-    operator ``prestress`` changes by it, so a run that goes on is settled too. A scene with a stage ``equilibrate`` is
+    operator ``prestress`` changes by it, so a run that goes on is settled too. So it does by whatever fractures lack of
+    balance where the scene says that the rock carries it. A scene with a stage ``equilibrate`` is
     left as it is. Raises InputError, on every rank. Collective.
     """
     if model.scene.equilibrates:
@@ -51,7 +53,8 @@ def settle(model: Model) -> None:
             f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
             f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
             ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
-            " initial tractions must be those of initial_stress and fluid.initial_pressure; a [body_force] must balance the"
+            " initial tractions must be those of initial_stress and fluid.initial_pressure, or initial_stress.unbalanced ="
+            ' "carried"; a [body_force] must balance the'
             f" gradient of initial_stress{_uncarried(model.scene)}; or let a first [[stage]] with kind = 'equilibrate' find"
             " the state that is"
         )
@@ -74,7 +77,7 @@ def rest(model: Model) -> State:
     """The state before the first step, of a model that was settled. Collective.
 
     Fractures past their strength carry their initial tractions all the same: only a scene with a stage
-    ``equilibrate`` comes here with any.
+    ``equilibrate``, or one whose rock carries what does not balance, comes here with any.
     """
     ops, scene = model.operators, model.scene
     motion, sections, pressure = _unmoved(model)
@@ -177,7 +180,7 @@ def _slack(model: Model) -> PETSc.Vec:
 
     Over a joint of length L tractions linear between t_1 and t_2 give each end L (2 t_1 + t_2)/6, and L t_1/2 by the
     nodal rule: |t_2 - t_1| L/6 apart at most, likewise the pressures. A joint whose given tractions are not those that
-    stress and pressure imply has no slack.
+    stress and pressure imply has no slack, unless the scene lets the rock carry what is missing.
     """
     ops, scene = model.operators, model.scene
     joints, dim, natural = ops.blocks.joints, ops.blocks.sizes.dim, joint.RULES[scene.method.quadrature][0]
@@ -190,8 +193,10 @@ def _slack(model: Model) -> PETSc.Vec:
     is_implied = (
         off.reshape(len(length), len(natural) * dim).max(axis=1, initial=0.0) <= EQUILIBRIUM * ops.scales.pressure
     )
-    faces = np.concatenate([joints.bottom, joints.top], axis=1)
-    share = np.broadcast_to((change * (is_implied * length)[:, None] / 6.0)[:, None], (*faces.shape, dim))
+    faces, slack = np.concatenate([joints.bottom, joints.top], axis=1), change * (is_implied * length)[:, None] / 6.0
+    if scene.carries_unbalanced:
+        slack = np.full_like(slack, ANYTHING * ops.scales.force)
+    share = np.broadcast_to(slack[:, None], (*faces.shape, dim))
     return nodal_force(ops.blocks, faces, share.copy(), ops.expand)
 
 

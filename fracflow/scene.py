@@ -150,6 +150,11 @@ class Scene(Part):
         return any(stage.kind == "dynamic" for stage in self.stage)
 
     @property
+    def carries_unbalanced(self) -> bool:
+        """Whether the rock carries what initial tractions of fractures and its own stress differ by."""
+        return self.initial_stress is not None and self.initial_stress.unbalanced == "carried"
+
+    @property
     def equilibrates(self) -> bool:
         """Whether the run begins by finding its own equilibrium."""
         return bool(self.stage) and self.stage[0].kind == "equilibrate"

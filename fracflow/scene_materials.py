@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import MISSING, fields
 from difflib import get_close_matches
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
@@ -91,6 +91,11 @@ class InitialStress(Part):
     gradient: StressGradient = Field(default_factory=StressGradient, description="change with depth")
     datum: Position = Field(
         default=0.0, description="y at which the values above hold; the depth is datum - y [length]"
+    )
+    unbalanced: Literal["refuse", "carried"] = Field(
+        default="refuse",
+        description="initial tractions of fractures that are not those of the stress: refuse them, or let the rock carry the"
+        " difference in a stress that balances them, as in benchmarks of rupture; what is past its strength slips at once",
     )
 
 

@@ -212,13 +212,16 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
     return tuple(groups)
 
 
-def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int) -> None:
-    """Raise InputError, on every rank, that lists fractures under initial tension or past their strength. Collective."""
+def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int, carried: bool) -> None:
+    """Raise InputError, on every rank, that lists fractures under initial tension or past their strength. Collective.
+
+    With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
+    """
     fracture = np.repeat(blocks.joints.fracture, points)
     tension, failed = set(), set()
     scale = float(np.abs(initial).max(initial=0.0))
     tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
-    for group in () if blocks.comm.allreduce(len(tension)) else groups:
+    for group in () if carried or blocks.comm.allreduce(len(tension)) else groups:
         dim = initial.shape[1]
         answer = group.law.respond(np.zeros((len(group.sections), dim)), group.law.rest(len(group.sections), dim))
         failed.update(fracture[group.sections[answer.is_sliding | (answer.utilisation >= 1.0)]].tolist())
@@ -247,7 +250,7 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
     initial = initial_tractions(blocks, scene, xi)
     groups = law_groups(blocks, scene, initial, xi)
     if not scene.equilibrates:
-        refuse_bad_start(blocks, groups, initial, len(xi))
+        refuse_bad_start(blocks, groups, initial, len(xi), scene.carries_unbalanced)
     jump = jump_matrix(blocks, xi, expand)
     sizes = entry_sizes(jump)
     return Joints(blocks.sizes.dim, jump, sizes, weights, initial, section_groups(jump, blocks.sizes.dim), groups, xi)

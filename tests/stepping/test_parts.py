@@ -55,7 +55,7 @@ def test_halves_as_few_as_converge():
 
 
 def test_gives_up_by_name():
-    with pytest.raises(NotConverged, match="too long .after 3 halvings of the step"):
+    with pytest.raises(NotConverged, match=r"too long \(after 3 halvings of the step\)"):
         taken(reaching(0.1), Rules(3))
 
 
