@@ -57,8 +57,9 @@ def test_slips_from_the_first_instant_where_it_is_past_it(run_scene):
     strength = 10e6 * np.tan(np.radians(30))
     assert found.probe("middle", "shear_traction")[1:4] == pytest.approx(strength, rel=1e-5)
     slip = found.probe("middle", "slip")
-    assert np.all(np.diff(np.abs(slip[:6])) > 0.0) and {event["start"] for event in found.events} <= {0.0, 1e-4}
+    assert np.all(np.diff(np.abs(slip[:6])) > 0.0) and min(event["start"] for event in found.events) <= 1e-4
     assert found.closes()
     # the drop in the middle starts two plane shear waves: slip rate 2 drop/(rho c_s)
     shear_speed = np.sqrt(10e9 / 2.5 / 2500)
-    assert abs(slip[3] - slip[1]) / 2e-4 == pytest.approx(2 * (7e6 - strength) / (2500 * shear_speed), rel=0.1)
+    at = np.argmin(np.abs(found.history["time"] - 3e-4))
+    assert abs(slip[at]) / 3e-4 == pytest.approx(2 * (7e6 - strength) / (2500 * shear_speed), rel=0.1)
