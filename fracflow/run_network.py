@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.components import Part, close, conducting, find_parts, give_way
+from fracflow.assembly.components import Part, close, conducting, find_parts, give_way, holding
+from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling.initial import Enclosed
 from fracflow.coupling.step_problem import StepProblem
@@ -37,6 +38,7 @@ class Network:
         """No part is known before the first step."""
         self.model, self.log = model, log
         self._conducts: np.ndarray | None = None
+        self._holds = np.zeros(0, dtype=bool)
         self._told: np.ndarray | None = None
         self._parts: tuple[Part, ...] = ()
         self._closed: dict[tuple[int, bool, bool], _Closed] = {}
@@ -103,13 +105,16 @@ class Network:
                 if not limits:
                     self._refuse(part, wells, total, gives, problem.time)
                 found.add(min(limits, key=lambda limit: limit.sign * limit.pressure))
+            if self._holds[part.nodes].any():
+                continue
             room = swept[part.nodes]
             slack = BALANCED * (np.abs(room).sum() + self.model.operators.scales.length * moved * len(room))
             if not gives and abs(room.sum()) > slack and (stores or len(room) > 1):
+                other = "give minimum_hydraulic_aperture" if problem.held is not None else "give fluid.compressibility"
                 raise SolveError(
                     f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
                     f" by {room.sum():.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
-                    f" there, or let a wall move{', or give fluid.compressibility' if stores else ''}"
+                    f" there, or let a wall move{f', or {other}' if stores else ''}"
                 )
         return frozenset(found)
 
@@ -119,14 +124,15 @@ class Network:
             self._closed[key] = self._make(loads, stores, at_start)
         return self._closed[key]
 
-    def look(self, conductance: Floats) -> None:
-        """Find the parts anew where elements (j,) of this rank have begun or ceased to conduct. Collective."""
+    def look(self, conduction: Conduction) -> None:
+        """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
         operators, before = self.model.operators, self._conducts
-        now = conducting(operators, conductance)
-        if operators.layout.comm.allreduce(before is None or not np.array_equal(before, now), op=MPI.LOR):
+        now, holds = conducting(operators, conduction.conductance), holding(operators, conduction.compression)
+        same = before is not None and np.array_equal(before, now) and np.array_equal(self._holds, holds)
+        if not operators.layout.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
             self.version += 1
-            self._conducts, self._parts = now, find_parts(operators, now)
+            self._conducts, self._parts, self._holds = now, find_parts(operators, now), holds
 
     def tell(self, time: float) -> None:
         """Log what has begun or ceased to conduct since the last time, and what no pressure reaches. Collective."""
@@ -166,18 +172,17 @@ class Network:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
         drained, gives = self._drained(loads), give_way(operators, self._parts, loads.fixed_solid)
-        if stores and fluid.compressibility > 0.0:
-            return _Closed(loads, loads, ())
         parts, closures = [], []
         nodes = {
             name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
         }
         for part, moves in zip(self._parts, gives.tolist(), strict=True):
-            if drained[part.nodes].any() or (stores and moves and not at_start):
+            holds = bool(self._holds[part.nodes].any())
+            if drained[part.nodes].any() or (stores and (holds or (moves and not at_start))):
                 continue
             wells = tuple(name for name, node in nodes.items() if node in part.nodes)
             parts.append((part, wells, moves))
-            closures.append(close(operators, part, moves and not at_start))
+            closures.append(close(operators, part, moves and not at_start, holds))
         return _Closed(loads, replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
 
     def _node(self, vector: object) -> int:
@@ -207,10 +212,16 @@ class Network:
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:
-    """What the walls have made room for in a step at all flow nodes (n,), and their largest motion. Collective."""
+    """What the walls have made room for in a step at all flow nodes (n,), and their largest motion. Collective.
+
+    Of a compressible fluid, which need not fill the room, what has been there before.
+    """
     network, room = problem.operators.flow, problem.operators.layout.flow_vector()
     assert network is not None
-    network.squeeze.multTranspose(problem.increment, room)
+    if problem.held is None:
+        network.squeeze.multTranspose(problem.increment, room)
+    else:
+        network.taken_up(-problem.held.weight / network.compressibility, room)
     found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))
     room.destroy()
     return found, float(problem.increment.norm(PETSc.NormType.INFINITY))

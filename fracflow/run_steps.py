@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.compression import taken_between
 from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
+from fracflow.assembly.operators import Operators
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, balance_terms
 from fracflow.coupling.digits import digits_of, refuse_few
@@ -143,7 +145,7 @@ class Stepping:
             if now == reached and same:
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
-                memory = _remember(state, new, dt) if stepper.memory else Memory()
+                memory = _remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
                 friction = dissipated(state, new)
                 self.network.tell(time)
                 return replace(new, energy=energy, limited=wells, friction=friction, memory=memory), report
@@ -161,7 +163,7 @@ class Stepping:
         network = self.model.operators.flow
         assert network is not None
         opening = self.model.operators.joints.openings(state.sections.strain)
-        self.network.look(network.conduct(state.motion.displacement, state.pressure, opening).conductance)
+        self.network.look(network.conduct(state.motion.displacement, state.pressure, opening))
 
     def _digits(self, new: State) -> float:
         """Digits of the worst tractions. Raises SolveError, on every rank, where too few are left. Collective."""
@@ -177,7 +179,7 @@ class Stepping:
         """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
         if problem.conduction is None:
             return True
-        self.network.look(problem.conduction.conductance)
+        self.network.look(problem.conduction)
         return self.network.close(loads, stores) is problem.loads
 
     def _limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
@@ -190,7 +192,7 @@ class Stepping:
         """A new state, as a stage takes it over. Collective.
 
         With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
-        Pressures of a compressible fluid stay as they are, and the balance gives their rates; those prescribed jump, and
+        Pressures of a compressible fluid stay as they are, and the balance gives what it takes up; those prescribed jump, and
         go on at their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is prescribed
         arrives during the first step.
         """
@@ -202,12 +204,12 @@ class Stepping:
         if not stepper.inertia:
             pressure, forces = state.pressure.copy(), state.forces.copy()
             kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
-            return replace(kept, memory=Memory(), pressure_rate=None)
+            return replace(kept, memory=Memory(), uptake=None)
         was = state.sections
-        start = self._first_instant(replace(state, motion=motion, pressure_rate=None, energy=energy), was.past, dt)
+        start = self._first_instant(replace(state, motion=motion, uptake=None, energy=energy), was.past, dt)
         sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record)
         start = replace(start, sections=sections)
-        if start.pressure_rate is None:
+        if start.uptake is None:
             return start
         return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
 
@@ -225,7 +227,7 @@ class Stepping:
         settled = replace(new.sections, margin=np.where(leaving, np.inf, new.sections.margin))
         new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
         new = replace(new, friction=dissipated(state, new))
-        return new if state.pressure_rate is None else replace(new, pressure_rate=state.pressure_rate.copy())
+        return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
 
     def _first_instant(self, begun: State, branch: Past, dt: float | None = None) -> State:
         """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
@@ -246,7 +248,7 @@ class Stepping:
             compressible = ops.flow is not None and ops.flow.compressibility > 0.0
             if compressible and dt is not None:
                 rate = starting_rate(ops, problem, dt)
-                problem.state = replace(begun, pressure_rate=rate)
+                problem.state = replace(begun, uptake=rate)
                 problem.evaluate()
             elif not compressible and problem.residual.flow > self.model.scene.accuracy.residual:
                 starting_pressure(self.model.scene, ops, closed, problem)
@@ -264,7 +266,7 @@ class Stepping:
         finally:
             problem.destroy()
         start = replace(begun, pressure=pressure, sections=sections, forces=forces)
-        return replace(start, memory=Memory(), pressure_rate=rate)
+        return replace(start, memory=Memory(), uptake=rate)
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
@@ -273,13 +275,13 @@ class Stepping:
         self.network.destroy()
 
 
-def _remember(old: State, new: State, dt: float) -> Memory:
-    """The mean velocity of the step between two states, and the mean rate of the pressures of a compressible fluid."""
+def _remember(operators: Operators, old: State, new: State, dt: float) -> Memory:
+    """The mean velocity of the step between two states, and the mean rate at which compression took up fluid."""
     velocity = new.motion.displacement.duplicate()
     before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
     velocity.setArray((after - before) / dt)
-    if new.pressure_rate is None:
+    if new.uptake is None:
         return Memory(dt, velocity)
-    pressure = new.pressure.duplicate()
-    pressure.setArray((new.pressure.getArray(readonly=True) - old.pressure.getArray(readonly=True)) / dt)
-    return Memory(dt, velocity, pressure)
+    taken = taken_between(operators, old, new)
+    taken.scale(1.0 / dt)
+    return Memory(dt, velocity, taken)

@@ -96,16 +96,16 @@ class Memory:
 
     time_step  its length, 0 where there was none [time]
     velocity   the mean velocity over it of the solid unknowns [length/time]
-    pressure   the mean rate over it of the pressures [stress/time]; of a compressible fluid only
+    uptake     the mean rate over it at which compression took up fluid; of a compressible fluid only
     """
 
     time_step: float = 0.0
     velocity: PETSc.Vec | None = None
-    pressure: PETSc.Vec | None = None
+    uptake: PETSc.Vec | None = None
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        for vector in (self.velocity, self.pressure):
+        for vector in (self.velocity, self.uptake):
             if vector is not None:
                 vector.destroy()
 
@@ -118,7 +118,7 @@ class State:
     energy    running totals of the energy books [energy per thickness]
     limited   wells that are kept at a limit of their pressure
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
-    pressure_rate  at the flow nodes [stress/time]; None where nothing is stored by compression
+    uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     drive     largest pressure, above that at rest, at the end of a step since the start [stress]
     """
 
@@ -132,7 +132,7 @@ class State:
     limited: tuple[str, ...] = ()
     friction: Floats = field(default_factory=lambda: np.zeros(0))
     memory: Memory = Memory()
-    pressure_rate: PETSc.Vec | None = None
+    uptake: PETSc.Vec | None = None
     drive: float = 0.0
 
     def destroy(self) -> None:
@@ -141,8 +141,8 @@ class State:
         self.pressure.destroy()
         self.forces.destroy()
         self.memory.destroy()
-        if self.pressure_rate is not None:
-            self.pressure_rate.destroy()
+        if self.uptake is not None:
+            self.uptake.destroy()
 
 
 @dataclass(frozen=True)

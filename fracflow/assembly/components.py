@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.flow import Compression
 from fracflow.assembly.layout import Layout, local_rows
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats, Ints
@@ -51,15 +52,22 @@ class Closure:
 
     The balances of its nodes add up to nothing, so one says what the others do, and the level is left open.
 
-    by       "walls": the part keeps its volume; "level": its mean pressure, where its walls cannot move, or where it is
-             one node that is pinched on all sides, which must be free to open again
+    by       "walls": the part keeps its volume; "fluid": the fluid it holds, which is compressible; "level": its mean
+             pressure, where its walls cannot move, or where it is one node that is pinched on all sides, which must be
+             free to open again
     row      local number of the node on the rank that owns it, empty elsewhere
     weights  change of the volume with the displacements, or shares of the pressures in the mean
+    size     of a volume, by which that of "walls" and "fluid" is divided [area]
+    nodes    (n,) numbers of the flow nodes of the part, the first has the row
+    touched  local numbers of the displacements that weights may depend on
     """
 
-    by: Literal["walls", "level"]
+    by: Literal["walls", "fluid", "level"]
     row: Ints
     weights: PETSc.Vec
+    size: float
+    nodes: Ints
+    touched: Ints
 
 
 def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
@@ -74,6 +82,21 @@ def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
     nodes.destroy()
     ends.destroy()
     return np.asarray(conductance > CONDUCTS * beside)
+
+
+def holding(operators: Operators, compression: Compression | None) -> np.ndarray:
+    """Which of all flow nodes (n,) hold fluid that is compressible: none where walls meet. Collective."""
+    network, layout = operators.flow, operators.layout
+    assert network is not None
+    if compression is None:
+        return np.zeros(int(layout.flow_starts[-1]), dtype=bool)
+    found, here = [], 0.5 * network.compressibility * network.length[:, None] * np.abs(network.aperture)
+    for at_ends in (compression.weight, here):
+        nodes = layout.flow_vector()
+        network.taken_up(at_ends, nodes)
+        found.append(nodes.getArray().copy())
+        nodes.destroy()
+    return np.concatenate(layout.comm.allgather(found[0] > CONDUCTS * found[1]))
 
 
 def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
@@ -121,29 +144,42 @@ def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -
     return gives
 
 
-def close(operators: Operators, part: Part, gives: bool) -> Closure:
-    """The closure of a part that nothing drains, by whether its walls give way. The caller owns its weights. Collective."""
-    layout, network = operators.layout, operators.flow
+def close(operators: Operators, part: Part, gives: bool, holds: bool = False) -> Closure:
+    """The closure of a part that nothing drains, by whether its walls give way. The caller owns its weights. Collective.
+
+    holds  whether it holds a fluid that is compressible, in a step that stores nothing
+    """
+    layout, network, scales = operators.layout, operators.flow, operators.scales
     assert network is not None
     inside = layout.flow_vector()
     first = int(layout.flow_starts[layout.comm.rank])
     local = part.nodes[(part.nodes >= first) & (part.nodes < first + layout.flow_count)] - first
     row = local[local + first == part.nodes[0]]
-    if len(part.nodes) == 1 or not gives:
+    size, nothing = scales.length * scales.displacement, np.zeros(0, dtype=np.int64)
+    if not holds and (len(part.nodes) == 1 or not gives):
         inside.getArray()[local] = 1.0 / len(part.nodes)
-        return Closure("level", row, inside)
+        return Closure("level", row, inside, size, part.nodes, nothing)
     inside.getArray()[local] = 1.0
     weights = layout.solid_vector()
     network.squeeze.mult(inside, weights)
     inside.destroy()
-    return Closure("walls", row, weights)
+    if not holds:
+        return Closure("walls", row, weights, size, part.nodes, nothing)
+    walls, here = local_rows(network.squeeze), np.isin(operators.blocks.joints.flow, part.nodes)
+    volume = float(np.sum(np.where(here, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
+    soft = network.compressibility * scales.pressure * layout.comm.allreduce(volume)
+    touched = np.unique(walls.rows[np.isin(walls.cols, part.nodes)])
+    return Closure("fluid", row, weights, max(size if gives else 0.0, soft) or size, part.nodes, touched)
 
 
 def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
     """Joined numbers of the unknowns in a closure's row, and their weights; the same on every rank. Collective."""
     local = closure.weights.getArray(readonly=True)
     first = closure.weights.getOwnershipRange()[0]
-    entries = np.flatnonzero(local)
-    number = layout.solid_numbers if closure.by == "walls" else layout.flow_numbers
+    entries = np.union1d(np.flatnonzero(local), closure.touched)
+    number = layout.flow_numbers if closure.by == "level" else layout.solid_numbers
     gathered = layout.comm.allgather((number(entries + first), local[entries].copy()))
-    return np.concatenate([cols for cols, _ in gathered]), np.concatenate([values for _, values in gathered])
+    cols, values = (np.concatenate(each) for each in zip(*gathered, strict=True))
+    if closure.by != "fluid":
+        return cols, values
+    return np.concatenate([cols, layout.flow_numbers(closure.nodes)]), np.append(values, np.zeros(len(closure.nodes)))

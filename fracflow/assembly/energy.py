@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.compression import taken_between
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats
 from fracflow.state import State
@@ -85,7 +86,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         instants = (new,) if scheme.balance == "end" else (old, new)
         parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme.storage)
         if ops.flow.compressibility > 0.0:
-            _add_compression(ops, parts, old, new, instants, dt, scheme.storage)
+            _add_compression(ops, parts, old, new, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_acceleration, mean_pressure, mean_displacement, term):
         vector.destroy()
@@ -113,22 +114,35 @@ def jumped(totals: Mapping[str, float], stored: float) -> dict[str, float]:
 
 
 def compressed(ops: Operators, old: State, new: State) -> float:
-    """Work of (2.33b) on a compressible fluid between two states, int c_f d p dp of what exceeds the resting pressure.
+    """Work of (2.33b) on a compressible fluid between two states, int h ds - p dd, with h of ``Flow.potential``.
 
-    Collective.
+    Pressures p above those at rest; s is what the fracture of aperture d holds. Collective.
     """
     assert ops.flow is not None
-    change, mean = _sum(1.0, new.pressure, -1.0, old.pressure), _sum(0.5, new.pressure, 0.5, old.pressure)
-    weight = sum(0.5 * ops.flow.compress(_apertures(ops, state), change).weight for state in (old, new))
-    work = np.sum(weight * ops.flow.at_ends(change) * ops.flow.driving(mean))
-    change.destroy()
-    mean.destroy()
-    return float(ops.layout.comm.allreduce(float(work)))
+    room, taken = new.pressure.duplicate(), taken_between(ops, old, new)
+    change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
+    ops.flow.squeeze.multTranspose(change, room)
+    mean, driving = _potential(ops, (old, new)), _sum(0.5, new.pressure, 0.5, old.pressure)
+    driving.axpy(-1.0, ops.flow.resting)
+    driving.aypx(-1.0, mean)
+    work = float(mean.dot(taken)) + float(driving.dot(room))
+    for vector in (room, taken, change, mean, driving):
+        vector.destroy()
+    return work
 
 
-def _apertures(ops: Operators, state: State) -> Floats:
+def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
+    """What a volume of fluid brings, as a mean over the instants, in a new vector [stress]."""
     assert ops.flow is not None
-    return ops.flow.apertures(state.motion.displacement, ops.joints.openings(state.sections.strain))
+    if ops.flow.compressibility == 0.0:
+        balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)
+        for state in instants[1:]:
+            balanced.axpy(1.0 / len(instants), state.pressure)
+        return balanced
+    balanced, resting = ops.flow.resting.duplicate(), ops.flow.resting.getArray(readonly=True)
+    each = [ops.flow.potential(state.pressure.getArray(readonly=True) - resting) for state in instants]
+    balanced.setArray(sum(each) / len(instants))
+    return balanced
 
 
 def put_in(totals: Mapping[str, float]) -> dict[str, float]:
@@ -174,16 +188,14 @@ def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
 def _fluid_parts(
     ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, storage: bool
 ) -> dict[str, float]:
-    """Terms of the balance (3.20) times the pressure that drives, both as means over the ``instants`` where it holds.
+    """Terms of the balance (3.20) times the potential that drives, both as means over the ``instants`` where it holds.
 
     The walls are pushed by the mean ``pressure`` of the step: what the storage of (3.20) and their motion make of these
     two pressures and of the rule's velocities is the scheme's. The resting pressure is a dead load on the walls.
     """
     assert ops.flow is not None
     rate, share, driving = pressure.duplicate(), dt / len(instants), _sum(1.0, pressure, -1.0, ops.flow.resting)
-    balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)
-    for state in instants[1:]:
-        balanced.axpy(1.0 / len(instants), state.pressure)
+    balanced = _potential(ops, instants)
 
     def volume(matrix: PETSc.Mat, motion: PETSc.Vec, at: PETSc.Vec) -> float:
         matrix.multTranspose(motion, rate)
@@ -200,6 +212,7 @@ def _fluid_parts(
         swept = volume(ops.flow.squeeze, change, driving)
         parts["spurious"] = swept - pushed
         stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity, balanced) for state in instants)
+        stored += share * sum(state.uptake.dot(balanced) for state in instants if state.uptake is not None)
         parts["fluid_scheme"] = stored - swept
     else:
         parts["work_pressure"] += pushed
@@ -208,28 +221,13 @@ def _fluid_parts(
     return parts
 
 
-def _add_compression(
-    ops: Operators,
-    parts: dict[str, float],
-    old: State,
-    new: State,
-    instants: tuple[State, ...],
-    dt: float,
-    storage: bool,
-) -> None:
-    """Add what compression stores; of its term in (3.20), as above, what differs from it is the scheme's.
+def _add_compression(ops: Operators, parts: dict[str, float], old: State, new: State, storage: bool) -> None:
+    """Add what compression stores; what its term in (3.20), as above, makes of it beside is the scheme's.
 
     Without storage no fluid is drawn for it, and its work is outer as that on the walls. Collective.
     """
-    assert ops.flow is not None
     parts["fluid_storage"] = compressed(ops, old, new)
-    if not storage:
+    if storage:
+        parts["fluid_scheme"] -= parts["fluid_storage"]
+    else:
         parts["work_pressure"] += parts["fluid_storage"]
-        return
-    balanced = sum(ops.flow.driving(state.pressure) for state in instants) / len(instants)
-    term = 0.0
-    for state in instants:
-        if state.pressure_rate is not None:
-            stored = ops.flow.compress(_apertures(ops, state), state.pressure_rate)
-            term += float(np.sum(stored.weight * stored.rate * balanced))
-    parts["fluid_scheme"] += dt / len(instants) * ops.layout.comm.allreduce(term) - parts["fluid_storage"]

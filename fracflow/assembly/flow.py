@@ -37,23 +37,25 @@ def is_transposed(storage: str) -> bool:
 
 @dataclass(frozen=True)
 class Compression:
-    """What a compressible fluid takes up at the joint ends, all (j, 2); the rate of volume is weight times rate.
+    """What a compressible fluid holds at the joint ends (j, 2) beyond the room between the walls.
 
-    weight  c_f d L/2, nothing where the walls meet [volume/stress per thickness]
+    Counted, as flow rates are, in volumes at its initial pressure: s = d exp(c_f (p - p0)) is what a fracture holds.
+
+    held    (s - d) L/2, nothing where the walls meet [volume per thickness]
+    weight  its derivative by the pressure of its end, c_f s L/2
     slope   its derivative by the opening of its end
-    rate    of the pressure [stress/time]
     """
 
+    held: Floats
     weight: Floats
     slope: Floats
-    rate: Floats
 
 
 @dataclass(frozen=True)
 class Conduction:
     """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2).
 
-    ``compression`` is None where the fluid stores nothing by it.
+    ``compression`` is None where the fluid is incompressible.
     """
 
     conductance: Floats
@@ -76,6 +78,7 @@ class Flow:
     given       (j,) conductance times length that the scene gives in place of the cubic law; NaN where it does not
     resting     the pressure at which the fluid is at rest, zero but for its change with depth, at the flow nodes
     resting_end (j, 2) the same at the joint ends [stress]
+    counted     the pressure above rest at which volumes of a compressible fluid are counted [stress]
     """
 
     opening: PETSc.Mat
@@ -92,33 +95,26 @@ class Flow:
     mean: str
     viscosity: float
     compressibility: float = 0.0
+    counted: float = 0.0
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
         """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
         jump = _apply(self.opening, displacement).reshape(-1, 2) if opening is None else opening
         return self.aperture + jump
 
-    def conduct(
-        self,
-        displacement: PETSc.Vec,
-        pressure: PETSc.Vec,
-        opening: Floats | None = None,
-        rate: PETSc.Vec | None = None,
-    ) -> Conduction:
-        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive.
-
-        rate  of the pressures, where a compressible fluid stores. Collective.
-        """
+    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
+        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
         mechanical = self.apertures(displacement, opening)
         hydraulic = np.maximum(mechanical, self.least)
         mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
         slope = np.stack([slope_1, slope_2], axis=1) * (mechanical >= self.least)
         cubic, is_cubic = conductance(mean, self.length, self.viscosity), np.isnan(self.given)
+        driving = self.driving(pressure)
         return Conduction(
             np.where(is_cubic, cubic, self.given / self.length),
             np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
-            self.driving(pressure),
-            None if rate is None else self.compress(mechanical, rate),
+            driving,
+            self.compress(mechanical, driving) if self.compressibility > 0.0 else None,
         )
 
     def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
@@ -127,10 +123,21 @@ class Flow:
             (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & np.isnan(self.given)[:, None]
         )
 
-    def compress(self, aperture: Floats, rate: PETSc.Vec) -> Compression:
-        """What the fluid takes up at apertures (j, 2), while its pressures change. Collective."""
-        slope = 0.5 * self.compressibility * self.length[:, None] * (aperture > 0.0)
-        return Compression(slope * aperture, slope, self.at_ends(rate))
+    def compress(self, aperture: Floats, driving: Floats) -> Compression:
+        """What the fluid holds at apertures (j, 2) under pressures above rest (j, 2)."""
+        half = 0.5 * self.length[:, None] * (aperture > 0.0)
+        with np.errstate(over="ignore"):  # a trial out of reach is refused for what comes of it
+            denser = np.expm1(self.compressibility * (driving - self.counted))
+        held = half * aperture * denser
+        return Compression(held, self.compressibility * (half * aperture + held), half * denser)
+
+    def potential(self, driving: Floats) -> Floats:
+        """Work that a volume as it is counted brings, int dp/(s/d), at pressures above rest [stress]: those, without c_f."""
+        if self.compressibility == 0.0:
+            return driving
+        lighter = np.expm1(self.compressibility * (self.counted - driving))
+        result: Floats = self.counted - lighter / self.compressibility
+        return result
 
     def taken_up(self, at_ends: Floats, result: PETSc.Vec) -> None:
         """``result`` += volume rates (j, 2) at the joint ends, brought to the flow nodes. Collective."""
@@ -214,4 +221,5 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         scene.method.conductance,
         scene.fluid.viscosity,
         scene.fluid.compressibility,
+        scene.fluid.initial_pressure,
     )

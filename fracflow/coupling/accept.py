@@ -25,7 +25,7 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
         balance_terms(problem, motion),
         dict(problem.controls),
         energy,
-        pressure_rate=problem.rate(),
+        uptake=problem.uptake(),
         drive=max(problem.state.drive, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)),
     )
 
@@ -62,8 +62,9 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
         drawn = ops.layout.flow_vector()
         ops.flow.squeeze.multTranspose(motion.velocity, drawn)
         drawn.axpy(1.0, conduction)
-        if (stored := problem.conduction.compression) is not None:
-            ops.flow.taken_up(stored.weight * stored.rate, drawn)
+        if (uptake := problem.uptake()) is not None:
+            drawn.axpy(1.0, uptake)
+            uptake.destroy()
         for part in problem.loads.pressures:
             source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
         drawn.destroy()

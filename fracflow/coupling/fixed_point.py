@@ -200,7 +200,7 @@ class FixedPoint:
             problem.sections.tangent.copy(),
         )
         if conduction.compression is not None:
-            now = replace(now, feedback=now.feedback + conduction.compression.slope * conduction.compression.rate)
+            now = replace(now, feedback=now.feedback + problem.alphas.b1 * conduction.compression.slope)
         old = self.linearised
         if old is not None and old.alphas == now.alphas:
             change, factor = old.change(now, problem.operators.layout.comm), old.prediction.factor

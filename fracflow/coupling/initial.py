@@ -47,23 +47,26 @@ def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem:
 
 
 def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETSc.Vec:
-    """C p' = Q - B_F' v - K_F p: rates at which a compressible fluid starts, in a new vector, from an evaluated trial.
+    """Rates Q - B_F' v - K_F p at which a compressible fluid is taken up, in a new vector, from an evaluated trial.
 
     Prescribed pressures start at the rate at which they change over ``dt`` [time]; fluid without volume at none. Collective.
     """
-    network = operators.flow
-    assert network is not None
-    rate, volume = problem.pressure.duplicate(), problem.pressure.duplicate()
-    rate.set(1.0)
-    volume.set(0.0)
-    aperture = network.apertures(problem.displacement, operators.joints.openings(problem.sections.strain))
-    network.taken_up(network.compress(aperture, rate).weight, volume)
-    weight, balance = volume.getArray(), problem.flow_balance.getArray(readonly=True)
-    rate.setArray(np.divide(-balance, weight, out=np.zeros(len(weight)), where=weight > 0.0))
+    network, held = operators.flow, problem.conduction.compression if problem.conduction is not None else None
+    assert network is not None and held is not None
+    rate, weight, given = (operators.layout.flow_vector() for _ in range(3))
+    network.taken_up(held.weight, weight)
+    balance = problem.flow_balance.getArray(readonly=True)
+    rate.setArray(np.where(weight.getArray() > 0.0, -balance, 0.0))
     if dt > 0.0:
+        parting = network.opening.createVecLeft()
+        network.opening.mult(problem.state.motion.velocity, parting)
+        network.taken_up(held.slope * parting.getArray().reshape(-1, 2), given)
+        parting.destroy()
         for part in problem.loads.pressures:
-            rate.getArray()[part.numbers] = (part.value(problem.time + dt) - part.value(problem.time)) / dt
-    volume.destroy()
+            change = (part.value(problem.time + dt) - part.value(problem.time)) / dt
+            rate.getArray()[part.numbers] = (given.getArray() + weight.getArray() * change)[part.numbers]
+    weight.destroy()
+    given.destroy()
     return rate
 
 

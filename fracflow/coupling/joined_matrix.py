@@ -9,7 +9,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.components import Closure, closure_row
-from fracflow.assembly.flow import Conduction
+from fracflow.assembly.flow import Compression, Conduction
 from fracflow.assembly.jump import section_groups
 from fracflow.assembly.layout import Rows, add_blocks, create_matrix, local_rows
 from fracflow.assembly.loads import Loads
@@ -27,7 +27,8 @@ PARTS = ("solid", "flow")
 class FreePart:
     """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
 
-    ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node.
+    ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node; ``keeping`` are the rows of
+    closures that keep the fluid at a joint end.
     """
 
     held_entries: Ints
@@ -36,10 +37,11 @@ class FreePart:
     sections: tuple[Ints, ...]
     flow_nodes: Ints
     ends: tuple[Ints, ...]
+    keeping: Ints
 
 
 class JoinedMatrix:
-    """Matrix [[A, -B], [alpha_1 B_F' + d(K_F p + C p')/du, K_F + b_1 C]] in scaled unknowns, rows of what is held are 1.
+    """Matrix [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns, rows of what is held are 1.
 
     ``only`` leaves one of the two splits free, "solid" or "flow"; None both.
     """
@@ -70,6 +72,7 @@ class JoinedMatrix:
         diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
         keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
         self._closures = [self._closure(closure) for closure in loads.closures]
+        self._fluids = [closure for closure in loads.closures if closure.by == "fluid"]
         union = _union([diagonal, *keys.values(), *(rows.rows * layout.total + rows.cols for rows in self._closures)])
         self._row, self._col = union // layout.total, union % layout.total
         self._diagonal = np.searchsorted(union, diagonal)
@@ -109,7 +112,7 @@ class JoinedMatrix:
         here = len(closure.row) > 0
         row = self.layout.solid_count + int(closure.row[0]) if here else 0
         count = len(cols) if here else 0
-        scale = 1.0 / self.operators.scales.length if closure.by == "walls" else 1.0
+        scale = 1.0 if closure.by == "level" else self.operators.scales.displacement / closure.size
         return Rows(np.full(count, row), cols[:count], scale * weights[:count])
 
     def _entries_of(self, rows: Rows) -> Ints:
@@ -133,6 +136,11 @@ class JoinedMatrix:
             self._flow_nodes = layout.flow_numbers(ops.blocks.joints.flow)
             for group in section_groups(ops.flow.opening, 1):
                 self._ends.append((group.sections, layout.solid_numbers(group.unknowns), group.jump[:, 0]))
+        # of each joint end the row that keeps the fluid of its part, where one does, and its size
+        self._keeping, self._kept = np.full(self._flow_nodes.shape, -1), np.ones(self._flow_nodes.shape)
+        for closure in self._fluids:
+            inside = np.isin(ops.blocks.joints.flow, closure.nodes)
+            self._keeping[inside], self._kept[inside] = layout.flow_numbers(closure.nodes[:1])[0], closure.size
 
     def _held(self, only: str | None) -> np.ndarray:
         """Whether each of the unknowns of all ranks is held."""
@@ -164,6 +172,7 @@ class JoinedMatrix:
             tuple(free(numbers) for numbers in self._sections),
             nodes,
             tuple(free(numbers) for _, numbers, _ in self._ends),
+            np.where(self._keeping < 0, -1, free(self._keeping)),
         )
 
     def fill(
@@ -180,7 +189,7 @@ class JoinedMatrix:
             [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]
         )
         if conduction is not None and conduction.compression is not None:
-            arrays += [conduction.compression.weight, conduction.compression.slope * conduction.compression.rate]
+            arrays += [conduction.compression.weight, conduction.compression.slope]
         if conduction is not None and only == "solid":
             arrays = [moduli]
         same = (
@@ -224,14 +233,25 @@ class JoinedMatrix:
             if conduction.compression is not None:
                 here, stored = np.arange(2), conduction.compression
                 between[:, here, here] += alphas.b1 * stored.weight
-                slope[:, here, here] += stored.slope * stored.rate
+                slope[:, here, here] += alphas.b1 * stored.slope
             add_blocks(matrix, nodes, free.flow_nodes, flow_flow * between)
             for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
                 joint, end = ends // 2, ends % 2
                 values = slope[joint, :, end][:, :, None] * normal[:, None, :]
                 factor = scales.displacement / flow_scale
                 add_blocks(matrix, nodes[joint], unknowns, factor * values)
+            if conduction.compression is not None and self._fluids:
+                self._keep_fluid(free, conduction.compression)
         matrix.assemble()
+
+    def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
+        """Add what compression does to the rows that keep the fluid of a part."""
+        scales, size = self.operators.scales, self._kept.ravel()
+        rows, values = free.keeping.reshape(-1, 1), stored.weight.ravel() * scales.pressure / size
+        add_blocks(self.matrix, rows, free.flow_nodes.reshape(-1, 1), values[:, None, None])
+        values = stored.slope.ravel() * scales.displacement / size
+        for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
+            add_blocks(self.matrix, rows[ends], unknowns, (values[ends, None] * normal)[:, None, :])
 
     def destroy(self) -> None:
         """Free the matrix. Collective."""

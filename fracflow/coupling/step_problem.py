@@ -1,7 +1,8 @@
 """(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
 
 solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p - R = 0
-flow   B_F' v + C(u) p' + K_F(u) p - Q = 0, C = c_f d L/2 of a compressible fluid, lumped
+flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of
+       the walls, what a part holds is changed by what flows in and out alone
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.compression import compression_of, taken_up
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.compression import pressure_rate
+from fracflow.coupling.compression import taken_by, uptake_rate
 from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
 from fracflow.coupling.residual import TINY, Residual, flow_residual, largest, largest_of, over_ranks
@@ -74,6 +76,8 @@ class StepProblem:
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
+        self.held = compression_of(operators, state)
+        self._uptake: Floats | None = None
         self._flow_rows: Floats | None = None
         self._flow_noise: Floats | float = 0.0
         self._widest: list[float] | None = None
@@ -162,9 +166,13 @@ class StepProblem:
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
         return result
 
-    def rate(self) -> PETSc.Vec | None:
-        """Rate of the trial's pressures, in a new vector; None where the fluid stores nothing by compression."""
-        return pressure_rate(self.operators.flow, self.state, self.alphas, self.pressure)
+    def uptake(self) -> PETSc.Vec | None:
+        """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""
+        if self._uptake is None:
+            return None
+        result = self.operators.layout.flow_vector()
+        result.setArray(self._uptake)
+        return result
 
     def _flow_balance(self) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
@@ -176,22 +184,27 @@ class StepProblem:
         network.squeeze.multTranspose(speed, flow)
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
-        rate, opening = self.rate(), self.operators.joints.openings(self.sections.strain)
-        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening, rate), None
+        opening = self.operators.joints.openings(self.sections.strain)
+        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening), None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
-        if (stored := self.conduction.compression) is not None:
-            network.taken_up(stored.weight * stored.rate, flow)
+        if (stored := self.conduction.compression) is not None and self.held is not None:
+            taken = taken_up(self.operators, self.held, stored)
+            self._uptake = uptake_rate(self.state, self.alphas, taken.getArray())
+            taken.destroy()
+            if self._uptake is not None:
+                flow.getArray()[:] += self._uptake
+                rows += np.abs(self._uptake)
+                terms.append(largest_of(self._uptake))
         speed.destroy()
         self._close()
         # what an element carries at full pressure: the size of the terms whose difference is its flow
         size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
         size = np.maximum(size, LEAST_DRIVE * self.state.drive)
         through = self.conduction.conductance[:, None] * size
-        if rate is not None and stored is not None:
-            change = CANCELLATION * self.alphas.b1 * network.at_ends(self.pressure)
-            through = np.maximum(through, stored.weight * np.maximum(np.abs(stored.rate), np.abs(change)))
-            rate.destroy()
+        if stored is not None:
+            known = np.abs(stored.held) + stored.weight * np.abs(self.conduction.pressure)
+            through = np.maximum(through, CANCELLATION * self.alphas.b1 * known)
         sized, noise = flow.duplicate(), flow.duplicate()
         network.taken_up(through, sized)
         moved = self.operators.joints.openings(self._moved)
@@ -204,9 +217,11 @@ class StepProblem:
     def _close(self) -> None:
         """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
         scales, local = self.operators.scales, self.flow_balance.getArray()
+        assert self.conduction is not None
         for closure in self.loads.closures:
-            if closure.by == "walls":
-                defect = float(closure.weights.dot(self.increment)) / (scales.length * scales.displacement)
+            if closure.by != "level":
+                taken = taken_by(self.operators, closure, self.held, self.conduction.compression)
+                defect = (float(closure.weights.dot(self.increment)) + taken) / closure.size
             else:
                 kept = float(closure.weights.dot(self.state.pressure))
                 defect = (float(closure.weights.dot(self.pressure)) - kept) / scales.pressure

@@ -44,7 +44,7 @@ NOTES = (
     "events",
 )
 MEMORY = "mean_velocity"
-RATES = ("pressure_rate", "mean_pressure_rate")  # of a compressible fluid, where there are any
+RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
@@ -95,7 +95,7 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
     if state.memory.velocity is not None:
         local = state.memory.velocity.getArray(readonly=True)
         arrays[MEMORY] = blocks.gather(places[used], local[used], total)
-    for name, rate in zip(RATES, (state.pressure_rate, state.memory.pressure), strict=True):
+    for name, rate in zip(RATES, (state.uptake, state.memory.uptake), strict=True):
         if rate is not None:
             arrays[name] = blocks.gather(blocks.flow.ids, rate.getArray().copy(), blocks.sizes.flow_nodes)
     joints, points = blocks.joints.ids, operators.joints.points
@@ -154,7 +154,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         limited=tuple(notes["limited"]),
         friction=at_sections("friction"),
         memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1])) if notes["last_step"] else Memory(),
-        pressure_rate=saved(RATES[0]),
+        uptake=saved(RATES[0]),
         drive=notes["drive"],
     )
 

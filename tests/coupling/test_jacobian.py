@@ -9,6 +9,7 @@ from fracflow._petsc import MPI
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.step_problem import StepProblem
+from fracflow.run_network import Network
 from fracflow.run_setup import prepare
 from fracflow.run_start import rest
 from fracflow.scene import load
@@ -50,8 +51,8 @@ def test_jacobian_of_a_compressible_fluid(stepper):
     state, random = rest(prepared), np.random.default_rng(11 + MPI.COMM_WORLD.rank)
     rate, mean = state.pressure.duplicate(), state.pressure.duplicate()
     for vector in (rate, mean):
-        vector.setArray(1e9 * random.standard_normal(vector.getLocalSize()))
-    state = replace(state, pressure_rate=rate, memory=Memory(2e-3, None, mean))
+        vector.setArray(1e-5 * random.standard_normal(vector.getLocalSize()))
+    state = replace(state, uptake=rate, memory=Memory(2e-3, None, mean))
     alphas = stepper.alphas(1e-3, 2e-3)
     problem = StepProblem(prepared.operators, prepared.loads, state, alphas, 1e-3, {"pumping": 1e-5})
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
@@ -63,6 +64,28 @@ def test_jacobian_of_a_compressible_fluid(stepper):
     newton._unpack(unknowns)
     check_derivative(newton, random)
     for thing in (newton, matrix, problem):
+        thing.destroy()
+
+
+def test_jacobian_where_a_part_keeps_its_fluid():
+    """A steady step of a compressible fluid that nothing drains: a row with the walls and the pressures of the whole part."""
+    scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    operators, state, random = prepared.operators, rest(prepared), np.random.default_rng(12 + MPI.COMM_WORLD.rank)
+    network, sealed = Network(prepared), replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64))
+    network.look(operators.flow.conduct(state.motion.displacement, state.pressure))
+    closed = network.close(sealed, stores=False)
+    assert {closure.by for closure in closed.closures} == {"fluid"}
+    problem = StepProblem(operators, closed, state, Steady().alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    matrix = JoinedMatrix(operators, closed)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    newton._pack(problem)
+    unknowns = newton.unknowns.copy()
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    for thing in (newton, matrix, problem, network):
         thing.destroy()
 
 
