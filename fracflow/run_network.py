@@ -177,7 +177,7 @@ class Network:
             name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
         }
         for part, moves in zip(self._parts, gives.tolist(), strict=True):
-            holds = bool(self._holds[part.nodes].any())
+            holds = bool(self._holds[part.nodes].any()) and (stores or len(part.nodes) > 1)
             if drained[part.nodes].any() or (stores and (holds or (moves and not at_start))):
                 continue
             wells = tuple(name for name, node in nodes.items() if node in part.nodes)

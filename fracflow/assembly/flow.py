@@ -126,10 +126,10 @@ class Flow:
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
         """What the fluid holds at apertures (j, 2) under pressures above rest (j, 2)."""
         half = 0.5 * self.length[:, None] * (aperture > 0.0)
-        with np.errstate(over="ignore"):  # a trial out of reach is refused for what comes of it
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial out of reach is refused for what comes of it
             denser = np.expm1(self.compressibility * (driving - self.counted))
-        held = half * aperture * denser
-        return Compression(held, self.compressibility * (half * aperture + held), half * denser)
+            held = half * aperture * denser
+            return Compression(held, self.compressibility * (half * aperture + held), half * denser)
 
     def potential(self, driving: Floats) -> Floats:
         """Work that a volume as it is counted brings, int dp/(s/d), at pressures above rest [stress]: those, without c_f."""

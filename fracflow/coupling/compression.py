@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow.assembly.components import Closure
-from fracflow.assembly.flow import Compression
+from fracflow.assembly.flow import Compression, Conduction
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats
 from fracflow.state import State
 from fracflow.stepping import Alphas, first_rate
+
+DENSEST = 100.0  # exponent of a density: beyond it a trial overflows somewhere
 
 
 def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
@@ -27,3 +29,20 @@ def taken_by(operators: Operators, closure: Closure, before: Compression | None,
         return 0.0
     inside = np.isin(operators.blocks.joints.flow, closure.nodes)
     return float(operators.layout.comm.allreduce(float((after.held - before.held)[inside].sum())))
+
+
+def why_not_finite(operators: Operators, conduction: Conduction | None) -> str:
+    """What has no finite value at a trial: the density of the fluid in a fracture that is named, or tractions. Collective."""
+    comm, block, network = operators.layout.comm, operators.blocks.joints, operators.flow
+    pressed = ("", 0.0)
+    if network is not None and conduction is not None and len(conduction.pressure):
+        size = np.where(np.isfinite(conduction.pressure), conduction.pressure, np.inf).max(axis=1)
+        pressed = (block.fractures[block.fracture[int(size.argmax())]], float(size.max()))
+    name, pressure = max(comm.allgather(pressed), key=lambda found: found[1])
+    compressibility = 0.0 if network is None else network.compressibility
+    if compressibility * pressure <= DENSEST:
+        return "the joint laws gave no finite traction (a joint closed beyond its aperture)"
+    return (
+        f"fluid in {name} would come under {pressure:.3g}, {compressibility * pressure:.3g}/compressibility, which must be at"
+        f" most {DENSEST:g}: give it a way out, such as a wider minimum_hydraulic_aperture, or pump and close it less"
+    )

@@ -17,7 +17,7 @@ from fracflow.assembly.compression import compression_of, taken_up
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.compression import taken_by, uptake_rate
+from fracflow.coupling.compression import taken_by, uptake_rate, why_not_finite
 from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
 from fracflow.coupling.residual import TINY, Residual, flow_residual, largest, largest_of, over_ranks
@@ -253,9 +253,7 @@ class StepProblem:
         own = flow_residual(balance, rows, flow_terms, closed, comm)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise)
         if not np.isfinite(solid + flow):
-            raise NotConverged(
-                f"time {self.time:.6g}: the joint laws gave no finite traction (a joint closed beyond its aperture)"
-            )
+            raise NotConverged(f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}")
 
     def flow_scale(self) -> float:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""

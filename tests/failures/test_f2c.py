@@ -7,7 +7,7 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
-from fracflow.output import read_history
+from fracflow.output import list_steps, read_history, read_step
 from fracflow.run import run
 from fracflow.scene import load
 
@@ -169,3 +169,49 @@ load = [{on = "island", force = [100, 0]}]
 well = [{name = "a", at = [1, 1], flow_rate = 1e-7}, {name = "b", at = [2, 2], flow_rate = -1e-7}]
 probe = [{name = "a", at = [1, 1]}, {name = "b", at = [2, 2]}]
 """
+
+WEDGE = """
+mesh.file = "two.geo"
+output.pictures = false
+rock = {lower.rigid = true, upper.rigid = true}
+fluid = {viscosity = 1e-3, compressibility = 4.5e-10}
+fracture.slot = {law = "linear", normal_stiffness = 1e9, shear_stiffness = 1e9, aperture = "1 mm"}
+probe = [{name = "left", at = {fracture = "slot", end = "start"}}]
+well = [{name = "out", at = {fracture = "slot", end = "end"}, pressure = [[0, 0], [1, 0], [3, 2e6]]}]
+support = [
+  {on = "lower", components = ["x", "y", "rotation"]},
+  {on = "upper", displacement = {x = 0, y = [[0, 0], [1, "-0.6 mm"]], rotation = [[0, 0], [1, 0.3e-3]]}},
+]
+"""
+"""Walls that are moved until they meet at the left end of the slot, by 0.05 mm."""
+
+
+def test_walls_that_meet_leave_no_fluid_there(shared_tmp):
+    """Nothing is stored at that node and nothing comes: its pressure stays, and the rest fills as if it were not there.
+
+    While the fluid has mass, walls that press it into nothing are named, for it has nowhere to go.
+    """
+    comm = MPI.COMM_WORLD
+    stages = (
+        'stage = [{kind = "%s", time_step = 0.25, steps = 4}, {kind = "quasi-static", time_step = 0.5, steps = 4}]\n'
+    )
+    if comm.rank == 0:
+        (shared_tmp / "two.geo").write_text(TWO_BLOCKS)
+        (shared_tmp / "scene.toml").write_text(stages % "steady" + WEDGE)
+        (shared_tmp / "pressed.toml").write_text(stages % "quasi-static" + WEDGE)
+    comm.barrier()
+    run(load(shared_tmp / "scene.toml"), shared_tmp / "run")
+    comm.barrier()
+    found = read_history(shared_tmp / "run" / "history.h5")
+    assert found["probe/left/aperture"][-1] == pytest.approx(-5e-5, rel=1e-6)
+    assert found["probe/left/pressure"][4:] == pytest.approx(found["probe/left/pressure"][4], abs=1e-6)
+    largest = max(np.abs(v).max() for k, v in found.items() if k.startswith("energy/"))
+    assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
+    _, fields, _ = read_step(list_steps(shared_tmp / "run", "fractures")[-1][1])
+    aperture, pressure = np.ravel(fields["aperture"]), np.ravel(fields["pressure"])
+    assert pressure[aperture > 0.0] == pytest.approx(2e6, rel=1e-3)
+    named = (
+        r"time 1: the walls that are moved change the volume of slot \(1 nodes.*, or give minimum_hydraulic_aperture"
+    )
+    with pytest.raises(SolveError, match=named):
+        run(load(shared_tmp / "pressed.toml"), shared_tmp / "pressed")

@@ -98,9 +98,9 @@ def test_a_load_that_comes_and_goes_leaves_the_fluid_it_found(shared_tmp, rule):
     MPI.COMM_WORLD.barrier()
     history, _ = winkler.ran(folder, x, text, "output.fields_every=1", *options)
     MPI.COMM_WORLD.barrier()
-    run = next(path for path in folder.iterdir() if path.is_dir()) / "run"
+    ran = next(path for path in folder.iterdir() if path.is_dir()) / "run"
     kept = []
-    for _, file in list_steps(run, "fractures"):
+    for _, file in list_steps(ran, "fractures"):
         _, fields, _ = read_step(file)
         aperture, pressure = np.ravel(fields["aperture"]), np.ravel(fields["pressure"])
         kept.append(0.5 * np.repeat(np.diff(x), 2) @ (aperture * np.exp(pressure - 0.1)))
