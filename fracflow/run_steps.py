@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.compression import taken_between
+from fracflow.assembly.compression import narrowing, taken_between
 from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.operators import Operators
@@ -28,6 +28,7 @@ from fracflow.state import Memory, Motion, Past, State, StepReport
 from fracflow.stepping import STEPPERS, Alphas, Steady, Stepper, first
 
 Progress = Mapping[str, float]
+NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
 DONE: Progress = {"done": 1.0}
 
@@ -99,12 +100,37 @@ class Stepping:
     ) -> tuple[State, StepReport]:
         """One step to ``time``, by default under the loads of the scene and no restraint.
 
+        A rule of the film that remembers carries walls on as they moved, through a fracture that pinches shut, and leaves
+        them there, for nothing flows any more. Backward Euler stops them in time: it makes the steps in which one closes.
+
         lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
         hold     all joint sections keep their status
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
+        rule = stepper if state.memory.time_step > 0.0 else first(stepper)
+        new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking)
+        left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
+        if left < NARROWS:
+            new.destroy()
+            what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
+            self.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
+            new, report = self._step_by(first(stepper), state, stepper, time, dt, controls, loads, restraint, lacking)
+        self.network.tell(time)
+        return new, report
+
+    def _step_by(
+        self,
+        rule: Stepper,
+        state: State,
+        stepper: Stepper,
+        time: float,
+        dt: float,
+        controls: Mapping[str, float],
+        loads: Loads | None,
+        restraint: PETSc.Vec | None,
+        lacking: float,
+    ) -> tuple[State, StepReport]:
         last = state.memory.time_step
-        rule = stepper if last > 0.0 else first(stepper)
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
         loads, scheme = loads or self.model.loads, Scheme(rule.inertia, rule.storage, rule.balance)
         fluid, network = self.model.scene.fluid, self.model.operators.flow
@@ -147,7 +173,6 @@ class Stepping:
                 wells = tuple(sorted(limit.well for limit in now))
                 memory = _remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
                 friction = dissipated(state, new)
-                self.network.tell(time)
                 return replace(new, energy=energy, limited=wells, friction=friction, memory=memory), report
             new.destroy()
             reached, failed = now, None

@@ -34,6 +34,22 @@ def test_it_goes_on_and_says_so(shared_tmp):
     assert "time 6: slot conducts again" in log
 
 
+@pytest.mark.parametrize("film", ["backward-euler", "bdf2"])
+def test_with_storage_fluid_holds_it_open(shared_tmp, film):
+    """Thin fluid runs out until it is too narrow for the rest, never through nothing, and comes back: 1 mm in the end."""
+    options = ["output.pictures=false", f"method.film={film}", "well.in.flow_rate=0", "fluid.viscosity=1e-6"]
+    run(load(SCENE, [*options, 'stage=[{kind="quasi-static", time_step=1, steps=9}]']), shared_tmp / "run")
+    MPI.COMM_WORLD.barrier()
+    found = read_history(shared_tmp / "run" / "history.h5")
+    time, aperture = found["time"], found["probe/middle/aperture"]
+    assert aperture.min() > 0.0
+    assert aperture[time == 2.0] == pytest.approx(2e-4, rel=0.02)  # 0.4 mm a second, as the load says
+    assert aperture[time == 4.0] < 1e-5
+    assert aperture[time == 9.0] == pytest.approx(1e-3, rel=1e-3)
+    largest = max(np.abs(v).max() for k, v in found.items() if k.startswith("energy/"))
+    assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
+
+
 def test_pumping_on_is_named(shared_tmp):
     with pytest.raises(SolveError, match=r"time 3: flow rates of in add up to 1e-05 m\*\*3/s in cut, slot \(3 nodes"):
         run(load(SCENE, ["output.pictures=false", "well.in.flow_rate=1e-5"]), shared_tmp / "run")
