@@ -60,16 +60,19 @@ def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float
 def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
     """The same of the flow at the joint ends (j, 2), from what openings are the differences of [volume rate per thickness].
 
-    A fracture that is nearly closed knows its aperture to few digits, its cube to fewer, and what its walls squeeze out
-    to those of the motion that they share. ``rate`` is alpha_1.
+    Pressures in a wide fracture in a row with a narrow one differ by hardly more than they are rounded off. A fracture that
+    is nearly closed knows its aperture to few digits, its cube to fewer, and what its walls squeeze out to those of the
+    motion that they share. ``rate`` is alpha_1.
     """
+    rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
+    driven: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
     if moved is None:
-        return np.zeros_like(network.aperture)
+        return driven
     known = NOISE * ROUND_OFF * np.abs(moved)
     drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
     through = (np.abs(conduction.slope) * known).sum(axis=1) * drop
     squeezed: Floats = 0.5 * rate * network.length[:, None] * known + through[:, None]
-    return squeezed
+    return driven + squeezed
 
 
 def noise_of_rock(operators: Operators, displacement: float) -> float:

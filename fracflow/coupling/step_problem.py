@@ -198,8 +198,10 @@ class StepProblem:
                 terms.append(largest_of(self._uptake))
         speed.destroy()
         self._close()
-        # what an element carries at full pressure: the size of the terms whose difference is its flow
-        size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
+        # what an element carries, or a share of what it would at full pressure: terms whose difference is its flow
+        drop = np.abs(self.conduction.pressure[:, :1] - self.conduction.pressure[:, 1:])
+        full = np.maximum(np.abs(self.conduction.pressure), self._before)
+        size = np.maximum(drop, CANCELLATION * full)
         size = np.maximum(size, LEAST_DRIVE * self.state.drive)
         through = self.conduction.conductance[:, None] * size
         if stored is not None:
