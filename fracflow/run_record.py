@@ -207,7 +207,8 @@ class Files:
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
-        notes |= {"limited": list(state.limited), "last_step": state.memory.time_step, "drive": state.drive}
+        notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
+        notes |= {"drive": state.drive, "power": state.power}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
 

@@ -15,6 +15,7 @@ from fracflow.assembly.operators import Operators
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, balance_terms
 from fracflow.coupling.digits import digits_of, refuse_few
+from fracflow.coupling.flow_digits import digits_of_flow, refuse_few_of_flow
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
@@ -148,7 +149,7 @@ class Stepping:
             try:
                 report = self._coupling(closed).solve(problem)
                 new = accept(problem, state.energy)
-                report = replace(report, digits=self._digits(new))
+                report = replace(report, digits=self._digits(problem, new))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
                 try:
@@ -190,11 +191,16 @@ class Stepping:
         opening = self.model.operators.joints.openings(state.sections.strain)
         self.network.look(network.conduct(state.motion.displacement, state.pressure, opening))
 
-    def _digits(self, new: State) -> float:
-        """Digits of the worst tractions. Raises SolveError, on every rank, where too few are left. Collective."""
-        found = digits_of(self.model.operators, new)
+    def _digits(self, problem: StepProblem, new: State) -> float:
+        """Digits of the worst tractions. Raises SolveError, on every rank, if too few are left, or of the flow. Collective."""
+        found, limit = digits_of(self.model.operators, new), self.model.scene.accuracy.digits
         try:
-            refuse_few(found, self.model.scene.accuracy.digits, new.time)
+            refuse_few(found, limit, new.time)
+            if problem.conduction is not None:
+                flow = digits_of_flow(
+                    self.model.operators, problem.conduction, problem.loads.given_pressures, new.power
+                )
+                refuse_few_of_flow(flow, limit, new.time)
         except SolveError:
             new.destroy()
             raise

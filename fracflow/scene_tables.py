@@ -149,7 +149,8 @@ class Accuracy(Part):
     pressure: Fraction = Field(default=1e-10, description="epsilon_F of the fixed point (4.5), relative [1]")
     digits: Annotated[int, Field(strict=True, ge=0, le=15)] = Field(
         default=6,
-        description="digits that round-off must leave of the joint tractions, or the run stops; 0 lets it go on [1]",
+        description="digits that round-off must leave of the joint tractions, and of what wells with a pressure draw, or the"
+        " run stops; 0 lets it go on [1]",
     )
     max_iterations: Count = Field(default=50, description="Newton iterations of a step before it is halved or given up")
     max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] = Field(

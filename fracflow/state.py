@@ -120,6 +120,7 @@ class State:
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     drive     largest pressure, above that at rest, at the end of a step since the start [stress]
+    power     most that the flow has dissipated at the end of a step since the start [energy/time per thickness]
     """
 
     time: float
@@ -134,6 +135,7 @@ class State:
     memory: Memory = Memory()
     uptake: PETSc.Vec | None = None
     drive: float = 0.0
+    power: float = 0.0
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""

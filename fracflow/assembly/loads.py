@@ -67,6 +67,11 @@ class Loads:
     limits: tuple[Limit, ...] = ()
     closures: tuple[Closure, ...] = ()
 
+    @property
+    def given_pressures(self) -> Ints:
+        """Local numbers of the flow nodes of this rank whose pressure is prescribed."""
+        return np.concatenate([part.numbers for part in self.pressures] or [np.zeros(0, dtype=np.int64)])
+
     def at_limit(self, reached: Collection[Limit]) -> Loads:
         """The same with some wells kept at the pressure of a limit, in place of their flow rates."""
         names = {limit.well for limit in reached}

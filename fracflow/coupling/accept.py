@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.coupling.flow_digits import flow_power
 from fracflow.coupling.newton import NewtonReport
 from fracflow.coupling.residual import Residual
 from fracflow.coupling.step_problem import StepProblem
@@ -17,16 +18,19 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
     motion = Motion(problem.displacement.copy(), problem.velocity(), problem.acceleration())
     drive = 0.0 if problem.conduction is None else float(np.abs(problem.conduction.pressure).max(initial=0.0))
+    forces, given = balance_terms(problem, motion), problem.loads.given_pressures
+    power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
     return State(
         problem.time,
         motion,
         problem.pressure.copy(),
         problem.sections,
-        balance_terms(problem, motion),
+        forces,
         dict(problem.controls),
         energy,
         uptake=problem.uptake(),
         drive=max(problem.state.drive, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)),
+        power=max(problem.state.power, power),
     )
 
 

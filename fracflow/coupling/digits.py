@@ -57,6 +57,13 @@ def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
+def noise_of_pressure(network: Flow, conduction: Conduction) -> Floats:
+    """What round-off of the pressures makes of the flow at the joint ends (j, 2) [volume rate per thickness]."""
+    rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
+    noise: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
+    return noise
+
+
 def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
     """The same of the flow at the joint ends (j, 2), from what openings are the differences of [volume rate per thickness].
 
@@ -64,8 +71,7 @@ def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, r
     is nearly closed knows its aperture to few digits, its cube to fewer, and what its walls squeeze out to those of the
     motion that they share. ``rate`` is alpha_1.
     """
-    rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
-    driven: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
+    driven = noise_of_pressure(network, conduction)
     if moved is None:
         return driven
     known = NOISE * ROUND_OFF * np.abs(moved)

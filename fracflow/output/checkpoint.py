@@ -35,6 +35,7 @@ NOTES = (
     "limited",
     "last_step",
     "drive",
+    "power",
     "stage",
     "progress",
     "totals",
@@ -156,6 +157,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1])) if notes["last_step"] else Memory(),
         uptake=saved(RATES[0]),
         drive=notes["drive"],
+        power=notes["power"],
     )
 
 

@@ -103,6 +103,30 @@ def test_apertures_over_four_decades_conduct(shared_tmp, kind):
         run(load(shared_tmp / "scene.toml", thinner), shared_tmp / "thinner")
 
 
+@pytest.mark.parametrize("kind", ["steady", "quasi-static"])
+def test_pressures_on_both_sides_of_a_wide_fracture_and_a_narrow_one(shared_tmp, kind):
+    """Flow is p/(12 mu sum L/d^3), of which eps d_1^3/d_2^3 is round-off: few digits are named, with what would do."""
+    comm = MPI.COMM_WORLD
+    text = IN_A_ROW.replace("flow_rate = 1e-12", "pressure = 8e5").replace("20 mm", "100 mm")
+    if comm.rank == 0:
+        (shared_tmp / "scene.toml").write_text(f'stage = [{{kind = "{kind}", time_step = 1, steps = 1}}]\n' + text)
+    comm.barrier()
+    named = (
+        r"what wells with a pressure draw keeps 0\.0 digits, accuracy\.digits asks for 6: in wide, of conductance 0\.167.*"
+        r"thin, of hydraulic aperture 1e-06.*: give a flow_rate in place of the pressure in wide, or in thin a"
+        r" minimum_hydraulic_aperture of 0\.00013"
+    )
+    with pytest.raises(SolveError, match=named):
+        run(load(shared_tmp / "scene.toml", ["fracture.thin.aperture='1 um'"]), shared_tmp / "thin")
+    enough = ["fracture.thin.aperture='1 um'", "fracture.thin.minimum_hydraulic_aperture='0.13 mm'"]
+    run(load(shared_tmp / "scene.toml", enough), shared_tmp / "enough")
+    comm.barrier()
+    found = read_history(shared_tmp / "enough" / "history.h5")
+    power = 8e5**2 / (12e-3 * (2.0 / 0.13e-3**3 + 2.0 / 0.1**3))
+    assert found["energy/work_wells"][-1] == pytest.approx(power, rel=1e-6)
+    assert found["energy/viscous"][-1] == pytest.approx(power, rel=1e-6)
+
+
 IN_A_ROW = """
 output.pictures = false
 rock.rock.rigid = true

@@ -1,0 +1,102 @@
+"""How many digits of the flow pressures leave that are given on both sides of it, and the stop where they are too few.
+
+In a wide fracture in a row with a narrow one, pressures differ by less than they are rounded off; the flow there, and what a
+well with a pressure draws, is nothing but that. A flow rate that is given needs no such difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.flow import Conduction
+from fracflow.assembly.operators import Operators
+from fracflow.coupling.digits import MOST_DIGITS, noise_of_pressure
+from fracflow.errors import SolveError
+from fracflow.mesh.data import Floats, Ints
+
+BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
+RESOLVED = 1e-4  # of the largest pressure: a smaller drop may be what a network come to rest has left
+
+
+@dataclass(frozen=True)
+class FlowDigits:
+    """Digits of what wells with a pressure draw: the wide fracture, its conductance, and the narrow one, its aperture."""
+
+    digits: float
+    wide: str
+    conductance: float
+    narrow: str
+    aperture: float
+
+
+def flow_power(
+    operators: Operators, conduction: Conduction | None, pressure: PETSc.Vec, source: PETSc.Vec, given: Ints
+) -> float:
+    """What runs for certain: where pressure drops, and in wells, by more than round-off could [energy/time per thickness].
+
+    source  what the nodes draw; given  local numbers of those whose pressure is given. Collective.
+    """
+    network = operators.flow
+    if conduction is None or network is None:
+        return 0.0
+    noise = operators.layout.flow_vector()
+    network.taken_up(noise_of_pressure(network, conduction), noise)
+    driving = pressure.getArray(readonly=True) - network.resting.getArray(readonly=True)
+    drawn, blurred = (each.getArray(readonly=True)[given] for each in (source, noise))
+    work = np.where(np.abs(drawn) > BEYOND * blurred, np.abs(drawn * driving[given]), 0.0)
+    here = np.array([_powers(operators, conduction).sum(), work.sum()])
+    noise.destroy()
+    return float(operators.layout.comm.allreduce(here).max())
+
+
+def _powers(operators: Operators, conduction: Conduction) -> Floats:
+    largest = max(operators.layout.comm.allgather(float(np.abs(conduction.pressure).max(initial=0.0))))
+    drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
+    powers: Floats = conduction.conductance * np.where(drop > RESOLVED * largest, drop, 0.0) ** 2
+    return powers
+
+
+def digits_of_flow(operators: Operators, conduction: Conduction, given: Ints, power: float) -> FlowDigits:
+    """Digits of the work of wells at nodes (n,) of this rank whose pressure is given, by the largest ``power`` so far.
+
+    Round-off of the pressures around such a node, times its conductances, is a flow that the node draws. Collective.
+    """
+    network, block, comm = operators.flow, operators.blocks.joints, operators.layout.comm
+    assert network is not None
+    nodes, at_ends = operators.layout.flow_vector(), noise_of_pressure(network, conduction)
+    nodes.getArray()[given] = 1.0
+    lost = network.at_ends(nodes) * at_ends * np.abs(conduction.pressure)
+    nodes.destroy()
+    total, powers = comm.allreduce(float(lost.sum())), _powers(operators, conduction)
+    if not (total > 0.0 and power > 0.0):
+        return FlowDigits(MOST_DIGITS, "", 0.0, "", 0.0)
+
+    def largest(values: Floats) -> tuple[float, str, float, float]:
+        if not len(values):
+            return -1.0, "", 0.0, 0.0
+        worst = int(values.argmax())
+        conductance = float(conduction.conductance[worst])
+        aperture = (12.0 * network.viscosity * float(network.length[worst]) * conductance) ** (1.0 / 3.0)
+        return float(values[worst]), block.fractures[block.fracture[worst]], conductance, aperture
+
+    (_, wide, conductance, _), (_, narrow, _, aperture) = (
+        max(comm.allgather(largest(v))) for v in (lost.sum(1), powers)
+    )
+    return FlowDigits(min(MOST_DIGITS, float(-np.log10(total / power))), wide, conductance, narrow, aperture)
+
+
+def refuse_few_of_flow(found: FlowDigits, limit: int, time: float) -> None:
+    """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
+    if limit == 0 or found.digits >= limit:
+        return
+    left = min(max(round(found.digits, 1), 0.0), limit - 0.1)
+    enough = 1.1 * found.aperture * 10.0 ** ((limit - found.digits) / 3.0)
+    raise SolveError(
+        f"time {time:.6g}: what wells with a pressure draw keeps {left:.1f} digits, accuracy.digits asks for {limit}: in"
+        f" {found.wide}, of conductance {found.conductance:.3g}, pressures differ by less than their round-off, for"
+        f" {found.narrow}, of hydraulic aperture {found.aperture:.2g}, lets hardly anything through: give a flow_rate in place"
+        f" of the pressure in {found.wide}, or in {found.narrow} a minimum_hydraulic_aperture of {enough:.2g}"
+    )
