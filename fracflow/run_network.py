@@ -20,6 +20,9 @@ from fracflow.state import State
 
 MOST_TOLD = 5  # parts that the log lists
 BALANCED = 1e-12  # of the sum of the flow rates' sizes
+AGREES = (
+    1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has fewer digits
+)
 
 
 @dataclass(frozen=True)
@@ -55,18 +58,34 @@ class Network:
         """The same loads for the first instant of a stage with inertia: parts that nothing drains keep their mean pressure.
 
         The walls have their velocities then, and leave the level open. Raises SolveError, on every rank, naming a part
-        into which wells pump from that instant. Collective.
+        into which wells pump from that instant what its walls do not take up. Collective.
         """
-        found = self._found(loads, True, at_start=True)
+        found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
+        depth = fluid.flow_depth if fluid is not None else 1.0
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls) for well in wells]
-            is_swept = abs(sum(rates)) > BALANCED * sum(map(abs, rates))
-            if is_swept and not state.motion.velocity.norm(PETSc.NormType.INFINITY):
+            taken, moved = self._taken(part, state)
+            if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
                 raise SolveError(
                     f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, sum(rates))} from the first instant in"
-                    f" {part}, which no pressure drains: let them start at 0, or give a [[well]] with a pressure there"
+                    f" {part}, which no pressure drains, and its walls, as they move, take up {depth * taken:.6g}: let flow"
+                    " rates start at what the stage before ends with, or at 0, or give a [[well]] with a pressure there"
                 )
         return found.loads
+
+    def _taken(self, part: Part, state: State) -> tuple[float, float]:
+        """Rate at which the walls of a part make room, and the sum of its sizes [area/time]. Collective."""
+        closure = close(self.model.operators, part, len(part.nodes) > 1)
+        walls, speed = closure.weights, state.motion.velocity
+        if closure.by != "walls":
+            walls.destroy()
+            return 0.0, 0.0
+        taken, sizes = float(walls.dot(speed)), walls.copy()
+        sizes.setArray(np.abs(walls.getArray() * speed.getArray(readonly=True)))
+        moved = float(sizes.sum())
+        walls.destroy()
+        sizes.destroy()
+        return taken, moved
 
     def enclosed(self, loads: Loads, state: State, dt: float) -> list[Enclosed]:
         """The parts whose level the walls settle, with what wells begin to pump in the first ``dt``. The caller owns them.

@@ -80,7 +80,7 @@ class Newton:
         self._restless = np.zeros(0, dtype=bool)
         self._patterns: list[np.ndarray] = []
         self._flipped, self._circles = np.zeros(0, dtype=bool), False
-        self._is_start, self._is_filled = True, False
+        self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
 
     def solve(self, problem: StepProblem) -> NewtonReport:
@@ -90,7 +90,7 @@ class Newton:
         fills, iterations, comm = self.matrix.fills, 0, self.matrix.layout.comm
         for _ in range(MOST_CHANGES):
             self._pack(problem)
-            self._is_start, self._circles = True, False
+            self._is_start, self._circles, self._polished = True, False, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 self.snes.solve(None, self.unknowns)
@@ -260,26 +260,26 @@ class Newton:
         self._patterns.append(is_open.copy())
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
-        reasons = PETSc.SNES.ConvergedReason
-        problem, accuracy = self.problem, self.scene.accuracy
+        problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
         assert problem is not None
         self._out_of_balance.append(problem.residual.out_of_balance)
         self._watch(iteration, problem.sections.is_open)
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.past)
         self._is_start = False
-        if self._balanced(problem, iteration):
+        # one more where little runs beside what full pressure would drive: wells are to work by what runs
+        more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
+        self._polished = self._balanced(problem, iteration)
+        if self._polished and not (more and 0 < iteration < accuracy.max_iterations):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
         return int(reasons.DIVERGED_MAX_IT if iteration >= accuracy.max_iterations else reasons.ITERATING)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual
-        if iteration < self.least:
-            return False
-        together = residual.flow if self.only else max(residual.flow, residual.at_nodes)
-        flow = self.only == "solid" or together <= accuracy.residual
-        if self.only == "flow":
-            return residual.flow <= accuracy.residual
+        worst = residual.flow if self.only else max(residual.flow, residual.at_nodes)
+        flow = self.only == "solid" or worst <= accuracy.residual
+        if self.only == "flow" or iteration < self.least:
+            return flow and iteration >= self.least
         if self.scene.method.newton_test == "displacement":
             size = problem.displacement.norm()
             return flow and iteration > 0 and self._step <= accuracy.displacement * size

@@ -21,6 +21,7 @@ class Residual:
     solid, flow      largest entry, relative; what is beyond ``round_off``
     out_of_balance   Euclidean norm of the solid balance [force per thickness]
     at_nodes         of the flow, over the terms of the entry's own node: narrow fractures carry little beside wide ones
+    carried          of the flow, over what runs, where it is far less than full pressure would drive
     round_off        relative size of what displacements of finite digits leave of either balance, whatever is iterated
     """
 
@@ -29,6 +30,7 @@ class Residual:
     out_of_balance: float
     at_nodes: float = 0.0
     round_off: float = 0.0
+    carried: float = 0.0
 
 
 def largest(vector: PETSc.Vec) -> float:

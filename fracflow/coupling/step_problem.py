@@ -79,7 +79,7 @@ class StepProblem:
         self.held = compression_of(operators, state)
         self._uptake: Floats | None = None
         self._flow_rows: Floats | None = None
-        self._flow_noise: Floats | float = 0.0
+        self._flow_noise, self._carried = np.zeros(0), 0.0
         self._widest: list[float] | None = None
         network = operators.flow
         self._before = 0.0 if network is None else np.abs(network.driving(state.pressure))
@@ -198,11 +198,12 @@ class StepProblem:
                 terms.append(largest_of(self._uptake))
         speed.destroy()
         self._close()
-        # what an element carries, or a share of what it would at full pressure: terms whose difference is its flow
-        drop = np.abs(self.conduction.pressure[:, :1] - self.conduction.pressure[:, 1:])
-        full = np.maximum(np.abs(self.conduction.pressure), self._before)
-        size = np.maximum(drop, CANCELLATION * full)
+        # what an element carries at full pressure: the size of the terms whose difference is its flow
+        size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
         size = np.maximum(size, LEAST_DRIVE * self.state.drive)
+        drop = np.abs(self.conduction.pressure[:, :1] - self.conduction.pressure[:, 1:])
+        runs = self.conduction.conductance[:, None] * np.maximum(drop, CANCELLATION * size)
+        self._carried = max(*terms, float(runs.max(initial=0.0)))
         through = self.conduction.conductance[:, None] * size
         if stored is not None:
             known = np.abs(stored.held) + stored.weight * np.abs(self.conduction.pressure)
@@ -242,8 +243,9 @@ class StepProblem:
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
-        here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0))]
-        solid, solid_terms, flow, flow_terms, blurred, moved, hidden = over_ranks(here, comm)
+        here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
+        solid, solid_terms, flow, flow_terms, blurred, moved, hidden, carried = over_ranks(here, comm)
+        carried = flow / max(carried, TINY)
         noise = blurred + noise_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
         solid, noise = max(solid - noise, 0.0) / size, noise / size
@@ -253,7 +255,7 @@ class StepProblem:
         )
         closed = (closure.row for closure in self.loads.closures)
         own = flow_residual(balance, rows, flow_terms, closed, comm)
-        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise)
+        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, carried)
         if not np.isfinite(solid + flow):
             raise NotConverged(f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}")
 

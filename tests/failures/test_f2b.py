@@ -119,6 +119,12 @@ def test_a_stage_with_inertia_begins_at_the_level_that_its_walls_settle(shared_t
     assert "no pressure is prescribed in" in log and "settled by its walls" in log
     with pytest.raises(SolveError, match=r"in, out add up to 2e-05 .*from the first instant in sealed"):
         history(shared_tmp / "refused", stage, "well.out.flow_rate=0")
+    # nor is it taken up because something moves
+    moving = "initial.velocity=[1e-3, 0]"
+    with pytest.raises(
+        SolveError, match=r"in, out add up to 2e-05 .*in sealed.*, and its walls, as they move, take up"
+    ):
+        history(shared_tmp / "moving", stage, "well.out.flow_rate=0", moving)
 
 
 def test_what_begins_to_flow_in_sets_the_first_level(shared_tmp):
