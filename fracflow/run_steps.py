@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.compression import narrowing, taken_between
+from fracflow.assembly.compression import narrowing
 from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
-from fracflow.assembly.operators import Operators
 from fracflow.coupling import COUPLINGS, Coupling
-from fracflow.coupling.accept import accept, balance_terms
-from fracflow.coupling.digits import digits_of, refuse_few
-from fracflow.coupling.flow_digits import digits_of_flow, refuse_few_of_flow
+from fracflow.coupling.accept import accept, balance_terms, remember
+from fracflow.coupling.flow_digits import check_digits
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
@@ -109,13 +107,15 @@ class Stepping:
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         rule = stepper if state.memory.time_step > 0.0 else first(stepper)
-        new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking)
+        loads = loads or self.model.loads
+        new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
         if left < NARROWS:
             new.destroy()
             what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
             self.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
-            new, report = self._step_by(first(stepper), state, stepper, time, dt, controls, loads, restraint, lacking)
+            rule = first(stepper)
+            new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold)
         self.network.tell(time)
         return new, report
 
@@ -127,13 +127,14 @@ class Stepping:
         time: float,
         dt: float,
         controls: Mapping[str, float],
-        loads: Loads | None,
+        loads: Loads,
         restraint: PETSc.Vec | None,
         lacking: float,
+        hold: bool,
     ) -> tuple[State, StepReport]:
         last = state.memory.time_step
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
-        loads, scheme = loads or self.model.loads, Scheme(rule.inertia, rule.storage, rule.balance)
+        scheme = Scheme(rule.inertia, rule.storage, rule.balance)
         fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
         if network is not None:
@@ -149,7 +150,7 @@ class Stepping:
             try:
                 report = self._coupling(closed).solve(problem)
                 new = accept(problem, state.energy)
-                report = replace(report, digits=self._digits(problem, new))
+                report = replace(report, digits=check_digits(problem, new, self.model.scene.accuracy.digits))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
                 try:
@@ -172,7 +173,7 @@ class Stepping:
             if now == reached and same:
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
-                memory = _remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
+                memory = remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
                 friction = dissipated(state, new)
                 return replace(new, energy=energy, limited=wells, friction=friction, memory=memory), report
             new.destroy()
@@ -190,21 +191,6 @@ class Stepping:
         assert network is not None
         opening = self.model.operators.joints.openings(state.sections.strain)
         self.network.look(network.conduct(state.motion.displacement, state.pressure, opening))
-
-    def _digits(self, problem: StepProblem, new: State) -> float:
-        """Digits of the worst tractions. Raises SolveError, on every rank, if too few are left, or of the flow. Collective."""
-        found, limit = digits_of(self.model.operators, new), self.model.scene.accuracy.digits
-        try:
-            refuse_few(found, limit, new.time)
-            if problem.conduction is not None:
-                flow = digits_of_flow(
-                    self.model.operators, problem.conduction, problem.loads.given_pressures, new.power
-                )
-                refuse_few_of_flow(flow, limit, new.time)
-        except SolveError:
-            new.destroy()
-            raise
-        return found.digits
 
     def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
         """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
@@ -304,15 +290,3 @@ class Stepping:
         for _, coupling in self._couplings.values():
             coupling.destroy()
         self.network.destroy()
-
-
-def _remember(operators: Operators, old: State, new: State, dt: float) -> Memory:
-    """The mean velocity of the step between two states, and the mean rate at which compression took up fluid."""
-    velocity = new.motion.displacement.duplicate()
-    before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
-    velocity.setArray((after - before) / dt)
-    if new.uptake is None:
-        return Memory(dt, velocity)
-    taken = taken_between(operators, old, new)
-    taken.scale(1.0 / dt)
-    return Memory(dt, velocity, taken)

@@ -7,11 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.assembly.compression import taken_between
+from fracflow.assembly.operators import Operators
 from fracflow.coupling.flow_digits import flow_power
 from fracflow.coupling.newton import NewtonReport
 from fracflow.coupling.residual import Residual
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.state import Forces, Motion, State, StepReport
+from fracflow.state import Forces, Memory, Motion, State, StepReport
 
 
 def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
@@ -78,3 +80,15 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     support.getArray()[~held] = 0.0
     term.destroy()
     return Forces(problem.load.copy(), support, conduction, source)
+
+
+def remember(operators: Operators, old: State, new: State, dt: float) -> Memory:
+    """The mean velocity of the step between two states, and the mean rate at which compression took up fluid."""
+    velocity = new.motion.displacement.duplicate()
+    before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
+    velocity.setArray((after - before) / dt)
+    if new.uptake is None:
+        return Memory(dt, velocity)
+    taken = taken_between(operators, old, new)
+    taken.scale(1.0 / dt)
+    return Memory(dt, velocity, taken)

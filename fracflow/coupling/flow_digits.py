@@ -13,9 +13,11 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.digits import MOST_DIGITS, noise_of_pressure
+from fracflow.coupling.digits import MOST_DIGITS, digits_of, noise_of_pressure, refuse_few
+from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
+from fracflow.state import State
 
 BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
 RESOLVED = 1e-4  # of the largest pressure: a smaller drop may be what a network come to rest has left
@@ -100,3 +102,20 @@ def refuse_few_of_flow(found: FlowDigits, limit: int, time: float) -> None:
         f" {found.narrow}, of hydraulic aperture {found.aperture:.2g}, lets hardly anything through: give a flow_rate in place"
         f" of the pressure in {found.wide}, or in {found.narrow} a minimum_hydraulic_aperture of {enough:.2g}"
     )
+
+
+def check_digits(problem: StepProblem, new: State, limit: int) -> float:
+    """Digits of the worst tractions of the state that a solved problem leads to.
+
+    Raises SolveError, on every rank, where fewer than ``limit`` are left, or of the flow; it frees the state. Collective.
+    """
+    found, operators = digits_of(problem.operators, new), problem.operators
+    try:
+        refuse_few(found, limit, new.time)
+        if problem.conduction is not None:
+            flow = digits_of_flow(operators, problem.conduction, problem.loads.given_pressures, new.power)
+            refuse_few_of_flow(flow, limit, new.time)
+    except SolveError:
+        new.destroy()
+        raise
+    return found.digits

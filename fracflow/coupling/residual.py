@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.flow import Conduction
 from fracflow.coupling.digits import ROUND_OFF
 from fracflow.mesh.data import Floats, Ints
 
@@ -64,3 +65,21 @@ def flow_residual(
     for rows in closed:
         own[rows] = largest
     return over_ranks([largest_of(balance / np.maximum(own, TINY))], comm)[0]
+
+
+def flow_sizes(
+    conduction: Conduction, cancels: float, before: Floats | float, drive: float, storing: float
+) -> tuple[Floats, float]:
+    """What elements carry at full pressure at their ends (j, 2), terms whose difference is their flow; the most that runs.
+
+    cancels  share of a term that is the least of what is left of it; before  end pressures of the last state
+    drive    least pressure that drives; storing  b_1, by which a compressible fluid is taken up
+    """
+    size = np.maximum(np.maximum(np.abs(conduction.pressure), cancels * before), drive)
+    drop = np.ptp(conduction.pressure, axis=1, keepdims=True)
+    runs = conduction.conductance[:, None] * np.maximum(drop, cancels * size)
+    through: Floats = conduction.conductance[:, None] * size
+    if (stored := conduction.compression) is not None:
+        known = np.abs(stored.held) + stored.weight * np.abs(conduction.pressure)
+        through = np.maximum(through, cancels * storing * known)
+    return through, float(runs.max(initial=0.0))

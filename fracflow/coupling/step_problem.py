@@ -20,7 +20,7 @@ from fracflow.assembly.operators import Operators
 from fracflow.coupling.compression import taken_by, uptake_rate, why_not_finite
 from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
-from fracflow.coupling.residual import TINY, Residual, flow_residual, largest, largest_of, over_ranks
+from fracflow.coupling.residual import TINY, Residual, flow_residual, flow_sizes, largest, largest_of, over_ranks
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import MotionValues, Past, Sections, State
@@ -198,16 +198,9 @@ class StepProblem:
                 terms.append(largest_of(self._uptake))
         speed.destroy()
         self._close()
-        # what an element carries at full pressure: the size of the terms whose difference is its flow
-        size = np.maximum(np.abs(self.conduction.pressure), CANCELLATION * self._before)
-        size = np.maximum(size, LEAST_DRIVE * self.state.drive)
-        drop = np.abs(self.conduction.pressure[:, :1] - self.conduction.pressure[:, 1:])
-        runs = self.conduction.conductance[:, None] * np.maximum(drop, CANCELLATION * size)
-        self._carried = max(*terms, float(runs.max(initial=0.0)))
-        through = self.conduction.conductance[:, None] * size
-        if stored is not None:
-            known = np.abs(stored.held) + stored.weight * np.abs(self.conduction.pressure)
-            through = np.maximum(through, CANCELLATION * self.alphas.b1 * known)
+        drive = LEAST_DRIVE * self.state.drive
+        through, runs = flow_sizes(self.conduction, CANCELLATION, self._before, drive, self.alphas.b1)
+        self._carried = max(*terms, runs)
         sized, noise = flow.duplicate(), flow.duplicate()
         network.taken_up(through, sized)
         moved = self.operators.joints.openings(self._moved)
@@ -245,17 +238,17 @@ class StepProblem:
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
         here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
         solid, solid_terms, flow, flow_terms, blurred, moved, hidden, carried = over_ranks(here, comm)
-        carried = flow / max(carried, TINY)
         noise = blurred + noise_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
         solid, noise = max(solid - noise, 0.0) / size, noise / size
-        flow, noise = flow / max(flow_terms, TINY), max(noise, hidden / max(flow_terms, TINY))
+        least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
+        flow, noise = flow / flow_terms, max(noise, hidden / flow_terms)
         rows = (
             None if self._flow_rows is None else self._flow_rows + CANCELLATION * self.alphas.a1 * scales.length * moved
         )
         closed = (closure.row for closure in self.loads.closures)
         own = flow_residual(balance, rows, flow_terms, closed, comm)
-        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, carried)
+        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, least)
         if not np.isfinite(solid + flow):
             raise NotConverged(f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}")
 
