@@ -20,6 +20,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.state import State
 
 BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
+INSIDE = 3.0  # times the round-off at a well: nodes further in a wide fracture leave as much
 RESOLVED = 1e-4  # of the largest pressure: a smaller drop may be what a network come to rest has left
 
 
@@ -72,7 +73,7 @@ def digits_of_flow(operators: Operators, conduction: Conduction, given: Ints, po
     nodes.getArray()[given] = 1.0
     lost = network.at_ends(nodes) * at_ends * np.abs(conduction.pressure)
     nodes.destroy()
-    total, powers = comm.allreduce(float(lost.sum())), _powers(operators, conduction)
+    total, powers = INSIDE * comm.allreduce(float(lost.sum())), _powers(operators, conduction)
     if not (total > 0.0 and power > 0.0):
         return FlowDigits(MOST_DIGITS, "", 0.0, "", 0.0)
 
