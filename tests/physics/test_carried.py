@@ -34,14 +34,15 @@ steps = 10
 
 def _tractions(middle):
     """A patch of 1 m around the middle."""
-    return f"fracture.fault.initial_shear_traction={{along = [0, 1.4, 1.5, 2.5, 2.6, 4], value = [3e6, 3e6, {middle}, {middle}, 3e6, 3e6]}}"
+    along, value = [0, 1.4, 1.5, 2.5, 2.6, 4], [3e6, 3e6, middle, middle, 3e6, 3e6]
+    return f"fracture.fault.initial_shear_traction={{along = {along}, value = {value}}}"
 
 
 CARRIED = "initial_stress.unbalanced=carried"
 
 
 def test_refused_by_name_unless_carried(run_scene):
-    with pytest.raises(InputError, match="out of balance .* at .*fault.*unbalanced"):
+    with pytest.raises(InputError, match=r"out of balance .* at .*fault.*unbalanced"):
         run_scene(SCENE, _tractions(4e6))
 
 
