@@ -62,6 +62,21 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
     return Facets(nodes, length, outward(blocks, facets), lam, shear, rock_values(blocks, scene, "density")[cells])
 
 
+def describe(blocks: Blocks, scene: Scene) -> tuple[str, ...]:
+    """What the log should tell of absorbing sides: how much of a wave they send back. Collective."""
+    lines = []
+    for absorbing in scene.absorbing if scene.has_dynamics else ():
+        facets = facets_of(blocks, scene, absorbing)
+        ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
+        everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
+        for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
+            lines.append(
+                f"absorbing {', '.join(absorbing.on)}: of a P wave {dashpot.reflections(float(ratio))} from the normal comes"
+                f" back (Poisson's ratio {ratio:.4g})"
+            )
+    return tuple(lines)
+
+
 def damping(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat | None:
     """C of all absorbing sides on the unknowns, lumped; None where there are none, or no inertia. Collective.
 

@@ -39,6 +39,14 @@ def wave_traction(normal: Floats, direction: Any, motion: Any, lam: Any, shear: 
     return -(lam * (motion @ direction) * normal + shear * both) / speed
 
 
+ANGLES = (0.0, 45.0, 60.0, 75.0)
+
+
+def reflections(poissons_ratio: float) -> str:
+    """What comes back of a P wave by its angle, in words."""
+    return ", ".join(f"{reflection(poissons_ratio, angle):.3f} at {angle:.0f}" for angle in ANGLES) + " degrees"
+
+
 def reflection(poissons_ratio: float, degrees: float, kind: str = "p") -> float:
     """Amplitude that dashpots send back in a wave's own kind, over that of the plane wave that meets them at an angle.
 
