@@ -12,7 +12,8 @@ from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushe
 from fracflow.assembly.energy_motion import Scheme, kinetic_energy
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
-from fracflow.coupling.accept import accept, balance_terms
+from fracflow.coupling.absorption import carried_on
+from fracflow.coupling.accept import accept, balance_terms, remember
 from fracflow.coupling.digits import digits_of, refuse_few
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
@@ -149,11 +150,11 @@ class Stepping:
             if now == reached and same:
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
-                memory = _remember(state, new, dt) if stepper.memory else Memory()
+                memory = remember(state, new, dt) if stepper.memory else Memory()
                 friction = dissipated(state, new)
                 self.network.tell(time)
-                more = {"limited": wells, "friction": friction, "memory": memory, "around": around}
-                return replace(new, energy=energy, **more), report
+                new = replace(new, energy=energy, limited=wells, friction=friction)
+                return replace(new, memory=memory, around=around), report
             new.destroy()
             reached, failed = now, None
         if same and not failed:
@@ -260,7 +261,7 @@ class Stepping:
             self._look(begun)
             closed = self.network.level(loads, begun)
         now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
-        known, anchor = begun.forces.anchor, self._anchor(begun)
+        known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
         begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
         problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
         problem.branch = branch
@@ -291,29 +292,8 @@ class Stepping:
         start = replace(begun, pressure=pressure, sections=sections, forces=forces)
         return replace(start, memory=Memory(), pressure_rate=rate)
 
-    def _anchor(self, state: State) -> PETSc.Vec | None:
-        """What absorbing sides go on to carry: their reactions where they were held. The caller destroys a new one."""
-        if self.model.operators.damping is None or state.forces.anchor is not None:
-            return state.forces.anchor
-        anchor, resting = state.forces.support.duplicate(), self.model.loads.resting
-        anchor.set(0.0)
-        anchor.getArray()[resting] = state.forces.support.getArray(readonly=True)[resting]
-        return anchor
-
     def destroy(self) -> None:
         """Free the solvers. Collective."""
         for _, coupling in self._couplings.values():
             coupling.destroy()
         self.network.destroy()
-
-
-def _remember(old: State, new: State, dt: float) -> Memory:
-    """The mean velocity of the step between two states, and the mean rate of the pressures of a compressible fluid."""
-    velocity = new.motion.displacement.duplicate()
-    before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
-    velocity.setArray((after - before) / dt)
-    if new.pressure_rate is None:
-        return Memory(dt, velocity)
-    pressure = new.pressure.duplicate()
-    pressure.setArray((new.pressure.getArray(readonly=True) - old.pressure.getArray(readonly=True)) / dt)
-    return Memory(dt, velocity, pressure)

@@ -25,14 +25,18 @@ class Absorption:
     incident: float = 0.0
 
     @staticmethod
-    def of(operators: Operators, loads: Loads, state: State, time: float, around: Around) -> Absorption:
-        """That of a step to ``time`` from a state. Collective."""
+    def of(
+        operators: Operators, loads: Loads, state: State, time: float, around: Around, load: PETSc.Vec
+    ) -> Absorption:
+        """That of a step to ``time`` from a state; what the sides carry is added to ``load``. Collective."""
         if operators.damping is None or loads.at_rest:
             return Absorption()
         wave = operators.layout.solid_vector() if loads.waves else None
         if wave is not None:
             for each in loads.waves:
                 each.add_force(time, around, wave)
+        if state.forces.anchor is not None:
+            load.axpy(1.0, state.forces.anchor)
         incident = sum(each.power(time, around) for each in loads.waves)
         return Absorption(operators.damping, wave, state.forces.anchor, incident)
 
@@ -50,3 +54,13 @@ class Absorption:
         """Free what is of this step."""
         if self.wave is not None:
             self.wave.destroy()
+
+
+def carried_on(operators: Operators, loads: Loads, state: State) -> PETSc.Vec | None:
+    """What absorbing sides go on to carry: their reactions where they were held. The caller destroys a new one."""
+    if operators.damping is None or state.forces.anchor is not None:
+        return state.forces.anchor
+    anchor = state.forces.support.duplicate()
+    anchor.set(0.0)
+    anchor.getArray()[loads.resting] = state.forces.support.getArray(readonly=True)[loads.resting]
+    return anchor

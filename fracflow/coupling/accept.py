@@ -11,7 +11,7 @@ from fracflow.assembly.balance import static_balance
 from fracflow.coupling.newton import NewtonReport
 from fracflow.coupling.residual import Residual
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.state import Forces, Motion, State, StepReport
+from fracflow.state import Forces, Memory, Motion, State, StepReport
 
 
 def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
@@ -71,3 +71,15 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     anchor = problem.absorption.anchor
     kept = None if anchor is None else anchor.copy()
     return Forces(problem.load.copy(), support, conduction, source, absorbed, kept, problem.absorption.incident)
+
+
+def remember(old: State, new: State, dt: float) -> Memory:
+    """The mean velocity of the step between two states, and the mean rate of the pressures of a compressible fluid."""
+    velocity = new.motion.displacement.duplicate()
+    before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
+    velocity.setArray((after - before) / dt)
+    if new.pressure_rate is None:
+        return Memory(dt, velocity)
+    pressure = new.pressure.duplicate()
+    pressure.setArray((new.pressure.getArray(readonly=True) - old.pressure.getArray(readonly=True)) / dt)
+    return Memory(dt, velocity, pressure)

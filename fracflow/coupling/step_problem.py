@@ -70,9 +70,7 @@ class StepProblem:
             self.load.axpy(1.0, restraint)
         loads.source(time, controls, self.source, around)
         self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
-        self.absorption = Absorption.of(operators, loads, state, time, around)
-        if self.absorption.anchor is not None:
-            self.load.axpy(1.0, self.absorption.anchor)
+        self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
         self.moving = MovingTerms.of(operators, state, alphas, self.absorption)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self.pressure = state.pressure.copy()
@@ -104,7 +102,7 @@ class StepProblem:
             displacement.getArray()[still] = old[still]
 
     def move(self, increment: Floats) -> None:
-        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for what is prescribed."""
+        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for the prescribed."""
         old = self.state.motion.displacement.getArray(readonly=True)
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
@@ -176,8 +174,7 @@ class StepProblem:
             result.getArray()[part.numbers] = part.speed(self.time, self.around)
         return result
 
-    def _driven(self) -> tuple[Prescribed, ...]:
-        """Supports whose motion the scene gives, and no rule of stepping."""
+    def _driven(self) -> tuple[Prescribed, ...]:  # whose motion the scene gives, and no rule of stepping
         return self.loads.supports if self.alphas.a0 > 0.0 and max(self.around) > 0.0 else ()
 
     def rate(self) -> PETSc.Vec | None:

@@ -10,8 +10,8 @@ from .newmark import HasMotion, Stepper
 def local_error(stepper: Stepper, time_step: float, old: HasMotion, new: HasMotion) -> Any:
     """About the error in displacement that a step adds, of either sign.
 
-    With inertia, (beta - 1/6) dt^2 (a_new - a) (Zienkiewicz and Xie 1991), or dt^2 a_new/2 of first order; else that of backward Euler, dt (v_new - v)/2,
-    which is more than the rules of second order add.
+    With inertia, (beta - 1/6) dt^2 (a_new - a) (Zienkiewicz and Xie 1991), or dt^2 a_new/2 of first order; else that of
+    backward Euler, dt (v_new - v)/2, which is more than the rules of second order add.
     """
     if stepper.inertia:
         if stepper.order == 1:
