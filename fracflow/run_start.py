@@ -53,8 +53,8 @@ def settle(model: Model) -> None:
         raise InputError(
             f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
             f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
-            ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
-            " initial tractions must be those of initial_stress and fluid.initial_pressure, or initial_stress.unbalanced ="
+            ' carries initial stress needs a [[support]], [[absorbing]], or a [[load]] with traction = "initial-stress"; on a'
+            " fracture the initial tractions must be those of initial_stress and fluid.initial_pressure, or initial_stress.unbalanced ="
             ' "carried"; a [body_force] must balance the'
             f" gradient of initial_stress{_uncarried(model.scene)}; or let a first [[stage]] with kind = 'equilibrate' find"
             " the state that is"
