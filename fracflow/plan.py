@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+from fracflow.elements import dashpot
 from fracflow.scene import Scene
 
 
@@ -32,7 +33,23 @@ def decide(scene: Scene) -> list[Decision]:
         "inertia", not scene.has_dynamics, "a dynamic stage in the scene", f"stages {', '.join(kinds)}", "dynamic",
         "slip in stages without inertia is that of a slow process: up to half of the dynamic one",
     )  # fmt: skip
-    return [flow, inertia]
+    return [flow, inertia, *_far_field(scene)]
+
+
+def _far_field(scene: Scene) -> list[Decision]:
+    """Rock beyond absorbing sides, which waves that meet them at an angle would tell from none."""
+    ratios = sorted({rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None})
+    sides = ", ".join(name for absorbing in scene.absorbing for name in absorbing.on)
+    if not sides or not scene.has_dynamics:
+        return []
+    return [
+        Decision(
+            "rock beyond absorbing sides", True, f"share of a P wave that {sides} send back, by its angle to the normal",
+            f"{dashpot.reflections(ratio)} for Poisson's ratio {ratio:g}", "0 at 0 degrees",
+            "waves that meet a side at a slant come back weaker: move it away, or turn it towards them",
+        )
+        for ratio in ratios
+    ]  # fmt: skip
 
 
 def factorisations(solves: int, fills: int) -> Decision:

@@ -32,7 +32,7 @@ def equilibrate(
     stage = model.scene.stage[number]
     loads, count = _resting_fluid(model), stage.steps or 1
     held_back = imbalance(model, state.motion.displacement, state.sections.traction, state.pressure)
-    model.loads.release(held_back)
+    model.loads.standing().release(held_back)
 
     def attempt(state: State, begin: float, end: float, _: bool) -> Attempted:
         held_back.copy(restraint)

@@ -209,6 +209,7 @@ class Files:
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
         notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
         notes |= {"drive": state.drive, "power": state.power}
+        notes |= {"incident": state.forces.incident, "around": list(state.around)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
 

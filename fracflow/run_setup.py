@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.assembly.absorbing import describe
 from fracflow.assembly.components import label_parts
 from fracflow.assembly.loads import Loads, assemble_loads
 from fracflow.assembly.operators import Operators, assemble
@@ -206,6 +207,7 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
     numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
     loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
+    placed = replace(placed, notes=(*placed.notes, *describe(blocks, scene)))
     return Model(scene, mesh, placed, operators, loads)
 
 

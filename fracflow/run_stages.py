@@ -147,7 +147,11 @@ def run_stage(
             to = end if share == 1.0 else begin + share * (end - begin)
             lacking = 0.0 if stepper.inertia else still_lacking(begin, to)
             now, time = on_the_way(old.controls, controls, begin, to), start + (n - 1 + to) * stage.time_step
-            return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold)
+            if to == 1.0:
+                ahead = 0.0 if n == count else stage.time_step
+            else:
+                ahead = share * whole if share == 1.0 else (1.0 - to) * stage.time_step
+            return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead)
 
         new, report, share = (
             to_first_event(stepping, state, take, whole) if may_stop else (*take(state, 1.0, False), 1.0)

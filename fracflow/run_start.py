@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.energy import Scheme, book, dissipated, empty_books, put_in
+from fracflow.assembly.energy import book, dissipated, empty_books, put_in
+from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.joints import implied_tractions
 from fracflow.assembly.operators import Operators
 from fracflow.assembly.properties import body_force, initial_pressure, initial_stress
@@ -40,7 +41,7 @@ def settle(model: Model) -> None:
     balance, allowed = imbalance(model, motion.displacement, sections.traction, pressure), _slack(model)
     motion.destroy()
     pressure.destroy()
-    model.loads.release(balance)
+    model.loads.standing().release(balance)
     bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
     count = ops.blocks.comm.allreduce(int(bad.sum()))
     names = _names_at(ops, np.flatnonzero(bad))
@@ -52,9 +53,9 @@ def settle(model: Model) -> None:
         raise InputError(
             f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
             f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
-            ' carries initial stress needs a [[support]], or a [[load]] with traction = "initial-stress"; on a fracture the'
-            " initial tractions must be those of initial_stress and fluid.initial_pressure, or initial_stress.unbalanced ="
-            ' "carried"; a [body_force] must balance the'
+            ' carries initial stress needs a [[support]], [[absorbing]], or a [[load]] with traction = "initial-stress"; on a'
+            " fracture the initial tractions must be those of initial_stress and fluid.initial_pressure, or"
+            ' initial_stress.unbalanced = "carried"; a [body_force] must balance the'
             f" gradient of initial_stress{_uncarried(model.scene)}; or let a first [[stage]] with kind = 'equilibrate' find"
             " the state that is"
         )
@@ -102,7 +103,7 @@ def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.V
     layout = model.operators.layout
     load = imbalance(model, motion.displacement, sections.traction, pressure)
     support, initial = load.copy(), layout.solid_vector()
-    model.loads.release(load)
+    model.loads.standing().release(load)
     support.axpy(-1.0, load)
     model.loads.initial_force(initial)
     load.axpy(1.0, initial)

@@ -9,9 +9,11 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.compression import narrowing
-from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
+from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushed, switch
+from fracflow.assembly.energy_motion import Scheme, kinetic_energy
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.coupling import COUPLINGS, Coupling
+from fracflow.coupling.absorption import carried_on
 from fracflow.coupling.accept import accept, balance_terms, remember
 from fracflow.coupling.flow_digits import check_digits
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
@@ -24,7 +26,8 @@ from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.state import Memory, Motion, Past, State, StepReport
-from fracflow.stepping import STEPPERS, Alphas, Steady, Stepper, first
+from fracflow.stepping import Alphas, Steady, Stepper, first, stepper_from
+from fracflow.tables_time import AT_ONCE
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
@@ -50,9 +53,8 @@ def stepper_of(scene: Scene, stage: Stage) -> Stepper:
     """The rule that a kind of stage steps by."""
     method = scene.method
     if stage.kind == "dynamic":
-        stepper: Stepper = STEPPERS[method.stepper](beta=method.newmark_beta, gamma=method.newmark_gamma)
-        return stepper
-    return STEPPERS[method.film]() if stage.kind == "quasi-static" else Steady()
+        return stepper_from(method.stepper, method)
+    return stepper_from(method.film, method) if stage.kind == "quasi-static" else Steady()
 
 
 class Stepping:
@@ -64,6 +66,7 @@ class Stepping:
         self._couplings: dict[int, tuple[Loads, Coupling]] = {}
         self.network = Network(model)
         self._network_version = 0
+        self._at_rest: dict[int, tuple[Loads, Loads]] = {}
         self._variants: dict[tuple[int, frozenset[Limit]], Loads] = {}
 
     def _coupling(self, loads: Loads) -> Coupling:
@@ -96,6 +99,7 @@ class Stepping:
         restraint: PETSc.Vec | None = None,
         lacking: float = 0.0,
         hold: bool = False,
+        ahead: float | None = None,
     ) -> tuple[State, StepReport]:
         """One step to ``time``, by default under the loads of the scene and no restraint.
 
@@ -104,18 +108,21 @@ class Stepping:
 
         lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
         hold     all joint sections keep their status
+        ahead    length of the step that follows, 0 where the stage ends; by default as long as this one
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         rule = stepper if state.memory.time_step > 0.0 else first(stepper)
         loads = loads or self.model.loads
-        new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold)
+        new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold, ahead)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
         if left < NARROWS:
             new.destroy()
             what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
             self.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
             rule = first(stepper)
-            new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold)
+            new, report = self._step_by(
+                rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold, ahead
+            )
         self.network.tell(time)
         return new, report
 
@@ -131,10 +138,13 @@ class Stepping:
         restraint: PETSc.Vec | None,
         lacking: float,
         hold: bool,
+        ahead: float | None,
     ) -> tuple[State, StepReport]:
         last = state.memory.time_step
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
-        scheme = Scheme(rule.inertia, rule.storage, rule.balance)
+        around = (dt, dt if ahead is None else ahead) if rule.inertia else AT_ONCE
+        loads = self._standing(loads) if not rule.inertia else loads
+        scheme = Scheme(rule.inertia, rule.storage, rule.balance, alphas if rule.inertia else None, loads.held)
         fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
         if network is not None:
@@ -145,7 +155,7 @@ class Stepping:
             limited = self._limited(loads, reached)
             closed = self._closed(limited, rule.storage)
             problem = StepProblem(
-                self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial, hold
+                self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial, hold, around
             )
             try:
                 report = self._coupling(closed).solve(problem)
@@ -175,7 +185,8 @@ class Stepping:
                 wells = tuple(sorted(limit.well for limit in now))
                 memory = remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
                 friction = dissipated(state, new)
-                return replace(new, energy=energy, limited=wells, friction=friction, memory=memory), report
+                new = replace(new, energy=energy, limited=wells, friction=friction)
+                return replace(new, memory=memory, around=around), report
             new.destroy()
             reached, failed = now, None
         if same and not failed:
@@ -199,6 +210,13 @@ class Stepping:
         self.network.look(problem.conduction)
         return self.network.close(loads, stores) is problem.loads
 
+    def _standing(self, loads: Loads) -> Loads:
+        if not len(self.model.loads.fixed_resting) and self.model.operators.damping is None:
+            return loads
+        if id(loads) not in self._at_rest:
+            self._at_rest[id(loads)] = loads, loads.standing()
+        return self._at_rest[id(loads)][1]
+
     def _limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
         key = (id(loads), reached)
         if reached and key not in self._variants:
@@ -220,10 +238,17 @@ class Stepping:
         energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
         if not stepper.inertia:
             pressure, forces = state.pressure.copy(), state.forces.copy()
+            if forces.anchor is not None:
+                forces.anchor.destroy()
+                forces = replace(forces, anchor=None)
             kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
             return replace(kept, memory=Memory(), uptake=None)
-        was = state.sections
-        start = self._first_instant(replace(state, motion=motion, uptake=None, energy=energy), was.past, dt)
+        for moved in self.model.loads.supports if dt > 0.0 else ():
+            motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
+        energy = pushed(energy, kinetic_energy(ops, motion.velocity))
+        was, around = state.sections, (0.0, dt)
+        begun = replace(state, motion=motion, uptake=None, energy=energy, around=around)
+        start = self._first_instant(begun, was.past, dt)
         sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record)
         start = replace(start, sections=sections)
         if start.uptake is None:
@@ -258,7 +283,9 @@ class Stepping:
             self._look(begun)
             closed = self.network.level(loads, begun)
         now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
-        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls)
+        known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
+        begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
+        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
         problem.branch = branch
         try:
             problem.evaluate()
@@ -282,6 +309,8 @@ class Stepping:
             sections = problem.sections
         finally:
             problem.destroy()
+            if anchor is not None and anchor is not known:
+                anchor.destroy()
         start = replace(begun, pressure=pressure, sections=sections, forces=forces)
         return replace(start, memory=Memory(), uptake=rate)
 

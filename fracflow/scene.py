@@ -16,7 +16,7 @@ from pydantic import (
 
 from fracflow import __version__
 from fracflow.errors import InputError
-from fracflow.scene_actions import Control, Load, Probe, Stage, Support, Tie, Well
+from fracflow.scene_actions import Absorbing, Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene_checks import check_mesh_names, contradictions
 from fracflow.scene_errors import nearest, one_line
 from fracflow.scene_materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
@@ -36,7 +36,7 @@ from fracflow.scene_toml import override, read_toml, write_toml, write_value
 from fracflow.scene_traces import with_traces
 from fracflow.units import UnitSystem, fault
 
-__all__ = ["Scene", "load"]
+__all__ = ["Absorbing", "Scene", "load"]
 
 BEFORE_TRACES = ("geometry.fractures_csv", "units")  # settings that say how the table of traces is read
 
@@ -71,6 +71,7 @@ class Scene(Part):
     support: tuple[Support, ...] = Field(default=(), description="what is held or moved")
     load: tuple[Load, ...] = Field(default=(), description="tractions on sides")
     tie: tuple[Tie, ...] = Field(default=(), description="sides that move as one, or as each other")
+    absorbing: tuple[Absorbing, ...] = Field(default=(), description="sides that waves leave through")
     well: tuple[Well, ...] = Field(default=(), description="where fluid is pumped, or its pressure kept")
     control: dict[str, Control] = Field(default_factory=dict, description="factors that wells and loads share")
     probe: tuple[Probe, ...] = Field(default=(), description="places whose history is written")

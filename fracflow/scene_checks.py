@@ -114,6 +114,10 @@ def _actions(scene: Scene) -> Iterator[Fault]:
     for index, support in enumerate(scene.support):
         if "rotation" in support.components and rigid.isdisjoint(support.on):
             yield ("support", index, "components"), "only a rigid rock has a rotation; leave it out"
+    absorbing = [(index, name) for index, entry in enumerate(scene.absorbing) for name in entry.on]
+    for place, (index, name) in enumerate(absorbing):
+        if name in [known for _, known in absorbing[:place]]:
+            yield ("absorbing", index, "on"), f'names "{name}" again; a side absorbs once'
     clock: float | None = 0.0
     for index, stage in enumerate(scene.stage):
         if index and stage.kind == "equilibrate":
@@ -161,7 +165,7 @@ def _used_names(
     for index, support in enumerate(scene.support):
         for name in support.on:
             yield f"support.{index}.on", name, (*sides, *points, *rocks)
-    for key in ("load", "tie"):
+    for key in ("load", "tie", "absorbing"):
         for index, entry in enumerate(getattr(scene, key)):
             for name in entry.on:
                 yield f"{key}.{index}.on", name, rocks if getattr(entry, "force", None) is not None else sides

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 from pydantic import (
     BaseModel,
@@ -13,8 +13,10 @@ from pydantic import (
     StrictFloat,
     StrictInt,
     StrictStr,
+    create_model,
 )
 
+from fracflow.stepping import OF_FILMS, WITH_INERTIA, keys_of
 from fracflow.tables import Domain, Polyline
 from fracflow.units import (
     LENGTH,
@@ -49,7 +51,23 @@ class Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Method(Part):
+if TYPE_CHECKING:
+    InertiaStepper: TypeAlias = str
+    FilmStepper: TypeAlias = str
+    StepperKeys: Any = Part
+else:
+    InertiaStepper, FilmStepper = Literal[tuple(WITH_INERTIA)], Literal[tuple(OF_FILMS)]
+    StepperKeys = create_model(
+        "StepperKeys",
+        __base__=Part,
+        **{
+            key: (Annotated[float, Quantity(**limits)], Field(default=default, description=meaning))
+            for key, (default, meaning, limits) in keys_of(WITH_INERTIA).items()
+        },
+    )
+
+
+class Method(StepperKeys):
     """[method] How the equations are discretised and solved; defaults follow from ``model``."""
 
     quadrature: Literal["nodal", "gauss2", "one-point"] = Field(
@@ -66,17 +84,15 @@ class Method(Part):
         description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
     )
     mass: Literal["lumped", "consistent"] = Field(default="lumped", description="mass matrix of the rock")
-    film: Literal["backward-euler", "bdf2", "trapezoid"] = Field(
+    film: FilmStepper = Field(
         default="backward-euler",
         description="time integrator of quasi-static stages: first order and monotone, or second order; trapezoid rings for"
         " time steps above two drainage times; the first step of a stage is one of backward Euler",
     )
-    stepper: Literal["newmark"] = Field(default="newmark", description="time integrator of dynamic stages (4.1)-(4.3)")
-    newmark_beta: Annotated[float, Quantity(above=0.0, at_most=0.5)] = Field(
-        default=0.25, description="beta of (4.1) [1]; 1/4 is the trapezoidal rule"
-    )
-    newmark_gamma: Annotated[float, Quantity(at_least=0.5, at_most=1.0)] = Field(
-        default=0.5, description="gamma of (4.1) [1]; above 1/2 damps"
+    stepper: InertiaStepper = Field(
+        default="newmark",
+        description="time integrator of dynamic stages: newmark (4.1)-(4.3); hht and generalised-alpha, which damp what the"
+        " time step does not resolve and are of second order; implicit-euler, of first order, which damps all",
     )
     coupling: Literal["monolithic", "fixed-point", "whole-lu"] = Field(
         default="monolithic",

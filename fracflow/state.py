@@ -73,21 +73,32 @@ class Forces:
     support     reactions at supported unknowns, zero elsewhere
     conduction  K_F p of (3.20) [volume rate per thickness]
     source      well rates Q, and what prescribed pressures draw in
+    absorbed    forces of absorbing sides against the motion, less those of the waves that come in; None where none act
+    anchor      the part of ``load`` that was the reaction of absorbing sides when inertia came in; None as above
+    incident    power that the waves bring in [energy/time per thickness]
     """
 
     load: PETSc.Vec
     support: PETSc.Vec
     conduction: PETSc.Vec
     source: PETSc.Vec
+    absorbed: PETSc.Vec | None = None
+    anchor: PETSc.Vec | None = None
+    incident: float = 0.0
 
     def copy(self) -> Forces:
         """The same in vectors of its own."""
-        return Forces(self.load.copy(), self.support.copy(), self.conduction.copy(), self.source.copy())
+        absorbed, anchor = (None if vector is None else vector.copy() for vector in (self.absorbed, self.anchor))
+        load, support, conduction, source = (
+            vector.copy() for vector in (self.load, self.support, self.conduction, self.source)
+        )
+        return Forces(load, support, conduction, source, absorbed, anchor, self.incident)
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        for vector in (self.load, self.support, self.conduction, self.source):
-            vector.destroy()
+        for vector in (self.load, self.support, self.conduction, self.source, self.absorbed, self.anchor):
+            if vector is not None:
+                vector.destroy()
 
 
 @dataclass(frozen=True)
@@ -118,6 +129,7 @@ class State:
     energy    running totals of the energy books [energy per thickness]
     limited   wells that are kept at a limit of their pressure
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
+    around    lengths of the step that led here and of the next one as foreseen, by which what jumps in time was sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     drive     largest pressure, above that at rest, at the end of a step since the start [stress]
     power     most that the flow has dissipated at the end of a step since the start [energy/time per thickness]
@@ -136,6 +148,7 @@ class State:
     uptake: PETSc.Vec | None = None
     drive: float = 0.0
     power: float = 0.0
+    around: tuple[float, float] = (0.0, 0.0)
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""

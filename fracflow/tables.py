@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -10,44 +9,8 @@ from typing import Any, Literal
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from fracflow.tables_time import TimeTable
 from fracflow.units import LENGTH, PLAIN, TIME, Quantity, fault, number_schema, system_of, what_fits
-
-
-@dataclass(frozen=True)
-class TimeTable:
-    """A value tabled over time; constant outside the table.
-
-    times          ascending [time]; in a linear table two equal times are a jump
-    values         one for each time
-    interpolation  "linear", or "step": each value holds until the next time
-    """
-
-    times: tuple[float, ...]
-    values: tuple[float, ...]
-    interpolation: Literal["linear", "step"] = "linear"
-
-    @staticmethod
-    def constant(value: float) -> TimeTable:
-        """Make a table that has one value for ever."""
-        return TimeTable((0.0,), (value,))
-
-    @property
-    def is_constant(self) -> bool:
-        """Whether the value never changes."""
-        return len(set(self.values)) == 1
-
-    def __call__(self, time: float) -> float:
-        """Sample the table; at a jump, within 1e-12 of its time, the mean of both sides."""
-        tolerance = 1e-12 * max(abs(time), abs(self.times[0]), abs(self.times[-1]))
-        first = bisect_left(self.times, time - tolerance)
-        after = bisect_right(self.times, time + tolerance)
-        if first < after:
-            before = first if self.interpolation == "linear" else max(first - 1, 0)
-            return 0.5 * (self.values[before] + self.values[after - 1])
-        if after == 0 or after == len(self.times) or self.interpolation == "step":
-            return self.values[max(after - 1, 0)]
-        fraction = (time - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
-        return self.values[after - 1] + fraction * (self.values[after] - self.values[after - 1])
 
 
 @dataclass(frozen=True)

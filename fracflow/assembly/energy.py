@@ -1,19 +1,19 @@
 """The energy books: every term booked over each step with (2.33b), and what is left over.
 
 Running totals, per unit thickness. The balance that must close:
-kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + scheme + spurious + dropped
-    = work_boundaries + work_wells + work_pressure + work_initial
+kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + scheme + spurious
+    + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.compression import taken_between
+from fracflow.assembly.energy_motion import Scheme, motion_parts, side_parts
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats
 from fracflow.state import State
@@ -26,35 +26,18 @@ STORED = (
     "fluid_storage",
     "friction",
     "viscous",
+    "radiated",
     "scheme",
     "spurious",
     "dropped",
 )
-WORK = ("work_boundaries", "work_wells", "work_pressure", "work_initial")
+WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial")
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
 
 def empty_books() -> dict[str, float]:
     """All entries at zero."""
     return dict.fromkeys(ENTRIES, 0.0)
-
-
-def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
-    """(4.4a) v' M v / 2. Collective."""
-    momentum = velocity.duplicate()
-    operators.mass.mult(velocity, momentum)
-    energy = 0.5 * velocity.dot(momentum)
-    momentum.destroy()
-    return float(energy)
-
-
-@dataclass(frozen=True)
-class Scheme:
-    """What the books must know of a stepper; meanings as in ``stepping.Stepper``."""
-
-    inertia: bool = True
-    storage: bool = True
-    balance: str = "both"
 
 
 def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
@@ -65,21 +48,14 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
     """
     ops = operators
     change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
-    mean_acceleration = _sum(0.5, new.motion.acceleration, 0.5, old.motion.acceleration)
     mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
     term = change.duplicate()
-    parts = _joint_parts(ops, old, new)
-    ops.mass.mult(mean_acceleration, term)
-    of_inertia, parts["scheme"] = term.dot(change), 0.0
-    if scheme.inertia:
-        parts["kinetic"] = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
-        parts["scheme"] = of_inertia - parts["kinetic"]
-    else:
-        parts["dropped"] = of_inertia  # of a stage before, let go in the first step
+    parts = {"scheme": 0.0, "work_boundaries": 0.0}
+    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | side_parts(ops, old, new, dt)
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
-    parts["work_boundaries"] = 0.5 * sum(
+    parts["work_boundaries"] += 0.5 * sum(
         vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
     )
     if ops.flow is not None:
@@ -88,7 +64,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         if ops.flow.compressibility > 0.0:
             _add_compression(ops, parts, old, new, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
-    for vector in (change, mean_acceleration, mean_pressure, mean_displacement, term):
+    for vector in (change, mean_pressure, mean_displacement, term):
         vector.destroy()
     totals = {name: old.energy[name] + parts.get(name, 0.0) for name in ENTRIES}
     return _with_residuals(totals)
@@ -105,6 +81,12 @@ def switch(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
     """Totals where a stage begins with another kinetic energy than the last one ended with: the rest is dropped."""
     lost = totals["kinetic"] - kinetic
     return _with_residuals({**totals, "kinetic": kinetic, "dropped": totals["dropped"] + lost})
+
+
+def pushed(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
+    """Totals where supports begin to move at once: what they put into the motion is work of boundaries."""
+    given = kinetic - totals["kinetic"]
+    return _with_residuals({**totals, "kinetic": kinetic, "work_boundaries": totals["work_boundaries"] + given})
 
 
 def jumped(totals: Mapping[str, float], stored: float) -> dict[str, float]:

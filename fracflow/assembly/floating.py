@@ -178,7 +178,7 @@ def _places(blocks: Blocks) -> list[tuple[Ints, Ints, Floats, int]]:
 def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> Rows:
     """What supports hold."""
     start = int(blocks.solid.unknown_starts[blocks.comm.rank])
-    held = np.concatenate([part.numbers for part in loads.supports] or [np.zeros(0, dtype=np.int64)]) + start
+    held = loads.held + start
     motions, values = [np.zeros((0, 3), dtype=np.int64)], [np.zeros((0, 3))]
     for numbers, piece, points, axis in _places(blocks):
         chosen = np.isin(numbers, held)

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.absorbing import Wave, resting_unknowns, waves_of
 from fracflow.assembly.components import Closure
 from fracflow.assembly.layout import Layout
 from fracflow.assembly.prescribed import Prescribed, motion, own, prescribe, supported
 from fracflow.assembly.properties import initial_pressure, initial_stress
+from fracflow.assembly.sides import outward, side_facets
 from fracflow.assembly.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.elements import solid
 from fracflow.errors import InputError
@@ -21,6 +23,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.profiles import Pressures
 from fracflow.scene import Load, Scene
 from fracflow.tables import TimeTable
+from fracflow.tables_time import AT_ONCE, Around, sampled
 
 TimeFunction = Callable[[float], float]
 
@@ -56,6 +59,8 @@ class Loads:
     """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
+    Of absorbing sides: ``waves`` that come in with inertia, ``resting`` unknowns (local, and ``fixed_resting`` joined of all
+    ranks) that stay where they are without, and ``at_rest``, which of the two holds.
     """
 
     supports: tuple[Prescribed, ...]
@@ -66,6 +71,20 @@ class Loads:
     fixed_flow: Ints
     limits: tuple[Limit, ...] = ()
     closures: tuple[Closure, ...] = ()
+    waves: tuple[Wave, ...] = ()
+    resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    fixed_resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    at_rest: bool = False
+
+    @property
+    def held(self) -> Ints:
+        """Local numbers of the solid unknowns that are prescribed, or stay where they are."""
+        parts = [part.numbers for part in self.supports] + ([self.resting] if self.at_rest else [])
+        return np.concatenate(parts) if parts else self.resting[:0]
+
+    def standing(self) -> Loads:
+        """The same for a stage without inertia: absorbing sides stay where they are."""
+        return replace(self, at_rest=True, fixed_solid=np.union1d(self.fixed_solid, self.fixed_resting))
 
     @property
     def given_pressures(self) -> Ints:
@@ -88,55 +107,41 @@ class Loads:
         pattern = next(pattern for pattern in self.wells if pattern.well == well)
         return pattern.value(time) * (1.0 if pattern.control is None else controls[pattern.control])
 
-    def force(self, time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
-        """``result`` = R(t) of (2.38)."""
-        _sum(self.forces, time, controls, result)
+    def force(self, time: float, controls: Mapping[str, float], result: PETSc.Vec, around: Around = AT_ONCE) -> None:
+        """``result`` = R(t) of (2.38), jumps in time spread as ``TimeTable.around`` says."""
+        _sum(self.forces, time, controls, result, around)
 
     def initial_force(self, result: PETSc.Vec) -> None:
         """``result`` = the part of R that the initial stress of the cut-off rock makes."""
         _sum(tuple(pattern for pattern in self.forces if pattern.initial), 0.0, {}, result)
 
-    def source(self, time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
-        """``result`` = Q(t) of (3.20), per unit thickness."""
-        _sum(self.wells, time, controls, result)
+    def source(self, time: float, controls: Mapping[str, float], result: PETSc.Vec, around: Around = AT_ONCE) -> None:
+        """``result`` = Q(t) of (3.20), per unit thickness; jumps as above."""
+        _sum(self.wells, time, controls, result, around)
 
     def release(self, vector: PETSc.Vec) -> None:
-        """Set a vector on the solid unknowns to zero where supports hold."""
-        local = vector.getArray()
+        """Set a vector on the solid unknowns to zero where they are held."""
+        vector.getArray()[self.held] = 0.0
+
+    def impose(self, time: float, displacement: PETSc.Vec, pressure: PETSc.Vec, around: Around = AT_ONCE) -> None:
+        """Write the prescribed values into both vectors; jumps of pressures as above."""
         for part in self.supports:
-            local[part.numbers] = 0.0
-
-    def impose(self, time: float, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
-        """Write the prescribed values into both vectors."""
-        for vector, parts in ((displacement, self.supports), (pressure, self.pressures)):
-            local = vector.getArray()
-            for part in parts:
-                local[part.numbers] = part.value(time)
+            displacement.getArray()[part.numbers] = part.value(time)
+        for part in self.pressures:
+            pressure.getArray()[part.numbers] = sampled(part.value, time, around)
 
 
-def _sum(patterns: tuple[Pattern, ...], time: float, controls: Mapping[str, float], result: PETSc.Vec) -> None:
+def _sum(
+    patterns: tuple[Pattern, ...],
+    time: float,
+    controls: Mapping[str, float],
+    result: PETSc.Vec,
+    around: Around = AT_ONCE,
+) -> None:
     result.set(0.0)
     for pattern in patterns:
         factor = 1.0 if pattern.control is None else controls[pattern.control]
-        result.axpy(factor * pattern.value(time), pattern.vector)
-
-
-def side_facets(blocks: Blocks, name: str) -> Ints:
-    """Local numbers of this rank's facets of a named side."""
-    sides = blocks.solid.sides
-    return np.flatnonzero(blocks.solid.side_of == sides.index(name)) if name in sides else np.zeros(0, dtype=np.int64)
-
-
-def outward(blocks: Blocks, facets: Ints) -> Floats:
-    """Outward unit normals (s, 2) of boundary facets."""
-    points = blocks.solid.points
-    ends = points[blocks.solid.side_facets[facets]]
-    along = ends[:, 1] - ends[:, 0]
-    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
-    nodes = blocks.solid.cells[blocks.solid.side_cell[facets]]
-    inside = np.where(nodes[..., None] >= 0, points[nodes], np.nan)
-    away = ends.mean(axis=1) - np.nanmean(inside, axis=1) if len(facets) else ends.mean(axis=1)
-    return normal * np.sign(np.einsum("si,si->s", normal, away))[:, None]
+        result.axpy(factor * sampled(pattern.value, time, around), pattern.vector)
 
 
 def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
@@ -222,6 +227,7 @@ def assemble_loads(
             for part, found in supported(blocks, support, name, points).items():
                 here, taken = prescribe(starts, comm, found, taken, motion(support, part))
                 supports.append(here)
+    resting, at_rest = prescribe(starts, comm, resting_unknowns(blocks, scene), taken, lambda time, place: 0.0)
     forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
     if scene.body_force is not None:
         forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
@@ -260,4 +266,7 @@ def assemble_loads(
         layout.solid_numbers(taken.astype(np.int64)),
         layout.flow_numbers(held),
         tuple(limits),
+        waves=waves_of(blocks, scene, expand),
+        resting=resting.numbers,
+        fixed_resting=layout.solid_numbers(np.setdiff1d(at_rest, taken).astype(np.int64)),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.absorbing import damping
 from fracflow.assembly.flow import Flow, assemble_flow
 from fracflow.assembly.joints import Joints, assemble_joints
 from fracflow.assembly.layout import Layout, layout_of
@@ -32,7 +33,10 @@ class Scales:
 
 @dataclass(frozen=True)
 class Operators:
-    """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid."""
+    """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid.
+
+    ``damping`` is C of absorbing sides, blocks of dim x dim at nodes; None where there are none.
+    """
 
     blocks: Blocks
     layout: Layout
@@ -43,6 +47,7 @@ class Operators:
     joints: Joints
     flow: Flow | None
     scales: Scales
+    damping: PETSc.Mat | None = None
 
     def nodal(self, unknowns: PETSc.Vec) -> PETSc.Vec:
         """Nodal values of a vector of solid unknowns: u = E q. The caller destroys the result. Collective."""
@@ -86,4 +91,5 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
         joints,
         assemble_flow(blocks, scene, expand) if scene.has_flow else None,
         natural_scales(blocks, scene, joints, stiff),
+        damping(blocks, scene, expand),
     )

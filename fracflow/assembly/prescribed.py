@@ -13,6 +13,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Support
+from fracflow.tables_time import Around
 
 Values = Callable[[float], "float | Floats"]
 AXES = ("x", "y", "z")
@@ -24,6 +25,20 @@ class Prescribed:
 
     numbers: Ints
     value: Values
+
+    def speed(self, time: float, around: Around) -> float | Floats:
+        """Mean velocity over the halves of the steps ``around`` a time: no ringing where it jumps, as Newmark's would."""
+        before, after = 0.5 * around[0], 0.5 * around[1]
+        return (self.value(time + after) - self.value(time - before)) / (before + after)
+
+    def acceleration(self, time: float, around: Around) -> float | Floats:
+        """Change of the mean velocity from the step before a time to that after it; none where a stage begins or ends."""
+        before, after = around
+        if before == 0.0 or after == 0.0:
+            return 0.0
+        here = self.value(time)
+        change = (self.value(time + after) - here) / after - (here - self.value(time - before)) / before
+        return 2.0 * change / (before + after)
 
 
 def supported(

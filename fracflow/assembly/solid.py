@@ -80,7 +80,8 @@ def _assemble(blocks: Blocks, chosen: Ints, kernel: Callable[[Ints, Ints], Float
     return matrix
 
 
-def _projected(matrix: PETSc.Mat, expand: PETSc.Mat | None) -> PETSc.Mat:
+def projected(matrix: PETSc.Mat, expand: PETSc.Mat | None) -> PETSc.Mat:
+    """A matrix of all nodes on the unknowns, E' A E; the first is destroyed. Collective."""
     if expand is None:
         return matrix
     projected = matrix.PtAP(expand)
@@ -116,7 +117,7 @@ def stiffness(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.M
     matrix = _assemble(
         blocks, deformable(blocks, scene), lambda cells, nodes: solid.stiffness(points[nodes], moduli[cells]), 20
     )
-    return _projected(matrix, expand)
+    return projected(matrix, expand)
 
 
 def mass(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
@@ -133,13 +134,13 @@ def mass(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
         return nodal[..., None]
 
     if not lumped:
-        return _projected(_assemble(blocks, np.arange(len(blocks.solid.cells)), kernel, 20), expand)
+        return projected(_assemble(blocks, np.arange(len(blocks.solid.cells)), kernel, 20), expand)
     matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), 1, blocks.comm)
     for cells, nodes in by_shape(blocks.solid.cells):
         numbers = node_unknowns(blocks, nodes).reshape(-1, 1)
         add_blocks(matrix, numbers, numbers, kernel(cells, nodes).reshape(-1, 1, 1))
     matrix.assemble()
-    return _projected(matrix, expand)
+    return projected(matrix, expand)
 
 
 def nodal_force(blocks: Blocks, nodes: Ints, force: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:

@@ -10,6 +10,7 @@ from fracflow.card.joints import CardJoints
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
+from fracflow.stepping import stepper_from
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ def film_stage(scene: Scene, stage: Stage) -> FilmStage | None:
     if dt is None or stage.kind not in ("dynamic", "quasi-static"):
         return None
     if stage.kind == "dynamic":
-        beta, gamma = method.newmark_beta, method.newmark_gamma
-        return FilmStage(name, dt, gamma / (beta * dt), 1.0 / (beta * dt**2), True)
+        alphas = stepper_from(method.stepper, method).alphas(dt)
+        return FilmStage(name, dt, alphas.a1, alphas.mass, alphas.a4 != 0.0)
     return FilmStage(name, dt, WEIGHT[method.film] / dt, 0.0, method.film == "trapezoid")
 
 

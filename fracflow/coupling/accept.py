@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.assembly.balance import static_balance
 from fracflow.assembly.compression import taken_between
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.flow_digits import flow_power
@@ -53,16 +54,13 @@ def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepRe
 def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     """Terms of both balances with the reactions of what is held. Collective."""
     ops = problem.operators
-    support, term = ops.layout.solid_vector(), ops.layout.solid_vector()
-    ops.mass.mult(motion.acceleration, support)
-    ops.stiffness.multAdd(motion.displacement, support, support)
-    support.axpy(1.0, ops.prestress)
-    ops.joints.force(problem.sections.traction, support)
-    support.axpy(-1.0, problem.load)
+    absorbed = problem.absorption.force(motion.velocity)
+    support = static_balance(
+        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, absorbed
+    )
+    ops.mass.multAdd(motion.acceleration, support, support)
     conduction, source = ops.layout.flow_vector(), problem.source.copy()
     if ops.flow is not None:
-        ops.flow.push.mult(problem.pressure, term)
-        support.axpy(-1.0, term)
         assert problem.conduction is not None
         ops.flow.outflow(problem.conduction, conduction)
         drawn = ops.layout.flow_vector()
@@ -75,11 +73,11 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
             source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
         drawn.destroy()
     held = np.zeros(ops.layout.solid_count, dtype=bool)
-    for part in problem.loads.supports:
-        held[part.numbers] = True
+    held[problem.loads.held] = True
     support.getArray()[~held] = 0.0
-    term.destroy()
-    return Forces(problem.load.copy(), support, conduction, source)
+    anchor = problem.absorption.anchor
+    kept = None if anchor is None else anchor.copy()
+    return Forces(problem.load.copy(), support, conduction, source, absorbed, kept, problem.absorption.incident)
 
 
 def remember(operators: Operators, old: State, new: State, dt: float) -> Memory:

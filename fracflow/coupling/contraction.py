@@ -197,7 +197,8 @@ def limits_of_time_step(
 
 def scaled(alphas: Alphas, ratio: float) -> Alphas:
     """(4.3) The coefficients of a time step ``ratio`` times as long."""
-    return Alphas(alphas.a0 / ratio**2, alphas.a1 / ratio, alphas.a2 / ratio, alphas.a3, alphas.a4, alphas.a5 * ratio)
+    a0, a1, a2 = alphas.a0 / ratio**2, alphas.a1 / ratio, alphas.a2 / ratio
+    return replace(alphas, a0=a0, a1=a1, a2=a2, a5=alphas.a5 * ratio)
 
 
 def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:

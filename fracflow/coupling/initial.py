@@ -91,7 +91,7 @@ def first_levels(
     if not parts:
         return np.zeros(0)
     matrix, solver = _mass(operators, problem)
-    held = np.concatenate([part.numbers for part in problem.loads.supports] or [np.zeros(0, dtype=np.int64)])
+    held = problem.loads.held
     yields = [part.walls.copy() for part in parts]
     lacks, gives = np.zeros(len(parts)), np.zeros((len(parts), len(parts)))
     for walls in yields:
@@ -111,8 +111,7 @@ def _mass(operators: Operators, problem: StepProblem) -> tuple[PETSc.Mat, PETSc.
     """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
     matrix, solver = _with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
     start = matrix.getOwnershipRange()[0]
-    held = np.concatenate([start + part.numbers for part in problem.loads.supports] or [np.zeros(0)])
-    matrix.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
+    matrix.zeroRowsColumns((start + problem.loads.held).astype(PETSc.IntType), 1.0)
     solver.setOperators(matrix)
     solver.setOptionsPrefix("mass_")
     solver.setFromOptions()

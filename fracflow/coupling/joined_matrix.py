@@ -57,6 +57,8 @@ class JoinedMatrix:
             "jump": self._place(local_rows(jump), "solid", "solid"),
         }
         jump.destroy()
+        if ops.damping is not None and not loads.at_rest:
+            parts["damping"] = self._place(local_rows(ops.damping), "solid", "solid")
         if ops.flow is not None:
             squeeze, pattern = ops.flow.squeeze.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
             network = self._network_pattern()
@@ -77,7 +79,7 @@ class JoinedMatrix:
         self._row, self._col = union // layout.total, union % layout.total
         self._diagonal = np.searchsorted(union, diagonal)
         self._constant = {}
-        for name in ("stiffness", "mass", "push", "squeeze"):
+        for name in ("stiffness", "mass", "damping", "push", "squeeze"):
             if name in parts:
                 self._constant[name] = np.zeros(len(union))
                 self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
@@ -209,7 +211,9 @@ class JoinedMatrix:
     ) -> None:
         ops, scales, matrix = self.operators, self.operators.scales, self.matrix
         solid_solid = scales.displacement / scales.force
-        data = solid_solid * (self._constant["stiffness"] + alphas.a0 * self._constant["mass"])
+        data = solid_solid * (self._constant["stiffness"] + alphas.mass * self._constant["mass"])
+        if "damping" in self._constant:
+            data += solid_solid * alphas.a1 * self._constant["damping"]
         if ops.flow is not None:
             data -= scales.pressure / scales.force * self._constant["push"]
             data += scales.displacement / flow_scale * alphas.a1 * self._constant["squeeze"]

@@ -1,6 +1,6 @@
 """(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
 
-solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p - R = 0
+solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p + C v - R = 0, C of absorbing sides
 flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of
        the walls, what a part holds is changed by what flows in and out alone
 """
@@ -17,14 +17,18 @@ from fracflow.assembly.compression import compression_of, taken_up
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.assembly.prescribed import Prescribed
+from fracflow.coupling.absorption import Absorption
 from fracflow.coupling.compression import taken_by, uptake_rate, why_not_finite
 from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
+from fracflow.coupling.moving_terms import MovingTerms
 from fracflow.coupling.residual import TINY, Residual, flow_residual, flow_sizes, largest, largest_of, over_ranks
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import MotionValues, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
+from fracflow.tables_time import AT_ONCE, Around
 
 CANCELLATION = 1e-4
 """Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
@@ -50,22 +54,26 @@ class StepProblem:
         lacking: float = 0.0,
         start: tuple[Floats, Floats] | None = None,
         hold: bool = False,
+        around: Around = AT_ONCE,
     ) -> None:
         """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective.
 
         lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
         start    this rank's motion since the state, and pressures, to begin from
         hold     sections keep the status they have, whatever their tractions
+        around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
         """
         self.operators, self.loads, self.state, self.hold = operators, loads, state, hold
         self.alphas, self.time, self.controls = alphas, time, controls
         layout = operators.layout
-        self.load, self.source = layout.solid_vector(), layout.flow_vector()
-        loads.force(time, controls, self.load)
+        self.around, self.load, self.source = around, layout.solid_vector(), layout.flow_vector()
+        loads.force(time, controls, self.load, around)
         if restraint is not None:
             self.load.axpy(1.0, restraint)
-        loads.source(time, controls, self.source)
+        loads.source(time, controls, self.source, around)
         self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
+        self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
+        self.moving = MovingTerms.of(operators, state, alphas, self.absorption)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self.pressure = state.pressure.copy()
         if start is not None:
@@ -86,23 +94,26 @@ class StepProblem:
 
     def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write what is prescribed at the end of the step into both vectors."""
-        self.loads.impose(self.time, displacement, pressure)
+        self.loads.impose(self.time, displacement, pressure, self.around)
         for vector, parts, lags in (
             (displacement, self.loads.supports, self.lag.displacement),
             (pressure, self.loads.pressures, self.lag.pressure),
         ):
             for part, lag in zip(parts, lags, strict=False):
                 vector.getArray()[part.numbers] += lag
+        if self.loads.at_rest:
+            still, old = self.loads.resting, self.state.motion.displacement.getArray(readonly=True)
+            displacement.getArray()[still] = old[still]
 
     def move(self, increment: Floats) -> None:
-        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for what is prescribed."""
+        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for the prescribed."""
         old = self.state.motion.displacement.getArray(readonly=True)
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
         self.impose(self.displacement, self.pressure)
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
-        for part in self.loads.supports:
-            change[part.numbers] = new[part.numbers] - old[part.numbers]
+        held = self.loads.held
+        change[held] = new[held] - old[held]
 
     def evaluate(self, hold: bool = True) -> None:
         """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
@@ -124,11 +135,8 @@ class StepProblem:
             terms.append(largest(term))
             solid.axpy(scale, term)
 
-        motion = self.acceleration()
-        ops.mass.mult(motion, term)
-        add(1.0)
-        ops.mass.mult(u, term)
-        terms.append(CANCELLATION * self.alphas.a0 * largest(term))
+        acceleration, speed = self.acceleration(), self.velocity()
+        terms += self.moving.add(acceleration, speed, u, CANCELLATION, solid)
         ops.stiffness.mult(u, term)
         add(1.0)
         ops.prestress.copy(term)
@@ -142,8 +150,8 @@ class StepProblem:
             add(-1.0)
             flow_terms = self._flow_balance()
         solid.axpy(-1.0, self.load)
-        motion.destroy()
-        term.destroy()
+        for vector in (acceleration, speed, term):
+            vector.destroy()
         self._hold()
         self._measure(max(terms), max(flow_terms))
 
@@ -157,6 +165,8 @@ class StepProblem:
         """(4.2e) of the trial, in a new vector."""
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
         result.setArray(acceleration(self.alphas, moved, self._start()))
+        for part in self._driven():
+            result.getArray()[part.numbers] = part.acceleration(self.time, self.around)
         return result
 
     def velocity(self) -> PETSc.Vec:
@@ -164,7 +174,12 @@ class StepProblem:
         before, result = self.state.memory.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
+        for part in self._driven():
+            result.getArray()[part.numbers] = part.speed(self.time, self.around)
         return result
+
+    def _driven(self) -> tuple[Prescribed, ...]:  # whose motion the scene gives, and no rule of stepping
+        return self.loads.supports if self.alphas.a0 > 0.0 and max(self.around) > 0.0 else ()
 
     def uptake(self) -> PETSc.Vec | None:
         """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""
@@ -224,10 +239,9 @@ class StepProblem:
             local[closure.row] = self.flow_scale() * defect
 
     def _hold(self) -> None:
-        for vector, parts in ((self.solid_balance, self.loads.supports), (self.flow_balance, self.loads.pressures)):
-            local = vector.getArray()
-            for part in parts:
-                local[part.numbers] = 0.0
+        self.loads.release(self.solid_balance)
+        for part in self.loads.pressures:
+            self.flow_balance.getArray()[part.numbers] = 0.0
 
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
@@ -292,3 +306,4 @@ class StepProblem:
             vector.destroy()
         for vector in (self.solid_balance, self.flow_balance):
             vector.destroy()
+        self.moving.destroy()

@@ -45,6 +45,7 @@ NOTES = (
     "events",
 )
 MEMORY = "mean_velocity"
+SIDES = ("absorbed", "anchor")  # of absorbing sides, where they act
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
@@ -96,6 +97,9 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
     if state.memory.velocity is not None:
         local = state.memory.velocity.getArray(readonly=True)
         arrays[MEMORY] = blocks.gather(places[used], local[used], total)
+    for name in SIDES:
+        if (vector := getattr(state.forces, name)) is not None:
+            arrays[name] = blocks.gather(places[used], vector.getArray(readonly=True)[used], total)
     for name, rate in zip(RATES, (state.uptake, state.memory.uptake), strict=True):
         if rate is not None:
             arrays[name] = blocks.gather(blocks.flow.ids, rate.getArray().copy(), blocks.sizes.flow_nodes)
@@ -132,6 +136,9 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             vector.setArray(arrays[name][blocks.flow.ids])
         return vector
 
+    def side(name: str) -> PETSc.Vec | None:
+        return solid(name) if name in arrays else None
+
     def saved(name: str) -> PETSc.Vec | None:
         return flow(name) if name in arrays else None
 
@@ -149,7 +156,15 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         motion=Motion(solid("displacement"), solid("velocity"), solid("acceleration")),
         pressure=flow("pressure"),
         sections=Sections(past=past, **parts),
-        forces=Forces(solid("load"), solid("support"), flow("conduction"), flow("source")),
+        forces=Forces(
+            solid("load"),
+            solid("support"),
+            flow("conduction"),
+            flow("source"),
+            side(SIDES[0]),
+            side(SIDES[1]),
+            notes.get("incident", 0.0),
+        ),
         controls=notes["controls"],
         energy=notes["energy"],
         limited=tuple(notes["limited"]),
@@ -158,6 +173,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         uptake=saved(RATES[0]),
         drive=notes["drive"],
         power=notes["power"],
+        around=tuple(notes.get("around", (0.0, 0.0))),
     )
 
 
@@ -168,6 +184,7 @@ def _check_lengths(arrays: Arrays, operators: Operators, unknowns: int, remember
     )
     lengths |= {MEMORY: unknowns} if remembers else {}
     lengths |= {name: sizes.flow_nodes for name in RATES if name in arrays}
+    lengths |= {name: unknowns for name in SIDES if name in arrays}
     lengths |= {f"sections/{field.name}": sizes.joints for field in fields(Sections) if field.name != "past"}
     for number, group in enumerate(operators.joints.laws):
         lengths |= {f"past/{number}/{name}": sizes.joints for name in group.law.history}

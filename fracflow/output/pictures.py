@@ -21,6 +21,7 @@ _ENERGIES = (
     ("joint_shear", "joint shear"),
     ("joint_normal", "joint normal"),
     ("viscous", "viscous"),
+    ("radiated", "radiated"),
 )
 _MAX_LINES = 7
 _MOST_FIRST = 5  # more than these at once is no place where it began

@@ -1,13 +1,21 @@
 """Rules for stepping in time."""
 
+from dataclasses import fields
 from typing import Any
 
 from .error import local_error
 from .film import BDF2, BackwardEuler, Trapezoid, first
+from .generalised_alpha import GeneralisedAlpha
+from .hht import HHT
+from .implicit_euler import ImplicitEuler
 from .newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
+from .parameters import keys_of
 
 STEPPERS: dict[str, type[Any]] = {
     "newmark": Newmark,
+    "hht": HHT,
+    "generalised-alpha": GeneralisedAlpha,
+    "implicit-euler": ImplicitEuler,
     "steady": Steady,
     "backward-euler": BackwardEuler,
     "bdf2": BDF2,
@@ -15,12 +23,28 @@ STEPPERS: dict[str, type[Any]] = {
 }
 """Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
 
+WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia}
+OF_FILMS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
+
+
+def stepper_from(name: str, method: Any) -> Stepper:
+    """The rule of that name, with its parameters from the attributes of ``method`` that their keys name."""
+    kind = STEPPERS[name]
+    made: Stepper = kind(**{each.name: getattr(method, each.metadata["key"]) for each in fields(kind)})
+    return made
+
+
 __all__ = [
     "BDF2",
+    "HHT",
+    "OF_FILMS",
     "STEPPERS",
+    "WITH_INERTIA",
     "Alphas",
     "BackwardEuler",
+    "GeneralisedAlpha",
     "HasMotion",
+    "ImplicitEuler",
     "Newmark",
     "Steady",
     "Stepper",
@@ -28,6 +52,8 @@ __all__ = [
     "acceleration",
     "first",
     "first_rate",
+    "keys_of",
     "local_error",
+    "stepper_from",
     "velocity",
 ]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol
 
 from ..errors import InputError
+from .parameters import check_parameters, parameter
 
 Balance = Literal["both", "end"]
 
@@ -14,7 +15,8 @@ Balance = Literal["both", "end"]
 class Alphas:
     """(4.3) Coefficients of acceleration (a0, a2, a3) and velocity (a1, a4, a5) at the end of a step.
 
-    a6 is that of the mean velocity of the last step, for rules of three instants.
+    a6 is that of the mean velocity of the last step, for rules of three instants. With S all of the balance of the rock
+    but inertia, a step solves M (inertia a_new + inertia_old a) + S_new + balance_old S = 0.
     """
 
     a0: float = 0.0
@@ -24,6 +26,19 @@ class Alphas:
     a4: float = 0.0
     a5: float = 0.0
     a6: float = 0.0
+    inertia: float = 1.0
+    inertia_old: float = 0.0
+    balance_old: float = 0.0
+
+    @property
+    def mass(self) -> float:
+        """Coefficient of the mass matrix in the Jacobian."""
+        return self.a0 * self.inertia
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether the balance of the step's start, or its acceleration, takes part in that of its end."""
+        return self.inertia != 1.0 or self.inertia_old != 0.0 or self.balance_old != 0.0
 
     @property
     def b1(self) -> float:
@@ -100,6 +115,25 @@ def checked(time_step: float) -> float:
     return time_step
 
 
+def newmark_alphas(time_step: float, beta: float, gamma: float) -> Alphas:
+    """(4.3) alpha_0 ... alpha_5 of (4.1a); time_step [time], positive."""
+    dt = checked(time_step)
+    return Alphas(
+        a0=1.0 / (dt**2 * beta),
+        a1=gamma / (dt * beta),
+        a2=1.0 / (dt * beta),
+        a3=1.0 / (2.0 * beta) - 1.0,
+        a4=gamma / beta - 1.0,
+        a5=dt * (gamma / (2.0 * beta) - 1.0),
+    )
+
+
+def weighed(alphas: Alphas, of_inertia: float, of_forces: float) -> Alphas:
+    """The same for M ((1 - m) a_new + m a) + (1 - f) S_new + f S = 0, with m = ``of_inertia`` and f = ``of_forces``."""
+    new = 1.0 - of_forces
+    return replace(alphas, inertia=(1.0 - of_inertia) / new, inertia_old=of_inertia / new, balance_old=of_forces / new)
+
+
 @dataclass(frozen=True)
 class Newmark:
     """(4.1a) Newmark with beta, gamma: 1/4, 1/2 is the trapezoidal rule, without numerical dissipation.
@@ -107,8 +141,10 @@ class Newmark:
     Second order if gamma = 1/2, else first. InputError for beta <= 0 (explicit) or gamma < 1/2 (unstable).
     """
 
-    beta: float = 0.25
-    gamma: float = 0.5
+    beta: float = parameter(
+        0.25, "newmark_beta", "beta of (4.1) [1]; 1/4 is the trapezoidal rule", above=0.0, at_most=0.5
+    )
+    gamma: float = parameter(0.5, "newmark_gamma", "gamma of (4.1) [1]; above 1/2 damps", at_least=0.5, at_most=1.0)
 
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = True
@@ -118,22 +154,11 @@ class Newmark:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be stepped implicitly."""
-        if not self.beta > 0.0:
-            raise InputError(f"newmark_beta = {self.beta}: must be positive (1/4 for the trapezoidal rule)")
-        if not self.gamma >= 0.5:
-            raise InputError(f"newmark_gamma = {self.gamma}: must be 1/2 or more, less is unstable")
+        check_parameters(self)
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """(4.3) alpha_0 ... alpha_5; time_step [time], positive."""
-        dt, beta, gamma = checked(time_step), self.beta, self.gamma
-        return Alphas(
-            a0=1.0 / (dt**2 * beta),
-            a1=gamma / (dt * beta),
-            a2=1.0 / (dt * beta),
-            a3=1.0 / (2.0 * beta) - 1.0,
-            a4=gamma / beta - 1.0,
-            a5=dt * (gamma / (2.0 * beta) - 1.0),
-        )
+        return newmark_alphas(time_step, self.beta, self.gamma)
 
 
 @dataclass(frozen=True)

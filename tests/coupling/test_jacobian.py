@@ -14,7 +14,7 @@ from fracflow.run_setup import prepare
 from fracflow.run_start import rest
 from fracflow.scene import load
 from fracflow.state import Memory
-from fracflow.stepping import BDF2, BackwardEuler, Newmark, Steady, Trapezoid
+from fracflow.stepping import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
 
 
 @pytest.mark.parametrize("model", ["default", "report"])
@@ -86,6 +86,33 @@ def test_jacobian_where_a_part_keeps_its_fluid():
     newton._unpack(unknowns)
     check_derivative(newton, random)
     for thing in (newton, matrix, problem, network):
+        thing.destroy()
+
+
+@pytest.mark.parametrize(
+    "stepper", [Newmark(0.3, 0.6), HHT(-0.3), GeneralisedAlpha(0.0)], ids=lambda s: type(s).__name__
+)
+def test_jacobian_of_weighed_balances_between_absorbing_sides(stepper):
+    """M with its weight and C beside it: a step of the size that makes both matter, from a state that moves."""
+    overrides = ["support=[]", "absorbing=[{on = ['west', 'east', 'south', 'north']}]", "method.tangent=consistent"]
+    scene = load("meshes/crossings/scene.toml", overrides)
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = rest(prepared), np.random.default_rng(13 + MPI.COMM_WORLD.rank)
+    for vector, size in ((state.motion.velocity, 0.1), (state.motion.acceleration, 1e2)):
+        vector.setArray(size * random.standard_normal(vector.getLocalSize()))
+    alphas, loads = stepper.alphas(5e-4), prepared.loads
+    problem = StepProblem(prepared.operators, loads, state, alphas, 5e-4, {"pumping": 1e-5}, around=(5e-4, 5e-4))
+    matrix = JoinedMatrix(prepared.operators, loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    newton._pack(problem)
+    unknowns = newton.unknowns.copy()
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    damps, weighs = (alphas.a1 * prepared.operators.damping.norm(), alphas.mass * prepared.operators.mass.norm())
+    assert 1e-2 < damps / weighs < 1e2
+    for thing in (newton, matrix, problem):
         thing.destroy()
 
 

@@ -16,6 +16,7 @@ from fracflow.scene import load
 
 MESHES = Path(__file__).parents[2] / "meshes"
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from physics.test_absorbing import STILL, STRESSED  # noqa: E402
 from physics.test_along_fractures import RIGID  # noqa: E402
 from physics.test_books import CRACK, DYNAMIC, QUASI  # noqa: E402
 from physics.test_depth import HEAVY  # noqa: E402
@@ -40,6 +41,8 @@ CASES = {
     "crossings": ("crossings", ["stage.1.steps=8"], (2, 8)),
     "stages": (CRACK + QUASI + DYNAMIC + QUASI, [], (3, 5, 8, 10, 12)),
     "bdf2": (CRACK + DYNAMIC + QUASI, ["method.film=bdf2", "method.storage=averaging"], (5, 6, 8)),
+    "generalised-alpha": (CRACK + QUASI + DYNAMIC, ["method.stepper=generalised-alpha"], (5, 6, 8)),
+    "absorbing": (STRESSED + STILL + STILL, [], (1, 2, 9, 24)),
     "trapezoid": (CRACK + QUASI, ["method.film=trapezoid", "method.storage=consistent-lumped"], (0, 1, 3)),
     "compressible": (
         CRACK + QUASI + DYNAMIC + QUASI,

@@ -6,7 +6,7 @@ from fracflow.scene import load
 
 CASES = {
     "fracture.fault.normal_stifness=1e8": 'fracture.fault.normal_stifness = 1e8: unknown key; did you mean "normal_stiffness"?',
-    "zzz=1": "zzz = 1: unknown key; allowed: accuracy, body_force, control,",
+    "zzz=1": "zzz = 1: unknown key; allowed: absorbing, accuracy, body_force, control,",
     "well.node2.flowrate=3": 'well.node2.flowrate = 3: unknown key; did you mean "flow_rate"?',
     "support.0.gradient=3": "support.0.gradient = 3: unknown key; allowed: components, displacement, displacement_gradient,",
     "rock.granite.youngs_modulus=true": 'rock.granite.youngs_modulus = true: must be a number in N/m**2 or a string such as "30 GPa"',

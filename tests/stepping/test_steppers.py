@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.stepping import STEPPERS, Alphas, Newmark, acceleration, first, velocity
+from fracflow.stepping import (
+    HHT,
+    STEPPERS,
+    Alphas,
+    GeneralisedAlpha,
+    ImplicitEuler,
+    Newmark,
+    acceleration,
+    first,
+    keys_of,
+    velocity,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -20,10 +31,13 @@ class Motion:
 
 
 def advance(stepper, motion, dt, mass, damping, stiffness):
-    """One step of m a + c v + k d = 0, scalars."""
+    """One step of m a + c v + k d = 0, scalars, by the balance that ``Alphas`` describes."""
     a = stepper.alphas(dt)
+    before = damping * motion.velocity + stiffness * motion.displacement
+    given = a.inertia_old * mass * motion.acceleration + a.balance_old * before
     still = acceleration(a, 0.0, motion), velocity(a, 0.0, motion)
-    d = -(mass * still[0] + damping * still[1]) / (a.a0 * mass + a.a1 * damping + stiffness)
+    given = given + a.inertia * mass * still[0] + damping * still[1]
+    d = -given / (a.mass * mass + a.a1 * damping + stiffness)
     return Motion(d, velocity(a, d, motion), acceleration(a, d, motion))
 
 
@@ -85,6 +99,80 @@ def test_spectrum_of_the_rules_for_the_film(x):
     assert max(abs(one), abs(two)) < 1.0 and (abs(one.imag) > 0) == (x > 0.5)
 
 
+def newmark(beta, gamma, m=0.0, f=0.0):
+    """(u, dt v, dt^2 a) -> the next, of u'' + 2 xi w u' + w^2 u = 0: (4.1a) with (1-m) a_new + m a + (1-f) S_new + f S = 0."""
+
+    def matrix(x, xi):
+        new = [[1, 0, -beta], [0, 1, -gamma], [(1 - f) * x**2, (1 - f) * 2 * xi * x, 1 - m]]
+        old = [[1, 1, 0.5 - beta], [0, 1, 1 - gamma], [-f * x**2, -f * 2 * xi * x, -m]]
+        return np.linalg.solve(np.array(new, dtype=float), np.array(old, dtype=float))
+
+    return matrix
+
+
+def hht(alpha):
+    """Hilber, Hughes and Taylor (1977): a_new + (1 + alpha) S_new - alpha S = 0."""
+    return newmark((1 - alpha) ** 2 / 4, 0.5 - alpha, f=-alpha)
+
+
+def chung_hulbert(rho):
+    """Chung and Hulbert (1993)."""
+    m, f = (2 * rho - 1) / (1 + rho), rho / (1 + rho)
+    return newmark((1 - m + f) ** 2 / 4, 0.5 - m + f, m, f)
+
+
+def euler(x, xi):
+    """u_new = u + v_new, v_new = v + a_new, a_new + 2 xi x v_new + x^2 u_new = 0."""
+    new = np.array([[1, -1, 0], [0, 1, -1], [x**2, 2 * xi * x, 1]], dtype=float)
+    return np.linalg.solve(new, np.array([[1, 0, 0], [0, 1, 0], [0, 0, 0]], dtype=float))
+
+
+SCHEMES = [
+    (Newmark(), newmark(0.25, 0.5), 1.0),
+    (Newmark(0.3025, 0.6), newmark(0.3025, 0.6), 9 / 11),
+    *[(HHT(a), hht(a), (1 + a) / (1 - a)) for a in (0.0, -0.05, -0.1, -0.3, -1 / 3)],
+    *[(GeneralisedAlpha(r), chung_hulbert(r), r) for r in (0.0, 0.5, 0.8, 1.0)],
+    (ImplicitEuler(), euler, 0.0),
+]
+
+
+def amplification(stepper, x, xi=0.0):
+    """What a step makes of (u, dt v, dt^2 a), by the algebra of the program; omega = x, dt = 1."""
+    columns = [advance(stepper, Motion(*unit), 1.0, 1.0, 2 * xi * x, x**2) for unit in np.eye(3)]
+    return np.array([[m.displacement, m.velocity, m.acceleration] for m in columns]).T
+
+
+@pytest.mark.parametrize("stepper, closed, radius", SCHEMES, ids=lambda s: repr(s) if hasattr(s, "order") else "")
+def test_amplification_is_that_of_the_papers(stepper, closed, radius):
+    """Matrix, spectral radius and period of the closed forms; the radius for a step without end; never above 1."""
+    for x in (1e-2, 0.1, 0.5, 1.0, 3.0, 10.0, 100.0):
+        for xi in (0.0, 0.2):
+            found, right = amplification(stepper, x, xi), closed(x, xi)
+            assert np.abs(found - right).max() <= 1e-12 * np.abs(right).max()
+        ours, theirs = (np.linalg.eigvals(matrix) for matrix in (amplification(stepper, x), closed(x, 0.0)))
+        assert np.abs(ours).max() <= 1 + 1e-7  # a double root has half the digits
+        if x <= 3.0:
+            one, other = (max(values, key=lambda z: (round(abs(z), 9), z.imag)) for values in (ours, theirs))
+            assert abs(one) == pytest.approx(abs(other), rel=1e-12)
+            assert np.angle(one) == pytest.approx(np.angle(other), rel=1e-12)
+    far = np.abs(np.linalg.eigvals(amplification(stepper, 1e5))).max()
+    assert far == pytest.approx(radius, abs=2e-3)
+
+
+@pytest.mark.parametrize("x", [0.05, 0.1, 0.2])
+def test_period_errors(x):
+    """Omega/wbar dt - 1: x/(2 atan(x/2)) - 1 of the trapezoid; backward Euler x/atan(x) - 1 and |A| = 1/sqrt(1 + x^2)."""
+
+    def of(stepper):
+        return max(np.linalg.eigvals(amplification(stepper, x)), key=lambda z: z.imag)
+
+    for trapezoid in (Newmark(), HHT(0.0), GeneralisedAlpha(1.0)):
+        assert x / np.angle(of(trapezoid)) - 1 == pytest.approx(x / (2 * np.arctan(x / 2)) - 1, rel=1e-9)
+        assert abs(of(trapezoid)) == pytest.approx(1.0, abs=1e-12)
+    assert abs(of(ImplicitEuler())) == pytest.approx(1 / np.sqrt(1 + x**2), rel=1e-12)
+    assert np.angle(of(ImplicitEuler())) == pytest.approx(np.arctan(x), rel=1e-12)
+
+
 @pytest.mark.parametrize("frequency", [0.1, 0.5, 1.0, 10.0])
 def test_trapezoidal_rule_has_the_known_period_and_no_damping(frequency):
     """Numerical frequency times dt is 2 atan(omega dt / 2)."""
@@ -119,6 +207,16 @@ def test_flags_and_coefficients():
         assert all(isinstance(getattr(alphas, f.name), float) for f in fields(alphas))
 
 
+def test_parameters_are_keys_of_the_scene():
+    """Every parameter of a rule is a key of [method] with the same default."""
+    from fracflow.scene_tables import Method
+
+    keys = keys_of(STEPPERS)
+    assert {"newmark_beta", "newmark_gamma", "hht_alpha", "rho_infinity"} <= set(keys)
+    for key, (default, meaning, _) in keys.items():
+        assert getattr(Method(), key) == default and meaning
+
+
 @pytest.mark.parametrize("name", STEPPERS)
 def test_arguments_are_left_alone(name):
     old, new = Motion(*np.random.default_rng(0).normal(size=(3, 4))), np.ones(4)
@@ -134,6 +232,10 @@ def test_arguments_are_left_alone(name):
     [
         lambda: Newmark(beta=0.0),
         lambda: Newmark(gamma=0.4),
+        lambda: HHT(-0.4),
+        lambda: HHT(0.1),
+        lambda: GeneralisedAlpha(1.1),
+        lambda: GeneralisedAlpha(-0.1),
         lambda: Newmark().alphas(0.0),
         lambda: STEPPERS["bdf2"]().alphas(0.1, 0.0),
         lambda: STEPPERS["trapezoid"]().alphas(-1.0),

@@ -1,0 +1,100 @@
+"""A value tabled over time, and how steps sample it."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Around = tuple[float, float]
+"""Lengths of the step that ends at a time and of the one that follows; 0 where a stage begins or ends, or time has no part."""
+AT_ONCE: Around = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class TimeTable:
+    """A value tabled over time; constant outside the table.
+
+    times          ascending [time]; in a linear table two equal times are a jump
+    values         one for each time
+    interpolation  "linear", or "step": each value holds until the next time
+    """
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+    interpolation: Literal["linear", "step"] = "linear"
+
+    @staticmethod
+    def constant(value: float) -> TimeTable:
+        """Make a table that has one value for ever."""
+        return TimeTable((0.0,), (value,))
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the value never changes."""
+        return len(set(self.values)) == 1
+
+    def __call__(self, time: float) -> float:
+        """Sample the table; at a jump, within 1e-12 of its time, the mean of both sides."""
+        tolerance = 1e-12 * max(abs(time), abs(self.times[0]), abs(self.times[-1]))
+        first = bisect_left(self.times, time - tolerance)
+        after = bisect_right(self.times, time + tolerance)
+        if first < after:
+            before = first if self.interpolation == "linear" else max(first - 1, 0)
+            return 0.5 * (self.values[before] + self.values[after - 1])
+        if after == 0 or after == len(self.times) or self.interpolation == "step":
+            return self.values[max(after - 1, 0)]
+        fraction = (time - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
+        return self.values[after - 1] + fraction * (self.values[after] - self.values[after - 1])
+
+    @property
+    def jumps(self) -> tuple[Floats, Floats]:
+        """Times and sizes of its jumps."""
+        times, values = np.array(self.times), np.array(self.values)
+        found = np.diff(values)
+        at = found != 0.0 if self.interpolation == "step" else (np.diff(times) == 0.0) & (found != 0.0)
+        return times[1:][at], found[at]
+
+    def around(self, time: Floats | float, before: float, after: float) -> Floats:
+        """Sample the table at times (n,) of steps: ``before`` is the length of the step that ends there, ``after`` of the next.
+
+        A jump enters with the share of [time - before/2, time + after/2] that comes after it: at the jump itself the mean
+        of both sides in the midst of equal steps, the right side where a stage begins (before = 0), the left one where it
+        ends. A sum over the steps, halves at both ends, is then that of the table but for second order.
+        """
+        at_times: Floats = np.atleast_1d(np.asarray(time, dtype=float))
+        times, values = np.array(self.times), np.array(self.values)
+        tolerance = 1e-12 * np.maximum(np.abs(at_times), max(abs(times[0]), abs(times[-1])))
+        past = np.searchsorted(times, at_times - tolerance)  # the limit from the left
+        result: Floats = values[np.maximum(past - 1, 0)]
+        if self.interpolation == "linear" and len(times) > 1:
+            inside = (past > 0) & (past < len(times))
+            first, last = np.clip(past - 1, 0, None), np.clip(past, None, len(times) - 1)
+            length = np.where(inside, times[last] - times[first], 1.0)
+            share = np.where(inside, np.minimum((at_times - times[first]) / length, 1.0), 0.0)
+            result = result + share * (values[last] - values[first])
+        at, sizes = self.jumps
+        width = 0.5 * (before + after)
+        for jump, size in zip(at, sizes, strict=True):
+            is_past = jump < at_times - tolerance
+            is_here = ~is_past & (jump <= at_times + tolerance)
+            share = (
+                np.clip((at_times + 0.5 * after - jump) / width, 0.0, 1.0)
+                if width > 0.0
+                else np.full(len(at_times), 0.5)
+            )
+            share = np.where(is_here, after / (before + after) if width > 0.0 else 0.5, share)
+            result = result + size * (share - is_past)
+        return result
+
+
+def sampled(value: Callable[[float], Any], time: float, around: Around) -> Any:
+    """A function of time at the end of a step; a table as ``TimeTable.around`` does between the lengths ``around`` it."""
+    if isinstance(value, TimeTable) and around != AT_ONCE:
+        return float(value.around(time, *around)[0])
+    return value(time)

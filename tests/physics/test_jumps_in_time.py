@@ -1,0 +1,101 @@
+"""Tables that jump, and supports that are moved by jerks."""
+
+import numpy as np
+import pytest
+
+from fracflow.tables import TimeTable
+
+from .test_along_fractures import ENDS, RIGID
+
+STEP = TimeTable((0.0, 1.0), (2.0, 5.0), "step")
+ROWS = TimeTable((0.0, 1.0, 1.0, 2.0), (0.0, 2.0, 5.0, 5.0))
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("table, before, after", [(STEP, 2.0, 5.0), (ROWS, 2.0, 5.0)], ids=["step", "rows"])
+def test_a_jump_is_shared_by_the_halves_of_steps_around_it(table, before, after):
+    """At the jump the mean; the right side where a stage begins, the left one where it ends; else what lies in the step."""
+    assert table.around(1.0, 0.1, 0.1)[0] == pytest.approx(0.5 * (before + after), rel=1e-14)
+    assert table.around(1.0, 0.0, 0.1)[0] == after
+    assert table.around(1.0, 0.1, 0.0)[0] == before
+    assert table.around(1.0, 0.0, 0.0)[0] == pytest.approx(table(1.0), rel=1e-14)
+    assert table.around(1.0, 0.1, 0.3)[0] == pytest.approx(before + 0.75 * (after - before), rel=1e-14)
+    assert table.around(1.02, 0.1, 0.1)[0] == pytest.approx(before + 0.7 * (after - before), rel=1e-12)
+    assert table.around(1.06, 0.1, 0.1)[0] == table(1.06)
+    assert table.around(0.9, 0.1, 0.1)[0] == table(0.9)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 11))
+def test_the_steps_together_give_the_integral(offset):
+    """Halves at both ends of a stage: the trapezoid's sum over a step function is its integral wherever it jumps."""
+    dt, jump = 0.1, 0.5 + 0.1 * offset
+    table = TimeTable((0.0, jump), (2.0, 5.0), "step")
+    times = dt * np.arange(21)
+    values = table.around(times[1:-1], dt, dt)
+    ends = table.around(0.0, 0.0, dt)[0] + table.around(2.0, dt, 0.0)[0]
+    assert dt * (values.sum() + 0.5 * ends) == pytest.approx(2.0 * jump + 5.0 * (2.0 - jump), rel=1e-12)
+
+
+BAR = """
+[output]
+pictures = false
+[rock.rock]
+youngs_modulus = "10 GPa"
+poissons_ratio = 0
+density = 2500
+[geometry]
+domain = [0, 0, 4, 1]
+size = 1
+cells = "quads"
+[[support]]
+on = ["north", "south"]
+components = ["y"]
+[[support]]
+on = "west"
+displacement = {x = [[0, 0], [1e-3, 1e-3], [3e-3, -1e-3]]}
+[[probe]]
+name = "moved"
+at = [0, 0]
+[[probe]]
+name = "end"
+at = [4, 0]
+[[stage]]
+kind = "dynamic"
+time_step = 1e-4
+end = 2e-3
+"""
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_a_support_moved_by_jerks_drives_at_its_own_velocity(run_scene, mass):
+    """1 m/s, then -1 m/s, the mean between; Newmark's rule for the nodes held would ring between 0 and 2 m/s for ever."""
+    found = run_scene(BAR, f"method.mass={mass}")
+    speed, time = found.probe("moved", "velocity")[:, 0], found.history["time"]
+    kink = int(np.argmin(np.abs(time - 1e-3)))
+    assert speed[1:kink] == pytest.approx(1.0, rel=1e-9)  # the first row is the start, at rest
+    assert speed[kink] == pytest.approx(0.0, abs=1e-9)
+    assert speed[kink + 1 :] == pytest.approx(-1.0, rel=1e-9)
+    assert found.closes()
+
+
+def test_a_plate_that_squeezes_a_film_drives_it_evenly(run_scene):
+    """Rigid walls that close at V: p = 6 mu V x (L - x)/d^3 in every step, without a trace of ringing."""
+    plates = RIGID.replace(
+        'kind = "steady"\ntime_step = 1\nsteps = 2', 'kind = "dynamic"\ntime_step = 0.01\nsteps = 20'
+    )
+    moving = "[[0, 0], [0, [[0, 0], [0.1, -1e-5], [0.2, -3e-5]]]]"  # the middles of the two blocks are 1 m apart
+    found = run_scene(
+        plates + ENDS,
+        "fracture.slot.aperture='1 mm'",
+        "rock.rock.density=2500",
+        "initial_stress={xx = 0, yy = 0}",
+        "well.in.pressure=0",
+        f"support.0.displacement_gradient={moving}",
+        "probe.quarter.at=[1, 1]",
+    )
+    aperture, pressure = found.probe("quarter", "aperture"), found.probe("quarter", "pressure")
+    speed = np.repeat([1e-4, 1.5e-4, 2e-4], [9, 1, 10])
+    right = 6 * 1e-3 * speed * 1.0 * 2.0 / aperture[1:] ** 3
+    assert pressure[1:] == pytest.approx(right, rel=1e-8)
+    assert found.closes()
