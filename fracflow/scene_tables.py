@@ -15,6 +15,7 @@ from pydantic import (
     StrictStr,
 )
 
+from fracflow.scene_laws import OTHERWISE, foreign_keys
 from fracflow.tables import Domain, Polyline
 from fracflow.units import (
     LENGTH,
@@ -235,7 +236,7 @@ def with_preset(data: dict[str, Any]) -> dict[str, Any]:
     return {**data, "method": {**preset, **method}} if isinstance(method, dict) else data
 
 
-ALTERNATIVES = (("friction_angle_deg", "friction_coefficient"),)
+ALTERNATIVES = tuple(OTHERWISE.items())
 
 
 def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
@@ -249,6 +250,7 @@ def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(table, dict):
             return table
         shut = {key for pair in ALTERNATIVES if set(pair) & set(table) for key in pair}
+        shut |= foreign_keys(table.get("law"))
         return {key: value for key, value in default.items() if key not in shut} | table
 
     whole = {name: filled(table) for name, table in tables.items()}
