@@ -10,6 +10,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.assembly.energy import Scheme, book, compressed, dissipated, jumped, kinetic_energy, switch
 from fracflow.assembly.loads import Limit, Loads
+from fracflow.assembly.softening import refuse_jumps
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, balance_terms
 from fracflow.coupling.digits import digits_of, refuse_few
@@ -120,7 +121,7 @@ class Stepping:
             try:
                 report = self._coupling(closed).solve(problem)
                 new = accept(problem, state.energy)
-                report = replace(report, digits=self._digits(new))
+                report = replace(report, digits=self._digits(state, new))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
                 try:
@@ -163,10 +164,12 @@ class Stepping:
         opening = self.model.operators.joints.openings(state.sections.strain)
         self.network.look(network.conduct(state.motion.displacement, state.pressure, opening).conductance)
 
-    def _digits(self, new: State) -> float:
-        """Digits of the worst tractions. Raises SolveError, on every rank, where too few are left. Collective."""
-        found = digits_of(self.model.operators, new)
+    def _digits(self, old: State, new: State) -> float:
+        """Digits of the worst tractions. Raises SolveError where too few are left, and where a joint jumped. Collective."""
+        ops = self.model.operators
+        found = digits_of(ops, new)
         try:
+            refuse_jumps(ops.blocks, ops.joints, old, new)
             refuse_few(found, self.model.scene.accuracy.digits, new.time)
         except SolveError:
             new.destroy()
