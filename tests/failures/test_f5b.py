@@ -14,7 +14,7 @@ from fracflow.scene import load
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f5b_rupture/scene.toml"
 WEAKENS = (
-    "fracture.bed={law = 'slip-weakening', normal_stiffness = 400, shear_stiffness = 400, aperture = 1,"
+    "fracture.bed={law = 'slip-weakening', normal_stiffness = 1, shear_stiffness = 400, aperture = 10,"
     " friction_coefficient = {along = [0, 3.999, 4, 24], value = [0.6, 0.6, 1, 1]},"
     " dynamic_friction_coefficient = 0.6, slip_weakening_distance = 0.4}"
 )
