@@ -12,7 +12,7 @@ from fracflow._petsc import MPI
 from fracflow.card import film, scene_card
 from fracflow.card.number import FilmStage
 from fracflow.run_setup import place, prepare, read_split
-from fracflow.scene import load
+from fracflow.scene import Scene, load
 
 pytestmark = pytest.mark.serial
 
@@ -134,6 +134,45 @@ def test_without_a_drop_of_strength_slip_needs_no_length():
     card = card_of(REPORT_5_3, "fracture.fault.stick_slip_ratio=1")
     assert not card["joint length scale"].out_of_range and not card["nucleation length"].out_of_range
     assert card["nucleation length"].value is None
+
+
+FAULT = {
+    "geometry": {
+        "domain": [-20e3, -12e3, 20e3, 12e3], "size": 200.0, "cells": "quads",
+        "fracture": [{"name": "fault", "points": [[-15e3, 0.0], [15e3, 0.0]]}],
+    },
+    "rock": {"rock": {"youngs_modulus": 80.1e9, "poissons_ratio": 0.25, "density": 2670.0}},
+    "initial_stress": {"yy": -120e6, "xy": 70e6},
+    "fracture": {"fault": {
+        "law": "slip-weakening", "normal_stiffness": 1e12, "shear_stiffness": 1e12, "aperture": 1.0,
+        "friction_coefficient": 0.677, "dynamic_friction_coefficient": 0.525, "slip_weakening_distance": 0.4,
+    }},
+    "stage": [{"kind": "dynamic", "time_step": 0.01, "steps": 600}],
+}  # fmt: skip
+
+
+def test_lengths_of_a_fault_that_weakens_with_slip():
+    """mu* = 42.7 GPa, dtau = 0.152 x 120 MPa: Lambda_0 = (9 pi/32) mu* D_c/dtau = 828 m and L_c = 1.158 mu* D_c/dtau."""
+    scene = Scene.from_data(FAULT)
+    mesh = read_split(scene)
+    card = {number.name: number for number in scene_card(scene, mesh, {})}
+    ratio = 80.1e9 / 2.5 / 0.75 * 0.4 / (0.152 * 120e6)
+    zone, nucleation = card["cohesive zone"], card["nucleation length"]
+    assert zone.value == pytest.approx(9 * np.pi / 32 * ratio / 200.0, rel=1e-6)
+    assert not zone.out_of_range and zone.limit == 4.0
+    assert nucleation.value == pytest.approx(1.158 * ratio, rel=1e-6)
+    assert nucleation.limit == pytest.approx(1000.0) and not nucleation.out_of_range
+    assert card["dissimilar rock"].value is None
+    shorter = FAULT | {"fracture": {"fault": FAULT["fracture"]["fault"] | {"slip_weakening_distance": 0.3}}}
+    card = {number.name: number for number in scene_card(Scene.from_data(shorter), mesh, {})}
+    assert card["cohesive zone"].out_of_range and card["nucleation length"].out_of_range
+    length = 9 * np.pi / 32 * ratio
+    finer, longer = 0.75 * length / 4.0, 0.4 * 800.0 / length
+    assert (
+        f"joints shorter than {finer:.3g} m, or slip_weakening_distance above {longer:.3g} m"
+        in card["cohesive zone"].remedy
+    )
+    assert "fault" in card["cohesive zone"].where
 
 
 def test_a_network_that_nothing_drains_has_no_fixed_point(tmp_path):

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from fracflow._petsc import MPI
 from fracflow.errors import InputError, SolveError
+from fracflow.run_setup import prepare
+from fracflow.scene import load
 
 K_S, ROCK = 2e9, 5e9 / 2.0  # of the joint; of the rock, G over its height [Pa/m]
 K = 1.0 / (1.0 / K_S + 1.0 / ROCK)
@@ -70,6 +73,18 @@ def test_springs_in_series_follow_the_falling_strength(run_scene):
     assert ran.history["energy/friction"][there][-1] == pytest.approx(2.0 * work, rel=1e-9)
     assert ran.closes()
     assert ran.probe("middle", "shear_traction")[-1] == pytest.approx(LOW - K * 0.2e-3, rel=1e-9)
+
+
+def test_the_distance_changes_along_the_trace(shared_tmp):
+    file = shared_tmp / "scene.toml"
+    if MPI.COMM_WORLD.rank == 0:
+        file.write_text(LAYER, encoding="utf-8")
+    MPI.COMM_WORLD.barrier()
+    table = "{along = [0, 2], value = ['2 mm', '4 mm']}"
+    ops = prepare(load(file, [f"fracture.seam.slip_weakening_distance={table}"]), MPI.COMM_WORLD).operators
+    along = ops.blocks.joints.along.ravel()  # sections of the nodal rule are the ends of joints
+    (group,) = ops.joints.laws
+    assert group.law.slip_weakening_distance == pytest.approx(2e-3 + 1e-3 * along[group.sections])
 
 
 OF = "fracture.seam"
