@@ -76,6 +76,7 @@ class Linear:
     def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
         """Nothing to flip."""
         return dict(past)
+
     def steepness(self, traction: Floats, past: Past) -> Floats:
         """None: nothing weakens."""
         return np.zeros(len(traction))
