@@ -184,6 +184,40 @@ def test_the_course_meets_every_state(law, dim):
     assert kinds.index(apart) < len(kinds) - 1
 
 
+def test_the_next_event_is_told(law, dim, strains):
+    """Distances of friction are negative where sticking ends, or sliding, and those of contact where the walls touch."""
+    past, eps, rng = law.rest(SECTIONS, dim), 1e-9, np.random.default_rng(5)
+    for strain in strains:
+        response = law.respond(strain, past)
+        ahead = eps * rng.normal(size=strain.shape)
+        contact = law.approach(strain, ahead, past)[:, 1]
+        if not law.status:
+            assert np.isinf(law.approach(strain, ahead, past)).all()
+            continue
+        assert np.array_equal(contact > 0.0, response.is_open)
+        stuck = ~past["sliding"].any(axis=1) & ~response.is_open & (response.margin > 1e-6)
+        ends = law.approach(strain, ahead, past)[:, 0] < 0.0
+        assert np.array_equal(ends[stuck], response.is_sliding[stuck])
+        here = response.past
+        onward = law.approach(strain, ahead, here)[:, 0]
+        clear = response.is_sliding & (np.abs(onward) > 1e-2 * eps * law.shear_stiffness)
+        goes_on = law.respond(strain + ahead, here).is_sliding
+        assert np.array_equal(onward[clear] > 0.0, goes_on[clear])
+        past = here
+
+
+def test_flipped_friction(law, dim, strains):
+    """A section that sticks then slides the way of its trial traction, one that slides sticks; others stay as they are."""
+    past = law.rest(SECTIONS, dim)
+    chosen = np.arange(SECTIONS) % 2 == 0
+    for strain in strains if law.status else ():
+        response = law.respond(strain, past)
+        was, other = past["sliding"].any(axis=1), law.flip(strain, past, chosen)["sliding"]
+        assert np.array_equal(other.any(axis=1), was ^ chosen)
+        assert np.array_equal(other[~chosen], past["sliding"][~chosen])
+        past = response.past
+
+
 def test_softening_is_told(law, dim):
     """``steepness`` is the fall of strength with plastic slip, over the shear stiffness; 0 where it does not fall."""
     past = law.rest(SECTIONS, dim)
