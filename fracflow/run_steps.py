@@ -12,6 +12,7 @@ from fracflow.assembly.compression import narrowing
 from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushed, switch
 from fracflow.assembly.energy_motion import Scheme, kinetic_energy
 from fracflow.assembly.loads import Limit, Loads
+from fracflow.assembly.softening import refuse_jumps
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.absorption import carried_on
 from fracflow.coupling.accept import accept, balance_terms, remember
@@ -160,6 +161,7 @@ class Stepping:
             try:
                 report = self._coupling(closed).solve(problem)
                 new = accept(problem, state.energy)
+                self._refuse_jumps(state, new)
                 report = replace(report, digits=check_digits(problem, new, self.model.scene.accuracy.digits))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
@@ -202,6 +204,15 @@ class Stepping:
         assert network is not None
         opening = self.model.operators.joints.openings(state.sections.strain)
         self.network.look(network.conduct(state.motion.displacement, state.pressure, opening))
+
+    def _refuse_jumps(self, old: State, new: State) -> None:
+        """Raise SolveError, on every rank, where a joint's strength fell faster than its spring unloads. Collective."""
+        ops = self.model.operators
+        try:
+            refuse_jumps(ops.blocks, ops.joints, old, new)
+        except SolveError:
+            new.destroy()
+            raise
 
     def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
         """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""

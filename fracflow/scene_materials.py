@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import MISSING, fields
-from difflib import get_close_matches
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, StrictBool, model_validator
+from pydantic import AfterValidator, Field, StrictBool, create_model, model_validator
 
 from fracflow.laws import JOINT_LAWS
 from fracflow.profiles import Along, AlongInTime, Pressures, Profile
+from fracflow.scene_laws import Property, check, check_order, defaults, describe_laws, known_law, law_fields
 from fracflow.scene_tables import Part, Size, Stress
 from fracflow.units import (
     ACCELERATION,
@@ -29,21 +28,10 @@ from fracflow.units import (
     fault,
 )
 
-Property = float | Profile
-
-
 Position = Annotated[float, Quantity(LENGTH)]
 Number = Annotated[float, Quantity()]
 Speed = Annotated[float, Quantity(VELOCITY)]
 Rate = Annotated[float, Quantity(RATE)]
-
-
-def _known_law(name: str) -> str:
-    if name not in JOINT_LAWS:
-        allowed = ", ".join(JOINT_LAWS)
-        near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)
-        raise fault(f"unknown; allowed: {allowed}" + (f'; did you mean "{near[0]}"?' if near else ""))
-    return name
 
 
 def _along(dimension: str = "1", **limits: float) -> Along:
@@ -132,12 +120,10 @@ class Initial(InitialMotion):
     rock: dict[str, InitialMotion] = Field(default_factory=dict, description="rocks that start otherwise, by name")
 
 
-class Fracture(Part):
-    """[fracture.NAME] Joint law and aperture of a fracture; "default" serves all, and fills what a table leaves open."""
-
-    law: Annotated[str, AfterValidator(_known_law)] = Field(
+class _Joint(Part):
+    law: Annotated[str, AfterValidator(known_law)] = Field(
         default="hyperbolic-coulomb",
-        description="hyperbolic-coulomb: closure and friction of Figs. 3 and 4; linear: two springs",
+        description=describe_laws(),
         json_schema_extra={"enum": [name for name in JOINT_LAWS]},
     )
     normal_stiffness: Annotated[Property, _along(STIFFNESS, above=0.0)] = Field(
@@ -151,17 +137,13 @@ class Fracture(Part):
         default=0.0, description="aperture below which the conductance falls no further [length]"
     )
     friction_angle_deg: Annotated[Property | None, _along(ANGLE, at_least=0.0, below=90.0)] = Field(
-        default=None, description="phi of (2.12) [degree]; or give friction_coefficient; not used by linear"
+        default=None, description="arctan of friction_coefficient, in place of it [degree]"
     )
-    friction_coefficient: Annotated[Property | None, _along(at_least=0.0)] = Field(
-        default=None, description="tan phi of (2.12) [1]; or give friction_angle_deg; not used by linear"
-    )
-    cohesion: Annotated[Property, _along(STRESS, at_least=0.0)] = Field(
-        default=0.0, description="C of (2.12) [force/length**2]; not used by linear"
-    )
-    stick_slip_ratio: Annotated[Property, _along(above=0.0, at_most=1.0)] = Field(
-        default=1.0, description="alpha, strength while sliding over peak strength [1]; not used by linear"
-    )
+
+
+class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # type: ignore[misc]
+    """[fracture.NAME] Joint law and aperture of a fracture; "default" serves all, and fills what a table leaves open."""
+
     initial_normal_traction: Annotated[Property | None, _along(STRESS)] = Field(
         default=None,
         description="f_n0, effective, compression negative [force/length**2]; else from initial_stress",
@@ -181,17 +163,11 @@ class Fracture(Part):
 
     @model_validator(mode="after")
     def _consistent(self) -> Fracture:
-        if self.friction_angle_deg is not None and self.friction_coefficient is not None:
-            raise fault(
-                "contradicts friction_coefficient; give one of them",
-                key="friction_angle_deg",
-            )
-        for field in fields(JOINT_LAWS[self.law]):
-            if field.name == "friction_coefficient":
-                if self.friction_angle_deg is None and self.friction_coefficient is None:
-                    raise fault("missing; give it or friction_coefficient", key="friction_angle_deg")
-            elif field.default is MISSING and getattr(self, field.name) is None:
-                raise fault(f"missing; the law {self.law} needs it", key=field.name)
+        check(self.law, vars(self))
+        for name, value in defaults(self.law).items():
+            if getattr(self, name) is None:
+                self.__dict__[name] = value  # so that the table that is written back says it
+        check_order(self.law, {**vars(self), "friction_coefficient": self.friction})
         return self
 
     @property

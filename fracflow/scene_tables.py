@@ -16,6 +16,7 @@ from pydantic import (
     create_model,
 )
 
+from fracflow.scene_laws import OTHERWISE, foreign_keys
 from fracflow.stepping import OF_FILMS, WITH_INERTIA, keys_of
 from fracflow.tables import Domain, Polyline
 from fracflow.units import (
@@ -252,7 +253,7 @@ def with_preset(data: dict[str, Any]) -> dict[str, Any]:
     return {**data, "method": {**preset, **method}} if isinstance(method, dict) else data
 
 
-ALTERNATIVES = (("friction_angle_deg", "friction_coefficient"),)
+ALTERNATIVES = tuple(OTHERWISE.items())
 
 
 def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
@@ -266,6 +267,7 @@ def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(table, dict):
             return table
         shut = {key for pair in ALTERNATIVES if set(pair) & set(table) for key in pair}
+        shut |= foreign_keys(table.get("law"))
         return {key: value for key, value in default.items() if key not in shut} | table
 
     whole = {name: filled(table) for name, table in tables.items()}

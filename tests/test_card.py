@@ -12,7 +12,7 @@ from fracflow._petsc import MPI
 from fracflow.card import film, scene_card
 from fracflow.card.number import FilmStage
 from fracflow.run_setup import place, prepare, read_split
-from fracflow.scene import load
+from fracflow.scene import Scene, load
 
 pytestmark = pytest.mark.serial
 
@@ -27,7 +27,7 @@ def card_of(file, *overrides):
 
 def test_report_example_3_has_the_published_numbers():
     card = card_of(REPORT_5_3)
-    assert len(card) == 10
+    assert len(card) == 12
     assert card["joint/rock stiffness"].value == pytest.approx(188, abs=0.5)
     assert card["joint length scale"].value == pytest.approx(188, abs=0.5)
     assert card["coupling, steady"].value == pytest.approx(0.09, abs=0.0005)
@@ -39,7 +39,8 @@ def test_report_example_3_has_the_published_numbers():
         "joint length scale", "joint time step", "fluid inertia", "nucleation length",
     }  # fmt: skip
     assert all(bool(number.remedy) == number.out_of_range for number in card.values())
-    assert all("fault" in number.where for number in card.values())
+    assert all("fault" in number.where for number in card.values() if number.value is not None)
+    assert {name for name, number in card.items() if number.value is None} == {"cohesive zone", "dissimilar rock"}
 
 
 def test_joint_time_step_takes_the_mass_of_the_walls_there_are():
@@ -135,6 +136,45 @@ def test_without_a_drop_of_strength_slip_needs_no_length():
     assert card["nucleation length"].value is None
 
 
+FAULT = {
+    "geometry": {
+        "domain": [-20e3, -12e3, 20e3, 12e3], "size": 200.0, "cells": "quads",
+        "fracture": [{"name": "fault", "points": [[-15e3, 0.0], [15e3, 0.0]]}],
+    },
+    "rock": {"rock": {"youngs_modulus": 80.1e9, "poissons_ratio": 0.25, "density": 2670.0}},
+    "initial_stress": {"yy": -120e6, "xy": 70e6},
+    "fracture": {"fault": {
+        "law": "slip-weakening", "normal_stiffness": 1e12, "shear_stiffness": 1e12, "aperture": 1.0,
+        "friction_coefficient": 0.677, "dynamic_friction_coefficient": 0.525, "slip_weakening_distance": 0.4,
+    }},
+    "stage": [{"kind": "dynamic", "time_step": 0.01, "steps": 600}],
+}  # fmt: skip
+
+
+def test_lengths_of_a_fault_that_weakens_with_slip():
+    """mu* = 42.7 GPa, dtau = 0.152 x 120 MPa: Lambda_0 = (9 pi/32) mu* D_c/dtau = 828 m and L_c = 1.158 mu* D_c/dtau."""
+    scene = Scene.from_data(FAULT)
+    mesh = read_split(scene)
+    card = {number.name: number for number in scene_card(scene, mesh, {})}
+    ratio = 80.1e9 / 2.5 / 0.75 * 0.4 / (0.152 * 120e6)
+    zone, nucleation = card["cohesive zone"], card["nucleation length"]
+    assert zone.value == pytest.approx(9 * np.pi / 32 * ratio / 200.0, rel=1e-6)
+    assert not zone.out_of_range and zone.limit == 4.0
+    assert nucleation.value == pytest.approx(1.158 * ratio, rel=1e-6)
+    assert nucleation.limit == pytest.approx(1000.0) and not nucleation.out_of_range
+    assert card["dissimilar rock"].value is None
+    shorter = FAULT | {"fracture": {"fault": FAULT["fracture"]["fault"] | {"slip_weakening_distance": 0.3}}}
+    card = {number.name: number for number in scene_card(Scene.from_data(shorter), mesh, {})}
+    assert card["cohesive zone"].out_of_range and card["nucleation length"].out_of_range
+    length = 9 * np.pi / 32 * ratio
+    finer, longer = 0.75 * length / 4.0, 0.4 * 800.0 / length
+    assert (
+        f"joints shorter than {finer:.3g} m, or slip_weakening_distance above {longer:.3g} m"
+        in card["cohesive zone"].remedy
+    )
+    assert "fault" in card["cohesive zone"].where
+
+
 def test_a_network_that_nothing_drains_has_no_fixed_point(tmp_path):
     found = card_of("meshes/crossings/scene.toml")["coupling, transient"]
     assert found.value == np.inf and not found.out_of_range
@@ -149,19 +189,19 @@ def test_the_card_is_printed_logged_and_stored(tmp_path):
     assert shown.exit_code == 0
     lines = shown.output.splitlines()
     start = next(n for n, line in enumerate(lines) if "Scene card" in line)
-    rows = lines[start + 2 : start + 12]
+    rows = lines[start + 2 : start + 14]
     assert sum(row.startswith("!") for row in rows) == 4
     assert "joint time step" in rows[5] and "1.98" in rows[5] and "fault, failure" in rows[5]
-    assert [line.split(":")[0] for line in lines[start + 12 : start + 16]] == [
+    assert [line.split(":")[0] for line in lines[start + 14 : start + 18]] == [
         "! joint length scale", "! joint time step", "! fluid inertia", "! nucleation length",
     ]  # fmt: skip
     ran = fracflow.open(tmp_path / "run")
     checked = CliRunner().invoke(app, ["check", REPORT_5_3, "--json", *asked])
     assert ran.card == json.loads(checked.output)["card"]
-    assert ran.card[0]["name"] == "joint/rock stiffness" and len(ran.card) == 10
+    assert ran.card[0]["name"] == "joint/rock stiffness" and len(ran.card) == 12
     assert {decision["part"] for decision in ran.plan} >= {"flow", "inertia"}
     log = (tmp_path / "run" / "log.txt").read_text().splitlines()
-    assert sum(line.startswith("card: ") for line in log) == 10
+    assert sum(line.startswith("card: ") for line in log) == 12
 
 
 def _dense(matrix):

@@ -26,7 +26,7 @@ FLOORS = (
 )
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
 PLAIN = {"laws", "elements", "stepping"}  # NumPy only
-SHARED_LAWS = {"__init__", "base", "cubic_flow", "elastic"}
+SHARED_LAWS = {"__init__", "base", "closure", "cubic_flow", "elastic", "friction"}
 BASE = {("_petsc", "errors")}  # within floor 0
 
 

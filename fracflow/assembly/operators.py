@@ -12,6 +12,7 @@ from fracflow.assembly.flow import Flow, assemble_flow
 from fracflow.assembly.joints import Joints, assemble_joints
 from fracflow.assembly.layout import Layout, layout_of
 from fracflow.assembly.properties import along_fractures, initial_stress
+from fracflow.assembly.softening import refuse_steep_start
 from fracflow.assembly.solid import expansion, initial_stress_force, mass, stiffness
 from fracflow.mesh.blocks import Blocks
 from fracflow.scene import Scene
@@ -80,6 +81,8 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
     """Make every operator. Collective."""
     expand = expansion(blocks)
     joints = assemble_joints(blocks, scene, expand)
+    if not scene.equilibrates:
+        refuse_steep_start(blocks, joints)
     stiff = stiffness(blocks, scene, expand)
     return Operators(
         blocks,

@@ -1,4 +1,4 @@
-"""The scene card: ten numbers that tell before a run where its methods may fail, each with its limit and what to change.
+"""The scene card: numbers that tell before a run where its methods may fail, each with its limit and what to change.
 
 A limit warns only where the scene uses the method that it is about; else the number is there as information.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from fracflow.card import film, rock
+from fracflow.card import film, rock, slip
 from fracflow.card.joints import gather
 from fracflow.card.number import Number, View
 from fracflow.mesh.data import SplitMesh
@@ -17,13 +17,14 @@ from fracflow.scene import Scene
 __all__ = ["Number", "as_lines", "as_records", "scene_card"]
 
 NUMBERS = (
-    rock.stiffness, rock.length_scale, film.transient, film.steady, film.ringing,
-    rock.joint_step, film.fluid_inertia, film.compressibility, rock.nucleation, film.contrast,
+    rock.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,
+    rock.joint_step, film.fluid_inertia, film.compressibility, slip.nucleation, film.contrast,
+    slip.cohesive_zone, slip.dissimilar_rock,
 )  # fmt: skip
 
 
 def scene_card(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
-    """The ten numbers of a scene on its mesh; ``wells`` name -> flow node. On one process."""
+    """The numbers of a scene on its mesh; ``wells`` name -> flow node. On one process."""
     view = View(scene, gather(scene, mesh, wells))
     return [number(view) for number in NUMBERS]
 

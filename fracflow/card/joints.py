@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from fracflow.assembly.properties import initial_pressure, initial_stress
+from fracflow.elements import joint
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.profiles import sample
@@ -28,8 +30,15 @@ class CardJoints:
     conducting       (j, 2) flow per thickness and pressure gradient: d^3/(12 mu), or what is given
     is_cubic         (j,) whether the cubic law gives it
     ratio            (j, 2) stick-slip ratio, 1 where a law knows no friction
+    drop             (j, 2) by how much strength falls with slip at the initial normal traction; 0 where it does not [stress]
+    distance         (j, 2) slip over which it does: 0 where it falls at once [length]
+    slips            (j,) whether its law lets it slip
     modulus          E' = E/(1 - nu^2) of the rock beside, two rocks in series; inf where both are rigid [stress]
     shear_modulus    mu* = G/(1 - nu), likewise [stress]
+    layer            E' D, likewise, D the depth of each connected block: its area over the length of its joints
+                     [stress length]
+    shear_speed      (j, 2) c_s of the rock below and above; inf of a rigid one [length/time]
+    softer           mu of the one of the lower c_s [stress]
     impedance        rho c_p of both sides in series, rho c_p/2 where they are equal [stress time/length]
     mass             m_rel, what of the walls' lumped masses moves against each other, per length of joint; rho h/4 between
                      equal cells of depth h [stress time^2/length]
@@ -46,8 +55,14 @@ class CardJoints:
     conducting: Floats
     is_cubic: Bools
     ratio: Floats
+    drop: Floats
+    distance: Floats
+    slips: Bools
     modulus: Floats
     shear_modulus: Floats
+    layer: Floats
+    shear_speed: Floats
+    softer: Floats
     impedance: Floats
     mass: Floats
     component: Ints
@@ -68,11 +83,15 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
     aperture, given = ends("aperture"), ends("conductance")
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
     cubic = np.maximum(aperture, ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
-    rubs = [
-        "stick_slip_ratio" in {f.name for f in fields(JOINT_LAWS[scene.fracture_named(name).law])}
-        for name in mesh.fractures
-    ]
-    has_friction = np.array(rubs, dtype=bool)[mesh.joint_fracture] if len(length) else np.zeros(0, dtype=bool)
+    laws = [JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures]
+
+    def of_law(answers: list[bool]) -> Bools:
+        return np.array(answers, dtype=bool)[mesh.joint_fracture] if len(length) else np.zeros(0, dtype=bool)
+
+    drops_at_once = of_law(["stick_slip_ratio" in {f.name for f in fields(law)} for law in laws])
+    ratio = np.where(drops_at_once[:, None], ends("stick_slip_ratio"), 1.0)
+    distance = ends("slip_weakening_distance")
+    drop = _drop(ratio, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
     rock = _rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
     return CardJoints(
@@ -84,14 +103,46 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
         aperture,
         np.where(np.isnan(given), cubic, given),
         np.isnan(given).all(axis=1),
-        np.where(has_friction[:, None], ends("stick_slip_ratio"), 1.0),
+        ratio,
+        drop,
+        np.where(np.isnan(distance), 0.0, distance),
+        of_law([bool(law.status) for law in laws]),
         2.0 * _in_series(rock["modulus"][mesh.joint_cells]),
         2.0 * _in_series(rock["shear_modulus"][mesh.joint_cells]),
+        _in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
+        rock["shear_speed"][mesh.joint_cells],
+        _of_slower(rock["shear_speed"][mesh.joint_cells], rock["shear"][mesh.joint_cells]),
         _in_series(rock["impedance"][mesh.joint_cells]),
         _in_series(_wall_masses(mesh, rock["density"], rock["rigid"], length)),
         component,
         reach,
     )
+
+
+def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:
+    """|f_n0| (j, 2) at the joint ends, of what is ``given`` or else of the initial stress (2.14) [stress]."""
+    ends = mesh.points[mesh.joint_bottom]
+    if not len(ends):
+        return np.abs(given)
+    sigma = initial_stress(scene, ends)[..., :2, :2]
+    frame = np.repeat(joint.frame(ends)[0], 2, axis=0)
+    traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2))[:, -1].reshape(-1, 2)
+    effective = np.where(np.isnan(given), traction + initial_pressure(scene, ends), given)
+    return np.maximum(-effective, 0.0)
+
+
+def _drop(ratio: Floats, ends: Callable[[str], Floats], pressed: Floats) -> Floats:
+    """Fall of strength (j, 2): at once to a ratio of its peak, or with slip to another friction."""
+    peak, dynamic = ends("friction"), ends("dynamic_friction_coefficient")
+    cohesion = np.nan_to_num(ends("cohesion"), nan=0.0)
+    at_once = np.where(ratio < 1.0, (1.0 - ratio) * (cohesion + pressed * peak), 0.0)
+    return np.where(np.isnan(dynamic), at_once, pressed * (peak - dynamic))
+
+
+def _of_slower(speed: Floats, values: Floats) -> Floats:
+    """The value (j,), of pairs (j, 2), on the side of the lower speed."""
+    side = np.argmin(np.where(np.isnan(speed), np.inf, speed), axis=1) if len(speed) else np.zeros(0, dtype=int)
+    return values[np.arange(len(values)), side]
 
 
 def _in_series(sides: Floats) -> Floats:
@@ -109,9 +160,12 @@ def _rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
     nu = np.array([0.0 if r.rigid or r.poissons_ratio is None else r.poissons_ratio for r in tables])
     density = np.array([np.nan if r.density is None else r.density for r in tables])
     wave = np.sqrt(young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / density)
+    shear = young / (2.0 * (1.0 + nu))
     found = {
         "modulus": young / (1.0 - nu**2),
-        "shear_modulus": young / (2.0 * (1.0 + nu) * (1.0 - nu)),
+        "shear_modulus": shear / (1.0 - nu),
+        "shear": shear,
+        "shear_speed": np.sqrt(shear / density),
         "impedance": density * wave,
         "density": density,
         "rigid": rigid,
@@ -122,13 +176,10 @@ def _rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
 def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats) -> Floats:
     """Lumped mass per length of joint of the bottom and the top wall (j, 2); of a rigid rock, that of all of it."""
     is_node = mesh.cells >= 0
-    corners = np.where(is_node, mesh.cells, mesh.cells[:, :1])
-    x, y = np.moveaxis(mesh.points[corners], -1, 0)
-    after = np.roll(np.arange(corners.shape[1]), -1)
-    # a pad is the first node again: its edges add nothing
-    volume = density * 0.5 * np.abs((x * y[:, after] - x[:, after] * y).sum(axis=1))
+    volume = density * _areas(mesh)
     count = len(mesh.points)
     share = (volume / is_node.sum(axis=1))[:, None] * is_node
+    corners = np.where(is_node, mesh.cells, mesh.cells[:, :1])
     at_node = np.bincount(corners.ravel(), share.ravel(), count)
     faces = np.stack([mesh.joint_bottom, mesh.joint_top], axis=1)  # (j, side, end)
     wall = np.broadcast_to(0.5 * length[:, None, None], faces.shape)
@@ -140,6 +191,26 @@ def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats
             sides = mesh.cell_rock[mesh.joint_cells] == number
             per_length[sides] = volume[inside].sum() / max(float((length[:, None] * sides).sum()), 1e-300)
     return per_length
+
+
+def _areas(mesh: SplitMesh) -> Floats:
+    """Areas (m,) of the cells; a pad is the first node again: its edges add nothing."""
+    x, y = np.moveaxis(mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])], -1, 0)
+    after = np.roll(np.arange(x.shape[1]), -1)
+    return 0.5 * np.abs((x * y[:, after] - x[:, after] * y).sum(axis=1))
+
+
+def _depths(mesh: SplitMesh, length: Floats) -> Floats:
+    """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any."""
+    cells, nodes = np.nonzero(mesh.cells >= 0)[0], mesh.cells[mesh.cells >= 0]
+    count = len(mesh.cells)
+    graph = sparse.coo_matrix((np.ones(len(cells)), (cells, count + nodes)), shape=(count + len(mesh.points),) * 2)
+    block = connected_components(graph, directed=False)[1][:count]
+    area = np.bincount(block, _areas(mesh))
+    along = np.bincount(block[mesh.joint_cells].ravel(), np.repeat(length, 2), len(area))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth: Floats = (area / along)[block]
+    return depth
 
 
 def _reaches(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int], length: Floats) -> tuple[Ints, Floats]:

@@ -71,6 +71,7 @@ class View:
         self.dynamic = [film for film in self.stages if film.alpha_0 > 0.0]
         self.flows = scene.has_flow and len(joints.length) > 0
         self.drops = joints.ratio < 1.0
+        self.weakens = (joints.drop > 0.0) & (joints.distance > 0.0)
 
     def worst(self, values: Floats) -> tuple[float | None, int, str]:
         """Largest value of (j,) or (j, 2), its joint, and the name of its fracture; None where none is known."""
@@ -79,6 +80,17 @@ class View:
         each = np.where(np.isnan(values), -np.inf, values).reshape(len(values), -1).max(axis=1)
         joint = int(each.argmax())
         return float(each[joint]), joint, self.joints.names[self.joints.fracture[joint]]
+
+    def dynamic_time(self) -> float:
+        """How long the stages with inertia last, as far as the scene bounds them [time]."""
+        clock = total = 0.0
+        for stage in self.scene.stage:
+            if stage.takes_no_time:
+                continue
+            after = clock + (stage.steps or 0) * (stage.time_step or 0.0) if stage.end is None else stage.end
+            total += after - clock if stage.kind == "dynamic" else 0.0
+            clock = after
+        return total
 
     def unit(self, dimension: str) -> str:
         """The unit to write behind a number, with a blank before it."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,32 @@ Bools = NDArray[np.bool_]
 Parameter = float | Floats
 Past = Mapping[str, Floats]
 Kind = Literal["shear", "scalar"]
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a scene must know of a parameter to read it: meaning, dimension ("1" without), range.
+
+    not_above  another parameter of the law that it may not exceed
+    """
+
+    meaning: str
+    dimension: str = "1"
+    limits: Mapping[str, float] = field(default_factory=dict)
+    not_above: str = ""
+
+
+def key(meaning: str, dimension: str = "1", not_above: str = "", **limits: float) -> dict[str, Key]:
+    """Metadata of a dataclass field that scenes give by its name; without a default of the field they must.
+
+    limits  "above", "at_least", "below", "at_most"
+    """
+    return {"key": Key(meaning, dimension, limits, not_above)}
+
+
+def keys_of(law: Any) -> dict[str, Key]:
+    """The parameters that a law declares with ``key``, by name."""
+    return {each.name: each.metadata["key"] for each in fields(law) if "key" in each.metadata}
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +71,14 @@ class JointResponse:
 
 
 class JointLaw(Protocol):
-    """Frozen parameters, pure functions of strain and past; ``status`` is the latched part of ``history``."""
+    """Frozen parameters, pure functions of strain and past; ``status`` is the latched part of ``history``.
+
+    Parameters of its own are declared with ``key``; a scene refuses those of other laws, unless ``passes_over`` is set.
+    """
 
     history: ClassVar[dict[str, Kind]]
     status: ClassVar[tuple[str, ...]]
+    passes_over: ClassVar[bool]
 
     def rest(self, sections: int, dim: int) -> dict[str, Floats]:
         """History of the initial state, one array a name: "shear" (n, dim-1), "scalar" (n,)."""
@@ -83,6 +113,13 @@ class JointLaw(Protocol):
 
     def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
         """``past`` with the other status of friction at the chosen sections (n,)."""
+        ...
+
+    def steepness(self, traction: Floats, past: Past) -> Floats:
+        """How fast the strength (n,) falls with slip after ``past``, over the shear stiffness, at tractions (n, dim).
+
+        From 1 on the joint cannot unload as fast as its strength falls: it jumps, however stiff the rock is.
+        """
         ...
 
 

@@ -27,6 +27,7 @@ class Linear:
 
     history: ClassVar[dict[str, Kind]] = {}
     status: ClassVar[tuple[str, ...]] = ()
+    passes_over: ClassVar[bool] = True  # a scene may switch to springs, and keep its friction for later
 
     def rest(self, sections: int, dim: int) -> dict[str, Floats]:
         """No history."""
@@ -75,3 +76,7 @@ class Linear:
     def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
         """Nothing to flip."""
         return dict(past)
+
+    def steepness(self, traction: Floats, past: Past) -> Floats:
+        """None: nothing weakens."""
+        return np.zeros(len(traction))

@@ -22,6 +22,17 @@ SAMPLES = {
         initial_normal_traction=-4.0,
         initial_shear_traction=1.0,
     ),
+    "slip-weakening": dict(
+        normal_stiffness=2e3,
+        shear_stiffness=1.5e3,
+        aperture=0.01,
+        friction_coefficient=0.7,
+        dynamic_friction_coefficient=0.3,
+        slip_weakening_distance=0.025,
+        cohesion=0.5,
+        initial_normal_traction=-4.0,
+        initial_shear_traction=1.0,
+    ),
     "linear": dict(
         normal_stiffness=2e3, shear_stiffness=1.5e3, initial_normal_traction=-4.0, initial_shear_traction=1.0
     ),
@@ -46,6 +57,31 @@ def path(dim, seed=0, steps=30):
         strain = strain + rng.normal(0.0, 1.5e-3, strain.shape)
         strain[:, -1] = np.clip(strain[:, -1], -0.008, 0.004)
         yield strain
+
+
+def course(dim, steps=12):
+    """Every section alike: pushed on in shear far past its strength, back, on again while the walls part and close."""
+    rng = np.random.default_rng(1)
+    there, back, on = np.linspace(0.0, 0.04, steps), np.linspace(0.04, 0.02, steps), np.linspace(0.02, 0.06, steps)
+    along = np.concatenate([there, back, on, on[-1:].repeat(steps)])
+    across = np.concatenate(
+        [-1e-3 * np.ones(3 * steps), np.linspace(-1e-3, 4e-3, steps // 2), np.full(steps // 2, -2e-3)]
+    )
+    turned = rng.uniform(0.9, 1.1, (SECTIONS, 2))
+    for slip, opening in zip(along, across, strict=True):
+        strain = np.zeros((SECTIONS, dim))
+        strain[:, 0], strain[:, -1] = slip * turned[:, 0], opening * turned[:, 1]
+        if dim == 3:
+            strain[:, 1] = 0.3 * slip * turned[:, 1]
+        yield strain
+
+
+PATHS = {"walk": path, "course": course}
+
+
+@pytest.fixture(params=PATHS)
+def strains(request, dim):
+    return list(PATHS[request.param](dim))
 
 
 def copy(past):
@@ -102,10 +138,10 @@ def test_initial_state(law, dim):
     assert np.all(response.stored == 0) and np.all(response.inelastic == 0)
 
 
-def test_tangent_is_the_derivative(law, dim):
+def test_tangent_is_the_derivative(law, dim, strains):
     """Central differences with the status latched, where the status holds on both sides."""
     past, step, checked, slid = law.rest(SECTIONS, dim), 1e-9, 0, 0
-    for strain in path(dim):
+    for strain in strains:
         response = law.respond(strain, past)
         here = latched(law, past, response)
         base = law.respond(strain, here)
@@ -124,13 +160,80 @@ def test_tangent_is_the_derivative(law, dim):
     assert slid > 50 or not law.status
 
 
-def test_dissipation(law, dim):
+def test_dissipation(law, dim, strains):
     past, before = law.rest(SECTIONS, dim), np.zeros((SECTIONS, dim))
-    for strain in path(dim):
+    for strain in strains:
         response = law.respond(strain, past)
         work = np.einsum("ni,ni->n", response.traction, response.inelastic - before)
         assert (work >= -1e-14).all()
         past, before = response.past, response.inelastic
+
+
+def test_the_course_meets_every_state(law, dim):
+    """So that the tests above see each law with a strength stick, slide, reverse, part and meet again."""
+    if not law.status:
+        return
+    past, seen = law.rest(SECTIONS, dim), []
+    for strain in course(dim):
+        response = law.respond(strain, past)
+        seen.append((response.is_sliding[0], response.is_open[0]))
+        past = response.past
+    kinds = [key for n, key in enumerate(seen) if n == 0 or key != seen[n - 1]]
+    stick, slide, apart = (False, False), (True, False), (False, True)
+    assert kinds[:2] == [stick, slide] and kinds.count(stick) >= 2 and apart in kinds
+    assert kinds.index(apart) < len(kinds) - 1
+
+
+def test_the_next_event_is_told(law, dim, strains):
+    """Distances of friction are negative where sticking ends, or sliding, and those of contact where the walls touch."""
+    past, eps, rng = law.rest(SECTIONS, dim), 1e-9, np.random.default_rng(5)
+    for strain in strains:
+        response = law.respond(strain, past)
+        ahead = eps * rng.normal(size=strain.shape)
+        contact = law.approach(strain, ahead, past)[:, 1]
+        if not law.status:
+            assert np.isinf(law.approach(strain, ahead, past)).all()
+            continue
+        assert np.array_equal(contact > 0.0, response.is_open)
+        stuck = ~past["sliding"].any(axis=1) & ~response.is_open & (response.margin > 1e-6)
+        ends = law.approach(strain, ahead, past)[:, 0] < 0.0
+        assert np.array_equal(ends[stuck], response.is_sliding[stuck])
+        here = response.past
+        onward = law.approach(strain, ahead, here)[:, 0]
+        clear = response.is_sliding & (np.abs(onward) > 1e-2 * eps * law.shear_stiffness)
+        goes_on = law.respond(strain + ahead, here).is_sliding
+        assert np.array_equal(onward[clear] > 0.0, goes_on[clear])
+        past = here
+
+
+def test_flipped_friction(law, dim, strains):
+    """A section that sticks then slides the way of its trial traction, one that slides sticks; others stay as they are."""
+    past = law.rest(SECTIONS, dim)
+    chosen = np.arange(SECTIONS) % 2 == 0
+    for strain in strains if law.status else ():
+        response = law.respond(strain, past)
+        was, other = past["sliding"].any(axis=1), law.flip(strain, past, chosen)["sliding"]
+        assert np.array_equal(other.any(axis=1), was ^ chosen)
+        assert np.array_equal(other[~chosen], past["sliding"][~chosen])
+        past = response.past
+
+
+def test_softening_is_told(law, dim):
+    """``steepness`` is the fall of strength with plastic slip, over the shear stiffness; 0 where it does not fall."""
+    past = law.rest(SECTIONS, dim)
+    for strain in course(dim):
+        response = law.respond(strain, past)
+        on = response.is_sliding & ~np.isinf(response.strength)
+        ahead = strain.copy()
+        ahead[:, :-1] += 1e-6 * response.past.get("sliding", 0.0)
+        more = law.respond(ahead, response.past)
+        on &= more.is_sliding
+        moved = np.linalg.norm(more.inelastic - response.inelastic, axis=1)
+        fall = np.linalg.norm(response.traction[:, :-1], axis=1) - np.linalg.norm(more.traction[:, :-1], axis=1)
+        steep = law.steepness(response.traction, response.past)
+        same = steep == law.steepness(more.traction, more.past)  # not across the end of the weakening
+        assert np.allclose(fall[on & same], (steep * moved * law.shear_stiffness)[on & same], rtol=1e-6, atol=1e-9)
+        past = response.past
 
 
 def test_stored_energy_is_the_work_of_the_traction(law, dim):

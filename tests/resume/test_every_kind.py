@@ -20,6 +20,7 @@ from physics.test_absorbing import STILL, STRESSED  # noqa: E402
 from physics.test_along_fractures import RIGID  # noqa: E402
 from physics.test_books import CRACK, DYNAMIC, QUASI  # noqa: E402
 from physics.test_depth import HEAVY  # noqa: E402
+from physics.test_slip_weakening import LAYER  # noqa: E402
 from physics.test_supports import PERIODIC  # noqa: E402
 from physics.test_wells import PUMPED  # noqa: E402
 
@@ -54,6 +55,7 @@ CASES = {
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
     "parts of a step": ("failures/f6a_closing", ["accuracy.max_iterations=6"], (4, 7)),
+    "slip weakening": (LAYER, ["stage.0.time_step=0.1"], (6, 9, 12)),
     "rigid walls": (RIGID, ["fracture.slot.pressure=[[0, 0], [2, 1e4]]"], (1,)),
 }
 

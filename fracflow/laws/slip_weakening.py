@@ -1,0 +1,146 @@
+"""Friction that falls with slip: the strength drop with a length of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from .base import Bools, Floats, JointResponse, Kind, Parameter, Past, key, per_section, rest_history
+from .closure import Closure
+from .friction import Trial, changed_slide
+
+
+@dataclass(frozen=True, eq=False)
+class SlipWeakening:
+    """(2.11) with Coulomb friction whose coefficient falls linearly with slip (Ida 1972, Andrews 1976).
+
+    normal_stiffness             k_n0 [stress/length], > 0
+    shear_stiffness              k_s [stress/length], > 0
+    aperture                     d0 [length], > 0: closure can approach, never reach it
+    friction_coefficient         mu_p of a joint that has not slid
+    dynamic_friction_coefficient mu_d <= mu_p after D_c of slip
+    slip_weakening_distance      D_c [length], > 0
+    cohesion                     C [stress], does not weaken
+    initial_normal_traction      f_n0 [stress], <= 0, effective
+    initial_shear_traction       f_s0 [stress]
+    coupled_tangent              False: without d f_s / d eps_n
+    strength_when_open           True: strength C when f_n >= 0; False: none once strictly open
+
+    Parameters are numbers or arrays (n,), f_s0 may be (n, dim-1); joint frame, tension positive.
+    Strength C - f_n mu(D), mu = mu_p - (mu_p - mu_d) min(D/D_c, 1), at the present f_n.
+
+    History: ``plastic_slip`` [length], ``slip_path`` D [length], the length of its path, and ``sliding``, the unit
+    direction of the sliding traction, zero while sticking. Nothing heals: a section that re-sticks, or opens and closes
+    again, keeps its D. It re-sticks where the plastic increment would reverse, as with "hyperbolic-coulomb". The return
+    to the strength is exact: within the weakening, past D_c, and across it in one call.
+
+    Where |f_n| (mu_p - mu_d)/D_c >= k_s the spring cannot unload as fast as the strength falls (``steepness``): the
+    traction then jumps past D_c at the onset of slip.
+    """
+
+    normal_stiffness: Parameter
+    shear_stiffness: Parameter
+    aperture: Parameter
+    friction_coefficient: Parameter = field(
+        metadata=key("mu_p, before any slip [1]; or give friction_angle_deg", at_least=0.0)
+    )
+    dynamic_friction_coefficient: Parameter = field(
+        metadata=key("mu_d, after a slip of D_c [1]", at_least=0.0, not_above="friction_coefficient")
+    )
+    slip_weakening_distance: Parameter = field(
+        metadata=key("D_c, slip over which friction falls from mu_p to mu_d", "length", above=0.0)
+    )
+    cohesion: Parameter = field(default=0.0, metadata=key("C of (2.12)", "force/length**2", at_least=0.0))
+    initial_normal_traction: Parameter = 0.0
+    initial_shear_traction: Parameter = 0.0
+    coupled_tangent: bool = True
+    strength_when_open: bool = False
+
+    history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "slip_path": "scalar", "sliding": "shear"}
+    status: ClassVar[tuple[str, ...]] = ("sliding",)
+    passes_over: ClassVar[bool] = False
+
+    def rest(self, sections: int, dim: int) -> dict[str, Floats]:
+        """No slip, sticking."""
+        return rest_history(self.history, sections, dim)
+
+    @property
+    def closure(self) -> Closure:
+        """The normal law."""
+        return Closure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
+
+    def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:
+        """Mu of slip paths D (n,), and by how much it falls with further slip [1/length], 0 from D_c on."""
+        peak, dynamic, distance = (
+            per_section(v, len(slip_path))
+            for v in (self.friction_coefficient, self.dynamic_friction_coefficient, self.slip_weakening_distance)
+        )
+        weakens = slip_path < distance
+        falls = np.where(weakens, (peak - dynamic) / distance, 0.0)
+        return np.where(weakens, peak - falls * slip_path, dynamic), falls
+
+    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
+        """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``past``, at most one change of status.
+
+        With ``hold`` sticking sections stick, and sliding ones slide; those that would go back then carry the strength
+        that they have. Opening at or past -d0 gives a normal traction of -inf and leaves the history as it was.
+        """
+        trial, path = Trial.of(self, strain, past), past["slip_path"]
+        cohesion, k_s, pressed = per_section(self.cohesion, len(strain)), trial.k_s, trial.pressed()
+        mu, falls = self.friction(path)
+        strength = np.where(trial.free, 0.0, cohesion - pressed * mu)
+        slides = trial.slides(strength, strength, hold)
+
+        excess = np.where(trial.was_sliding & (trial.along <= 0.0), 0.0, np.maximum(trial.size - strength, 0.0))
+        stiff = k_s + pressed * falls  # of spring and weakening, <= 0 where the joint jumps
+        slip = np.where(stiff > 0.0, excess / np.where(stiff > 0.0, stiff, 1.0), np.inf)
+        distance = per_section(self.slip_weakening_distance, len(strain))
+        crosses = (falls > 0.0) & (path + np.where(excess > 0.0, slip, 0.0) >= distance)
+        lower = cohesion - pressed * per_section(self.dynamic_friction_coefficient, len(strain))
+        slip = np.where(excess > 0.0, np.where(crosses, (trial.size - lower) / k_s, slip), 0.0)
+        softens = slides & (falls > 0.0) & ~crosses & (slip > 0.0)
+        share = np.where(softens, k_s / np.where(softens, stiff, 1.0), 1.0)
+        now, _ = self.friction(path + slip)
+        carried = np.where(slip > 0.0, cohesion - pressed * now, strength if hold else np.minimum(strength, trial.size))
+        slid = slides & ~trial.crushed
+        answer = trial.answer(
+            slides=slides,
+            carried=carried,
+            by_size=1.0 - share,
+            by_normal=-now * share,
+            strength=np.where(slid & (slip > 0.0), carried, strength),
+            margin=trial.margin(strength, strength),
+            coupled=self.coupled_tangent,
+        )
+        return replace(answer, past={**answer.past, "slip_path": path + np.where(slid, slip, 0.0)})
+
+    def steepness(self, traction: Floats, past: Past) -> Floats:
+        """|f_n| (mu_p - mu_d)/(D_c k_s) while friction falls; 0 once it has."""
+        _, falls = self.friction(past["slip_path"])
+        pressed = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
+        result: Floats = pressed * falls / per_section(self.shear_stiffness, len(traction))
+        return result
+
+    def has_changed(self, old: Past, new: Past) -> Bools:
+        """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
+        return changed_slide(old, new)
+
+    def step_limit(self, strain: Floats, increment: Floats) -> Floats:
+        """Fraction to the boundary -d0 of the closure."""
+        return self.closure.step_limit(strain, increment)
+
+    def change_at(self, strain: Floats, increment: Floats) -> Floats:
+        """Fraction of the increment at which the walls part or meet."""
+        return self.closure.change_at(strain, increment)
+
+    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+        """Distances (n, 2) from the next event at strain (n, dim), which moves by ``change`` (n, dim) in a step."""
+        mu, _ = self.friction(past["slip_path"])
+        trial = Trial.of(self, strain, past)
+        return trial.approach(change, per_section(self.cohesion, len(strain)) - trial.f_n * mu, mu)
+
+    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
+        """``past`` with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
+        return Trial.of(self, strain, past).flipped(chosen)

@@ -1,0 +1,2 @@
+h = 1;
+Include "strip.geo";

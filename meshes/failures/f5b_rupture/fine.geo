@@ -1,0 +1,2 @@
+h = 0.5;
+Include "strip.geo";

@@ -1,0 +1,2 @@
+h = 0.25;
+Include "strip.geo";
