@@ -83,14 +83,17 @@ class Floating:
         self._carried: np.ndarray | None = None
         self.motions = np.zeros((3 * self.count, 0))
 
-    def find(self, sections: Sections, is_filled: bool) -> Floats:
+    def find(self, sections: Sections, is_filled: bool, without: np.ndarray | None = None) -> Floats:
         """Motions (3 p, k) of the blocks that float at these sections, orthonormal. Collective.
 
         is_filled  an incompressible film keeps the walls of every joint apart, and together
+        without    (s, 2) what sections are taken not to carry, along and across, whatever their status
         """
         tangent = sections.tangent
         carried = np.any(tangent != 0.0, axis=1)  # (s, 2): along, across
         carried[:, -1] |= is_filled
+        if without is not None:
+            carried &= ~without
         same = self._carried is not None and np.array_equal(carried, self._carried)
         if not self.operators.layout.comm.allreduce(int(not same)):
             return self.motions
