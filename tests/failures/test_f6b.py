@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from fracflow._petsc import MPI
 from fracflow.assembly.floating import Floating, null_motions
@@ -75,6 +76,23 @@ def test_null_motions_of_springs_in_a_row():
     assert np.abs(motions - motions[0]).max() < 1e-6
     assert null_motions(np.eye(3)).shape == (3, 0)
     assert null_motions(np.zeros((3, 3))).shape == (3, 3)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("chains", [0, 1, 2, 40])
+def test_null_motions_of_many_blocks_stay_sparse(chains):
+    """1000 masses in a row, 40 of them held but for the last ``chains`` pieces, of which each moves as one."""
+    count, piece = 1000, 25
+    springs = np.flatnonzero(np.arange(count - 1) % piece != piece - 1)
+    ends = np.concatenate([springs, springs + 1])
+    rows = np.tile(np.arange(len(springs)), 2)
+    jumps = sparse.csr_matrix((np.repeat([1.0, -1.0], len(springs)), (rows, ends)), shape=(len(springs), count))
+    held = np.arange(count) % piece == 0
+    held[count - chains * piece :] = False
+    motions = null_motions(jumps.T @ jumps + sparse.diags(held.astype(float)))
+    assert motions.shape == (count, chains)
+    expected = np.kron(np.eye(count // piece)[:, count // piece - chains :], np.full((piece, 1), piece**-0.5))
+    assert np.abs(motions @ (motions.T @ expected) - expected).max(initial=0.0) <= 1e-9
 
 
 def _motions(*overrides, carried):
