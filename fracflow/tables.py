@@ -31,11 +31,6 @@ class TimeTable:
         """Make a table that has one value for ever."""
         return TimeTable((0.0,), (value,))
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether the value never changes."""
-        return len(set(self.values)) == 1
-
     def __call__(self, time: float) -> float:
         """Sample the table; at a jump, within 1e-12 of its time, the mean of both sides."""
         tolerance = 1e-12 * max(abs(time), abs(self.times[0]), abs(self.times[-1]))

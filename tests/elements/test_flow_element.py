@@ -26,7 +26,7 @@ def test_wall_matrix_is_the_explicit_one():
     """(3.19), here per unit depth and in the order bottom 1, bottom 2, top 1, top 2."""
     points = np.array([[[1.0, 2.0], [4.0, 6.0]]])
     frame, length = joint.frame(points)
-    load = flow.pressure_load(frame, flow.storage_matrix("averaging", length))
+    load = flow.wall_normals(frame) @ flow.storage_matrix("averaging", length)
     dx, dy = 3.0, 4.0
     row = np.array([dy, -dx, dy, -dx, -dy, dx, -dy, dx]) / 4
     assert np.allclose(load[0].T, [row, row])
@@ -35,7 +35,7 @@ def test_wall_matrix_is_the_explicit_one():
 @pytest.mark.parametrize("kind", flow.STORAGE)
 def test_pressure_opens_the_joint(kind):
     frame, length = joint.frame(np.array([[[0.0, 0.0], [0.0, 2.0]]]))
-    load = flow.pressure_load(frame, flow.storage_matrix(kind, length)) @ np.array([3.0, 3.0])
+    load = flow.wall_normals(frame) @ flow.storage_matrix(kind, length) @ np.array([3.0, 3.0])
     by_face = load.reshape(2, 2, 2).sum(axis=1)
     assert np.allclose(by_face, [[6.0, 0.0], [-6.0, 0.0]]), "bottom (right) to +x, top (left) to -x"
     xi, _ = joint.RULES["nodal"]
