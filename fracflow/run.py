@@ -22,6 +22,7 @@ from fracflow.run_steps import Step, Stepping, stepper_of
 from fracflow.run_totals import Totals
 from fracflow.run_watch import Watch, Wish
 from fracflow.scene import Scene, load
+from fracflow.scene_actions import Stage
 from fracflow.state import State, StepReport
 
 Progress = Callable[[int, float, State], None]
@@ -103,6 +104,14 @@ def require_run(folder: Path) -> None:
         raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
 
 
+def of_stage(stage: Stage, error: SolveError) -> SolveError:
+    """The same error with the name of its stage."""
+    head = f"stage {stage.title}: "
+    found = error if str(error).startswith(head) else type(error)(f"{head}{error}")
+    found.__cause__ = error if found is not error else error.__cause__
+    return found
+
+
 def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Progress | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     unknowns = int(model.operators.layout.solid_starts[-1])
@@ -133,7 +142,7 @@ def _steps(
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
-                    recorder.log(f"stage {number} ({stage.name or stage.kind}) from time {state.time:.6g}")
+                    recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
                     entered = stepping.enter(state, stepper_of(scene, stage), stage.time_step or 0.0)
                     state.destroy()
                     state, going_on = entered, {}
@@ -152,8 +161,8 @@ def _steps(
                         raise failure
                 going_on = {}
         except (SolveError, Interrupted) as error:  # raised on every rank: what follows stays collective
-            failure = error
-            recorder.log(f"stopped: {error}")
+            failure = error if isinstance(error, Interrupted) else of_stage(stage, error)
+            recorder.log(f"stopped: {failure}")
     if not isinstance(failure, Interrupted):
         step = Step(state, step.stage, step.dt, step.report, step.progress)
         recorder.last(step)

@@ -27,9 +27,8 @@ AGREES = (
 
 @dataclass(frozen=True)
 class _Closed:
-    """Loads with the parts closed that nothing drains, and the wells of each. ``original`` keeps the key alive."""
+    """Loads with the parts closed that nothing drains, and the wells of each."""
 
-    original: Loads
     loads: Loads
     parts: tuple[tuple[Part, tuple[str, ...], bool], ...]
 
@@ -44,7 +43,7 @@ class Network:
         self._holds = np.zeros(0, dtype=bool)
         self._told: np.ndarray | None = None
         self._parts: tuple[Part, ...] = ()
-        self._closed: dict[tuple[int, bool, bool], _Closed] = {}
+        self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
 
     def close(self, loads: Loads, stores: bool) -> Loads:
@@ -138,7 +137,7 @@ class Network:
         return frozenset(found)
 
     def _found(self, loads: Loads, stores: bool, at_start: bool = False) -> _Closed:
-        key = (id(loads), stores, at_start)
+        key = (loads, stores, at_start)
         if key not in self._closed:
             self._closed[key] = self._make(loads, stores, at_start)
         return self._closed[key]
@@ -202,7 +201,7 @@ class Network:
             wells = tuple(name for name, node in nodes.items() if node in part.nodes)
             parts.append((part, wells, moves))
             closures.append(close(operators, part, moves and not at_start, holds))
-        return _Closed(loads, replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
+        return _Closed(replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
 
     def _node(self, vector: object) -> int:
         local = vector.getArray(readonly=True)  # type: ignore[attr-defined]

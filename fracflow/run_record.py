@@ -78,18 +78,25 @@ class Recorder:
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
-        totals, report, time = self.totals, step.report, step.state.time
+        totals, report, scene = self.totals, step.report, self.model.scene
+        stage = f"stage {scene.stage[step.stage].title}"
         if report.handed_over and not totals.handed_over:
-            self.log(f"{report.handed_over}; handed over to the monolithic solver, as are later steps like it")
+            self.log(f"{stage}: {report.handed_over}; handed over to the monolithic solver, as are later steps like it")
         totals.handed_over += bool(report.handed_over)
         told, factor = totals.told_factor, report.predicted
         if np.isnan(factor):
             return
         if np.isnan(told) or (max(factor, told) >= TOLD_FROM and not abs(factor - told) <= TOLD_AGAIN * told):
             totals.told_factor = factor
+            time = f"time {step.state.time:.6g} {scene.unit_system.time}".rstrip()
+            measured = (
+                f"the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"
+                if np.isfinite(report.measured)
+                else "fewer than two cycles were made, so that none is measured"
+            )
             self.log(
-                f"time {time:.6g}: a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted); the last"
-                f" cycle, {self.model.scene.method.fixed_point}, by {report.measured:.3g} (measured)"
+                f"{stage}, {time}: a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted);"
+                f" {measured}"
             )
 
     def _watch_spurious(self, step: Step) -> None:

@@ -33,6 +33,9 @@ from fracflow.tables_time import AT_ONCE
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
+MOST_KEPT = (
+    4  # solvers for different sets of loads, with their factors: wells go from one limit to the next and seldom back
+)
 DONE: Progress = {"done": 1.0}
 
 
@@ -64,29 +67,31 @@ class Stepping:
     def __init__(self, model: Model) -> None:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
-        self._couplings: dict[int, tuple[Loads, Coupling]] = {}
+        self._couplings: dict[Loads, Coupling] = {}  # the one used last comes last
         self.network = Network(model)
         self._network_version = 0
-        self._at_rest: dict[int, tuple[Loads, Loads]] = {}
-        self._variants: dict[tuple[int, frozenset[Limit]], Loads] = {}
+        self._at_rest: dict[Loads, Loads] = {}
+        self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
 
     def _coupling(self, loads: Loads) -> Coupling:
-        if id(loads) not in self._couplings:
-            kind = COUPLINGS[
-                self.model.scene.method.coupling if self.model.operators.flow is not None else "monolithic"
-            ]
-            self._couplings[id(loads)] = loads, kind(self.model.scene, self.model.operators, loads)
-        return self._couplings[id(loads)][1]
+        coupling = self._couplings.pop(loads, None)
+        if coupling is None:
+            if len(self._couplings) == MOST_KEPT:
+                self._couplings.pop(next(iter(self._couplings))).destroy()
+            name = self.model.scene.method.coupling if self.model.operators.flow is not None else "monolithic"
+            coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
+        self._couplings[loads] = coupling
+        return coupling
 
     def _closed(self, loads: Loads, stores: bool) -> Loads:
         """The loads with what nothing drains closed; solvers for parts of the network that are no more are freed."""
         found = self.network.close(loads, stores)
         if self.network.version != self._network_version:
             self._network_version = self.network.version
-            for key, (known, coupling) in list(self._couplings.items()):
+            for known, coupling in list(self._couplings.items()):
                 if known.closures:
                     coupling.destroy()
-                    del self._couplings[key]
+                    del self._couplings[known]
         return found
 
     def step(
@@ -224,12 +229,12 @@ class Stepping:
     def _standing(self, loads: Loads) -> Loads:
         if not len(self.model.loads.fixed_resting) and self.model.operators.damping is None:
             return loads
-        if id(loads) not in self._at_rest:
-            self._at_rest[id(loads)] = loads, loads.standing()
-        return self._at_rest[id(loads)][1]
+        if loads not in self._at_rest:
+            self._at_rest[loads] = loads.standing()
+        return self._at_rest[loads]
 
     def _limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
-        key = (id(loads), reached)
+        key = (loads, reached)
         if reached and key not in self._variants:
             self._variants[key] = loads.at_limit(reached)
         return self._variants[key] if reached else loads
@@ -327,6 +332,6 @@ class Stepping:
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
-        for _, coupling in self._couplings.values():
+        for coupling in self._couplings.values():
             coupling.destroy()
         self.network.destroy()

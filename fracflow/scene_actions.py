@@ -264,6 +264,11 @@ class Stage(Part):
             raise fault(f"contradicts end = {self.end:g}; give one of them", key="steps")
 
     @property
+    def title(self) -> str:
+        """What the log and messages call the stage: its name, or its kind."""
+        return self.name or self.kind
+
+    @property
     def takes_no_time(self) -> bool:
         """Whether the stage only searches a steady state, at a standing clock."""
         return self.kind == "equilibrate" or (self.kind == "steady" and self.until is not None)

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 from fracflow.errors import InputError
 from fracflow.scene_errors import nearest
 from fracflow.tables import FractureEnd, Place
+from fracflow.units import COMPRESSIBILITY
 
 if TYPE_CHECKING:
     from fracflow.scene import Scene
 
 MOST_STEPS = 1e9
+MOST_COMPRESSIBLE = 1e-2  # 1/Pa, 1/p of an ideal gas at a thousandth of the atmosphere's pressure
 Fault = tuple[tuple[int | str, ...], str]
 
 
@@ -89,6 +91,13 @@ def _materials(scene: Scene) -> Iterator[Fault]:
             yield ("fracture", name, "aperture"), "missing; a fluid with compressibility needs the volume it fills"
         if fracture.pressure is not None and not scene.has_flow:
             yield ("fracture", name, "pressure"), "needs [fluid] with a viscosity: without it no fluid is modelled"
+    if scene.fluid is not None and scene.fluid.compressibility and scene.units != "none":
+        in_si = scene.fluid.compressibility * scene.unit_system.to_si(COMPRESSIBILITY)
+        if in_si > MOST_COMPRESSIBLE:
+            yield (
+                ("fluid", "compressibility"),
+                f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water",
+            )
     if scene.fluid is None and scene.well:
         yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
 

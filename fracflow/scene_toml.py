@@ -23,7 +23,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file; raises InputError where there is none, or where it is not TOML."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path}: no such scene file; give the path of a TOML file") from None
     except OSError as error:
@@ -32,10 +32,28 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path.name}: not UTF-8 text: {error.reason} at byte {error.start}; save it as UTF-8"
         ) from None
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path.name}: not valid TOML: {' '.join(str(error).split())}") from None
+        what = " ".join(str(error).split())
+        raise InputError(f"{path.name}: not valid TOML: {what}{_at_key(text, what)}") from None
     except RecursionError:
         raise InputError(f"{path.name}: not valid TOML: brackets too deep inside each other; close them") from None
+
+
+def _at_key(text: str, error: str) -> str:
+    """The key at which TOML ends, as it stands there, where its value is a list or a number, and how these are written."""
+    line = re.search(r"at line (\d+)", error)
+    before = text.splitlines()[: int(line[1])] if line else text.splitlines()
+    begun = [words for words in before if re.match(r"\s*[\w.\"'-]+\s*=", words)]
+    value = begun[-1].partition("=")[2].lstrip() if begun else ""
+    if value.startswith(("[", "(")):
+        how = 'commas between, units in quotes, such as the time table [[0, 0], [10, "2 kPa"]] of pairs [time, value]'
+    elif value[:1].isdecimal() and "Expected newline" in error:
+        how = 'a number with its unit stands in quotes, such as "2 kPa"'
+    else:
+        return ""
+    return f" in {_one_line(begun[-1])}: {how}"
 
 
 def override(data: dict[str, Any], setting: str) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fracflow.tables_time import TimeTable
-from fracflow.units import LENGTH, PLAIN, TIME, Quantity, fault, number_schema, system_of, what_fits
+from fracflow.units import EXAMPLES, LENGTH, PLAIN, TIME, Quantity, fault, number_schema, system_of, what_fits
 
 
 @dataclass(frozen=True)
@@ -62,21 +62,30 @@ class Tabled(_Annotation):
         if isinstance(value, dict):
             return self._from_columns(value, info)
         if isinstance(value, list):
-            if not all(isinstance(row, list) and len(row) == 2 for row in value):
-                raise fault(self._fits(info))
+            wrong = [n for n, row in enumerate(value) if not (isinstance(row, list) and len(row) == 2)]
+            if wrong:
+                raise fault(f"row {wrong[0] + 1} is no pair [time, value]; {self._fits(info)}")
             return self._table([row[0] for row in value], [row[1] for row in value], "linear", info)
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise fault(self._fits(info))
         try:
             return TimeTable.constant(Quantity(self.dimension).read(value, info))
         except PydanticCustomError as error:
+            if isinstance(value, str) and value.lstrip().startswith(("[", "(", "{")):
+                raise fault(f"is text, or a bracket or comma is missing; {self._fits(info)}") from None
             or_word = f', or "{self.word}"' if self.word and isinstance(value, str) else ""
             raise fault(f"{error}{or_word}") from None
 
     def _fits(self, info: ValidationInfo) -> str:
         word = f', or "{self.word}"' if self.word else ""
-        number = what_fits(self.dimension, system_of(info))
-        return f"must be {number}, or a time table [[t, v], ...] or {{time = [...], value = [...]}}{word}"
+        table = f"[[t, v], ...] such as [[0, 0], [10, {self._one(info)}]], or {{time = [...], value = [...]}}"
+        return f"must be {what_fits(self.dimension, system_of(info))}, or a time table {table}{word}"
+
+    def _one(self, info: ValidationInfo) -> str:
+        """A value as an example, in the units of the scene."""
+        system = system_of(info)
+        has_units = self.dimension != PLAIN and system is not None and system.name != "none"
+        return f'"{EXAMPLES[self.dimension]}"' if has_units else "1"
 
     def _from_columns(self, value: dict[str, Any], info: ValidationInfo) -> TimeTable:
         unknown = sorted(set(value) - {"time", "value", "interpolation"})
@@ -84,7 +93,9 @@ class Tabled(_Annotation):
             raise fault(f'unknown key "{unknown[0]}" in a time table; allowed: time, value, interpolation')
         times, values = value.get("time"), value.get("value")
         if not isinstance(times, list) or not isinstance(values, list) or len(times) != len(values):
-            raise fault("a time table needs lists time and value of the same length")
+            counts = (f"{len(part) if isinstance(part, list) else 'no list'}" for part in (times, values))
+            what = "a time table needs lists time and value of the same length, here {} and {}".format(*counts)
+            raise fault(f"{what}; such as {{time = [0, 10], value = [0, {self._one(info)}]}}")
         interpolation = value.get("interpolation", "linear")
         if interpolation not in ("linear", "step"):
             raise fault(f'interpolation = "{interpolation}" is unknown; allowed: "linear", "step"')
@@ -98,16 +109,26 @@ class Tabled(_Annotation):
         info: ValidationInfo,
     ) -> TimeTable:
         if not times:
-            raise fault("a time table needs at least one row")
-        t = tuple(Quantity(TIME).read(time, info) for time in times)
-        v = tuple(Quantity(self.dimension).read(value, info) for value in values)
-        if any(later < earlier for earlier, later in pairwise(t)):
-            raise fault("the times of a table must ascend")
+            raise fault(f"a time table needs at least one row; {self._fits(info)}")
+        t = self._column("time", TIME, times, info)
+        v = self._column("value", self.dimension, values, info)
+        fallen = [f"{later:g} after {earlier:g}" for earlier, later in pairwise(t) if later < earlier]
+        if fallen:
+            raise fault(f"the times of a table must ascend, here {fallen[0]}")
         if any(third == first for first, third in zip(t, t[2:], strict=False)):
             raise fault("a time may stand at most twice in a table (a jump)")
         if interpolation == "step" and len(set(t)) < len(t):
             raise fault("the times of a step table must differ; a step needs no second row")
         return TimeTable(t, v, interpolation)
+
+    def _column(self, name: str, dimension: str, column: list[Any], info: ValidationInfo) -> tuple[float, ...]:
+        found = list[float]()
+        for entry in column:
+            try:
+                found.append(Quantity(dimension).read(entry, info))
+            except PydanticCustomError as error:
+                raise fault(f"row {len(found) + 1} of the table [[t, v], ...], its {name}: {error}") from None
+        return tuple(found)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
@@ -120,6 +141,7 @@ class Tabled(_Annotation):
 class TabledVector(_Annotation):
     """Annotation of a vector [x, y] of values that may change in time, or one word, if not empty, in its place."""
 
+    EXAMPLE: ClassVar[str] = "[[[0, 0], [10, 1]], 0]"
     dimension: str
     word: str = ""
 
@@ -129,8 +151,14 @@ class TabledVector(_Annotation):
             return self.word
         if not isinstance(value, list) or len(value) != 2:
             or_word = f', or "{self.word}"' if self.word else ""
-            raise fault(f"must be [x, y], each a number or a time table{or_word}")
-        x, y = (Tabled(self.dimension).read(part, info) for part in value)
+            raise fault(f"must be [x, y], each a number or a time table, such as {self.EXAMPLE}{or_word}")
+        found = []
+        for name, part in zip("xy", value, strict=True):
+            try:
+                found.append(Tabled(self.dimension).read(part, info))
+            except PydanticCustomError as error:
+                raise fault(f"its {name}: {error}; [x, y] with a time table is such as {self.EXAMPLE}") from None
+        x, y = found
         assert isinstance(x, TimeTable) and isinstance(y, TimeTable)
         return x, y
 

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from fracflow._petsc import MPI
 from fracflow.card import film, scene_card
 from fracflow.card.number import FilmStage
+from fracflow.errors import InputError
 from fracflow.run_setup import place, prepare, read_split
 from fracflow.scene import Scene, load
 
@@ -178,6 +179,39 @@ def test_lengths_of_a_fault_that_weakens_with_slip():
 def test_a_network_that_nothing_drains_has_no_fixed_point(tmp_path):
     found = card_of("meshes/crossings/scene.toml")["coupling, transient"]
     assert found.value == np.inf and not found.out_of_range
+
+
+def test_what_is_infinite_is_null_for_scripts_with_its_text_beside():
+    from fracflow.cli import app
+
+    scene = "meshes/crossings/scene.toml"  # nothing drains it: rho_t is infinite
+
+    def strict(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    found = CliRunner().invoke(app, ["check", scene, "--json", "--set", "method.coupling=fixed-point"])
+    numbers = {number["name"]: number for number in json.loads(found.output, parse_constant=strict)["card"]}
+    assert all(not isinstance(number[key], str) for number in numbers.values() for key in ("value", "limit"))
+    infinite = numbers["coupling, transient"]
+    assert infinite["value"] is None and infinite["value_text"] == "inf" and infinite["limit"] == 0.5
+    assert infinite["out_of_range"] and "no pressure is prescribed" in infinite["remedy"]
+    shown = CliRunner().invoke(app, ["check", scene, "--set", "method.coupling=fixed-point"]).output
+    assert any("coupling, transient" in line and " inf " in line for line in shown.splitlines())
+
+
+@pytest.mark.parametrize("given, out", [("0.45 1/GPa", False), ("9e-7 1/Pa", False), ("1e-5 1/Pa", True)])
+def test_a_fluid_as_compressible_as_a_gas_is_flagged(given, out):
+    found = card_of(REPORT_5_3, f"fluid.compressibility={given}")["fluid compressibility"]
+    share = float(given.split()[0]) * (1e-9 if "GPa" in given else 1.0)
+    assert found.out_of_range is out and ("bar" in found.remedy) is out
+    assert found.limit == (pytest.approx(found.value * 1e-6 / share) if out else None)
+
+
+def test_a_bulk_modulus_in_place_of_a_compressibility_is_refused():
+    with pytest.raises(
+        InputError, match=r"fluid.compressibility = 4.59e7: is 9.59e\+05 1/Pa, .* 4.5e-10 1/Pa for water"
+    ):
+        load(REPORT_5_3, ["fluid.compressibility=4.59e7"])  # lbf/ft^2, of water
 
 
 def test_the_card_is_printed_logged_and_stored(tmp_path):

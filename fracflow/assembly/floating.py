@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.loads import Loads
@@ -24,6 +25,12 @@ from fracflow.state import Sections
 NOTHING = 1e-9
 """Relative stiffness that counts as none. All that holds has unit stiffness and each block its own size, so what is held
 at all is held by h/L squared or more."""
+
+
+DENSE = 600  # motions up to which all eigenvectors are as fast
+SHIFT = 1e-11  # far below what counts as nothing, far above round-off
+FIRST = 8  # vectors
+INVERSE_ITERATIONS = 4
 
 
 @dataclass(frozen=True)
@@ -56,13 +63,36 @@ class Frames:
         return np.concatenate([direction, turn[:, None]], axis=1)
 
 
-def null_motions(stiffness: Floats) -> Floats:
-    """Orthonormal columns that span what a symmetric, semidefinite ``stiffness`` (m, m) does not resist; (m, k)."""
-    own = np.sqrt(np.diagonal(stiffness))
+def null_motions(stiffness: sparse.spmatrix | Floats) -> Floats:
+    """Orthonormal columns that span what a symmetric, semidefinite ``stiffness`` (m, m) does not resist; (m, k).
+
+    A large one stays sparse: inverse iteration on ever more vectors at once, until one of them is resisted.
+    """
+    matrix = sparse.csc_matrix(stiffness)
+    own, count = np.sqrt(matrix.diagonal()), matrix.shape[0]
     scale = np.where(own > 0.0, 1.0 / np.where(own > 0.0, own, 1.0), 1.0)
-    values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
-    floating = vectors[:, values <= NOTHING] * scale[:, None]
-    return np.linalg.qr(floating)[0]
+    scaled = sparse.diags(scale) @ matrix @ sparse.diags(scale)
+    vectors = _sparse_null(scaled.tocsc()) if count > DENSE else None
+    if vectors is None:
+        values, vectors = np.linalg.eigh(scaled.toarray())
+        vectors = vectors[:, values <= NOTHING]
+    return np.linalg.qr(vectors * scale[:, None])[0]
+
+
+def _sparse_null(scaled: sparse.csc_matrix) -> Floats | None:
+    """The same of a matrix with unit diagonal, or None where too much floats for it to pay."""
+    count = scaled.shape[0]
+    inverse, generator = splu(scaled + SHIFT * sparse.identity(count, format="csc")), np.random.default_rng(0)
+    tried = FIRST
+    while tried <= count // 4:
+        basis = generator.standard_normal((count, tried))
+        for _ in range(INVERSE_ITERATIONS):
+            basis = np.linalg.qr(inverse.solve(basis))[0]
+        values, mixed = np.linalg.eigh(basis.T @ (scaled @ basis))
+        if values[-1] > NOTHING:
+            return np.asarray(basis @ mixed[:, values <= NOTHING])
+        tried *= 4
+    return None
 
 
 class Floating:
@@ -83,14 +113,17 @@ class Floating:
         self._carried: np.ndarray | None = None
         self.motions = np.zeros((3 * self.count, 0))
 
-    def find(self, sections: Sections, is_filled: bool) -> Floats:
+    def find(self, sections: Sections, is_filled: bool, without: np.ndarray | None = None) -> Floats:
         """Motions (3 p, k) of the blocks that float at these sections, orthonormal. Collective.
 
         is_filled  an incompressible film keeps the walls of every joint apart, and together
+        without    (s, 2) what sections are taken not to carry, along and across, whatever their status
         """
         tangent = sections.tangent
         carried = np.any(tangent != 0.0, axis=1)  # (s, 2): along, across
         carried[:, -1] |= is_filled
+        if without is not None:
+            carried &= ~without
         same = self._carried is not None and np.array_equal(carried, self._carried)
         if not self.operators.layout.comm.allreduce(int(not same)):
             return self.motions
@@ -114,11 +147,11 @@ class Floating:
         frames = Frames.of(boxes)
         parts = [_support_rows(blocks, self.loads, frames, group), _tie_rows(blocks, frames, group)]
         parts.append(self._joint_rows(carried & ~np.repeat(firm, points)[:, None], frames, group))
-        stiffness = np.zeros((3 * groups, 3 * groups))
+        stiffness = sparse.csr_matrix((3 * groups, 3 * groups))
         for rows in parts:
             matrix = sparse.csr_matrix((rows.value, (rows.row, rows.motion)), shape=(rows.count, 3 * groups))
-            stiffness += (matrix.T @ matrix).toarray()
-        return self._of_blocks(null_motions(comm.allreduce(stiffness)), frames, group)
+            stiffness = stiffness + matrix.T @ matrix
+        return self._of_blocks(null_motions(sum(comm.allgather(stiffness))), frames, group)
 
     def _joint_rows(self, carried: np.ndarray, frames: Frames, group: Ints) -> Rows:
         section, component = np.nonzero(carried)

@@ -54,9 +54,9 @@ class Limit:
     local: Ints = field(compare=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Loads:
-    """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks.
+    """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
     Of absorbing sides: ``waves`` that come in with inertia, ``resting`` unknowns (local, and ``fixed_resting`` joined of all

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from math import isfinite
 
 from fracflow.card import film, rock, slip
 from fracflow.card.joints import gather
@@ -43,5 +44,14 @@ def as_lines(numbers: list[Number]) -> list[str]:
 
 
 def as_records(numbers: list[Number]) -> list[dict[str, object]]:
-    """For plan.json and ``check --json``."""
-    return [asdict(number) for number in numbers]
+    """For plan.json and ``check --json``: the fields of each number, and ``value_text`` and ``limit_text``.
+
+    JSON has no infinity: where a value or limit is "inf" in its text, the field itself is null; where there is none, both
+    are null.
+    """
+    return [asdict(number) | _told("value", number.value) | _told("limit", number.limit) for number in numbers]
+
+
+def _told(name: str, value: float | None) -> dict[str, object]:
+    known = value if value is not None and isfinite(value) else None
+    return {name: known, f"{name}_text": None if value is None else f"{value:.3g}"}

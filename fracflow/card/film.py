@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from fracflow.card.number import FilmStage, Number, View
 from fracflow.mesh.data import Floats
-from fracflow.units import ACCELERATION, STRESS, TIME
+from fracflow.units import ACCELERATION, COMPRESSIBILITY, STRESS, TIME
 
 GRAVITY = 9.80665  # m/s^2: the density of a fluid of which only the specific weight is given
 WITHIN = 0.5  # an estimate by means along a fracture may be half of the factor
 WATER = 2.2e9  # Pa, bulk modulus of water: shown where the scene states no compressibility
+GAS = 1e-6  # 1/Pa, 1/p of an ideal gas at 10 bar; liquids have less than a hundredth of it
 EVENT_STEPS = 10  # the shortest event that the steps of a dynamic stage resolve
 NARROWING = 1.25  # d1/d2 from which (3.14f) is wrong by 4 %
 STEEPEST = {"lumped": 4.0, "consistent-lumped": 12.0, "consistent": 36.0, "averaging": 48.0, "report": 24.0}
@@ -101,6 +102,10 @@ def transient(view: View) -> Number:
     limit = limit and WITHIN  # of 1: the run predicts the factor itself, this is an estimate of it
     if limit is None or value is None or value < limit:
         return Number(name, formula, value, limit, False, where, note=note)
+    if not np.isfinite(value):
+        remedy = "no pressure is prescribed there, so the fixed point (4.5) has none while the walls are held: give a [[well]]"
+        remedy += ' with a pressure, or set method.fixed_point = "added-storage" or method.coupling = "monolithic"'
+        return Number(name, formula, value, limit, True, where, remedy)
     remedy = (
         f"the fixed point (4.5) may diverge, and smaller steps make it worse: take time_step above"
         f" {film.time_step * value / limit:.2g}{view.unit(TIME)} there, or set method.coupling"
@@ -209,7 +214,14 @@ def compressibility(view: View) -> Number:
         return Number(name, formula, note="not stated")
     share = given or view.scene.unit_system.to_si(STRESS) / WATER
     value, _, where = view.worst(view.joints.normal * view.joints.aperture * share)
-    return Number(name, formula, value, None, False, where, note="modelled" if given else "not stated; water")
+    in_si = given * view.scene.unit_system.to_si(COMPRESSIBILITY) if given and view.scene.units != "none" else 0.0
+    if value is None or in_si <= GAS:
+        return Number(name, formula, value, None, False, where, note="modelled" if given else "not stated; water")
+    remedy = (
+        f"fluid.compressibility is {in_si:.2g} 1/Pa, that of a gas below 10 bar, whose density the film does not follow:"
+        " give 1/K_f of a liquid (4.5e-10 1/Pa for water), not K_f"
+    )
+    return Number(name, formula, value, value * GAS / in_si, True, where, remedy, "modelled")
 
 
 def contrast(view: View) -> Number:

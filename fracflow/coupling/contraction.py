@@ -126,9 +126,6 @@ def predict(matrix: JoinedMatrix, problem: StepProblem, with_storage: bool) -> P
     cycle = Cycle(matrix, problem)
     try:
         factor, mode = cycle.radius()
-        for closure in problem.loads.closures if not np.isfinite(factor) else ():
-            mode[:] = 0.0  # of these parts the flow alone says nothing: the last of them is named
-            mode[closure.row] = 1.0
         found = Prediction(factor, worst_fracture(matrix.operators, mode))
         if with_storage:
             storage, stored = added_storage(cycle)

@@ -9,7 +9,6 @@ small changes alone would be believed too early.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -18,19 +17,18 @@ from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.accept import step_report
 from fracflow.coupling.contraction import (
-    Cycle,
     Prediction,
     add_diagonal,
     change_of,
     is_solved,
-    limits_of_time_step,
     predict,
-    scaled,
     solver_of,
 )
+from fracflow.coupling.fixed_point_failure import describe_divergence, measured_factor
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.relaxation import RELAXATIONS, Cycles
+from fracflow.coupling.residual import TINY
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Floats
@@ -74,12 +72,16 @@ class Linearised:
 
 
 class _Lost(Exception):
-    """The cycles do not converge; the text says what stopped them, where something did, and ``cost`` what they took."""
+    """The cycles do not converge; the text says what stopped them, where something did.
 
-    def __init__(self, why: str = "", cost: StepReport | None = None) -> None:
-        """Say why, and at what cost."""
+    cost  what they took
+    left  how many times too large what is tested still was
+    """
+
+    def __init__(self, why: str = "", cost: StepReport | None = None, left: float = np.nan) -> None:
+        """Say why, at what cost, and how far they came."""
         super().__init__(why)
-        self.cost = cost or StepReport(0, 0, 0, 0, 0.0, 0.0)
+        self.cost, self.left = cost or StepReport(0, 0, 0, 0, 0.0, 0.0), left
 
 
 class FixedPoint:
@@ -88,15 +90,15 @@ class FixedPoint:
     limit = 1.0  # predicted factor of a plain cycle from which on it is not tried
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
-        """Make one matrix for each split, and one of both for the prediction. Collective."""
+        """Make a matrix of both balances, whose block is the flow's, and one whose factors the solid keeps. Collective."""
         self.scene, self.name = scene, scene.method.fixed_point
         self.whole_matrix = JoinedMatrix(operators, loads)
         self.solid_matrix = JoinedMatrix(operators, loads)
-        self.flow_matrix = JoinedMatrix(operators, loads)
         self.solid = Newton(scene, self.solid_matrix, "solid", "solid")
         self.solid.least = 1  # walls that are nearly balanced must still follow the last change of the pressures
-        self.splits = self.flow_matrix.layout.index_sets()
-        self.network = self.flow_matrix.matrix.createSubMatrix(self.splits[1], self.splits[1])
+        self.splits = self.whole_matrix.layout.index_sets()
+        self.network = self.whole_matrix.matrix.createSubMatrix(self.splits[1], self.splits[1])
+        self._network_of = -1  # the fill of the whole that the network was taken from
         self.flow = solver_of(self.network, "flow_fieldsplit_flow_")
         self.monolithic: Newton | None = None
         self.linearised: Linearised | None = None
@@ -116,7 +118,7 @@ class FixedPoint:
         except _Lost as lost:
             self._start_again(problem)
             problem.evaluate()
-            why = self._reason(problem, prediction, changes) + (f" ({lost})" if str(lost) else "")
+            why = describe_divergence(self.scene, problem, self.whole_matrix, prediction, changes, lost.left, str(lost))
             if not hands_over:  # a smaller time step may help the solid, where it was the solid that failed
                 raise (NotConverged if str(lost) and not is_hopeless else SolveError)(why) from lost
             report = self._hand_over(problem)
@@ -128,14 +130,14 @@ class FixedPoint:
                 cycles=len(changes),
                 handed_over=why,
             )
-        return replace(report, predicted=prediction.factor, measured=_measured(changes))
+        return replace(report, predicted=prediction.factor, measured=measured_factor(changes))
 
     def _cycle(
         self, problem: StepProblem, prediction: Prediction, changes: list[float], most: int | None
     ) -> StepReport:
         """Cycles until the balances hold. Raises _Lost when they diverge, or after ``most``. Collective."""
         accuracy, rule = self.scene.accuracy, RELAXATIONS[self.name]
-        cycles, total = Cycles(prediction.factor), StepReport(0, 0, 0, 0, 0.0, 0.0)
+        cycles, total, left = Cycles(prediction.factor), StepReport(0, 0, 0, 0, 0.0, 0.0), np.nan
         for number in range(1, (most or accuracy.max_cycles) + 1):
             problem.branch = problem.state.sections.past  # no section slips for a pressure that was on its way
             try:
@@ -158,19 +160,22 @@ class FixedPoint:
                 residual.flow,
                 round_off=residual.round_off,
             )
-            is_still = changes[-1] <= max(accuracy.pressure * self._driven(problem), ROUND_OFF * self._size(problem))
-            if most is None and is_still and residual.flow <= accuracy.residual:
+            still = max(accuracy.pressure * self._driven(problem), ROUND_OFF * self._size(problem))
+            if most is None and changes[-1] <= still and residual.flow <= accuracy.residual:
                 return total
+            left = max(changes[-1] / max(still, TINY), residual.flow / accuracy.residual)
             growing = self.name == "plain" and len(changes) > 3 and changes[-1] > changes[-2] > changes[-3]
             if growing or not np.isfinite(changes[-1]):
                 break
-        raise _Lost("", total)
+        raise _Lost("", total, left)
 
     def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
         """(4.5a) What the flow adds to the pressures (n,) of this rank, the walls as they are. Collective."""
         unit, scale = problem.operators.scales.pressure, problem.flow_scale()
-        if self.flow_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, scale, "flow"):
-            self.flow_matrix.matrix.createSubMatrix(self.splits[1], self.splits[1], self.network)
+        self.whole_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, scale)
+        if self.whole_matrix.fills != self._network_of:
+            self._network_of = self.whole_matrix.fills
+            self.whole_matrix.matrix.createSubMatrix(self.splits[1], self.splits[1], self.network)
             if prediction.storage is not None:
                 add_diagonal(self.network, prediction.storage * unit / scale)
         balance, added = self.network.createVecs()
@@ -210,49 +215,6 @@ class FixedPoint:
         self.linearised = replace(now, prediction=predict(self.whole_matrix, problem, self.name == "added-storage"))
         return self.linearised.prediction
 
-    def _reason(self, problem: StepProblem, prediction: Prediction, changes: list[float]) -> str:
-        """Why the cycles did not converge, and what to change; the trial is at the start of the step. Collective."""
-        at = f'time {problem.time:.6g}: coupling = "fixed-point" ({self.name})'
-        others = [f'"{name}"' for name in RELAXATIONS if name not in ("plain", self.name)]
-        remedy = 'set method.coupling = "monolithic", or method.on_divergence = "monolithic"'
-        if not np.isfinite(prediction.own):
-            return (
-                f"{at} cannot work here: part of the network ({prediction.fracture}) has no prescribed pressure, so its flow"
-                f' has no solution while the walls are held: {remedy}, or method.fixed_point = "added-storage", or give a'
-                " [[well]] with a pressure"
-            )
-        measured = _measured(changes)
-        ratio = f"{measured:.3g} measured" if np.isfinite(measured) else "none measured"
-        what = f"the error of the pressures is multiplied by {prediction.own:.3g} a cycle (predicted; {ratio})"
-        what += f", most in {prediction.fracture}"
-        if self.name == "plain" and (prediction.factor >= self.limit or measured > 1.0):
-            return (
-                f"{at} diverges: {what}; it must be below 1{self._time_steps(problem, prediction.factor)}: {remedy}, or"
-                f" method.fixed_point = {' or '.join(others)}"
-            )
-        return f"{at} did not converge in {len(changes)} cycles: {what}: raise accuracy.max_cycles, or {remedy}"
-
-    def _time_steps(self, problem: StepProblem, factor: float) -> str:
-        """Between which time steps plain cycles diverge, as text. Collective."""
-        dt = problem.time - problem.state.time
-        if problem.alphas.a1 == 0.0 or not factor > 1.0 or not dt > 0.0:
-            return ", and in a stage without storage no time_step makes it so" if problem.alphas.a1 == 0.0 else ""
-
-        def radius(step: float) -> float:
-            cycle = Cycle(self.whole_matrix, problem, scaled(problem.alphas, step / dt))
-            try:
-                return cycle.radius()[0]
-            except NotConverged:  # walls that cannot be solved for say nothing of a limit
-                return np.inf
-            finally:
-                cycle.destroy()
-
-        below, above = limits_of_time_step(radius, factor, dt)
-        limits = [f"{sign} {step:.2g}" for sign, step in (("<", below), (">", above)) if step is not None]
-        if not limits:
-            return ", which no time_step makes it"
-        return f", as for a time_step {' or '.join(limits)}" + (", not for a smaller one" if below is None else "")
-
     def _start_again(self, problem: StepProblem) -> None:
         """Put the trial back to where the step starts."""
         problem.state.pressure.copy(problem.pressure)
@@ -284,12 +246,6 @@ class FixedPoint:
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""
         things = [self.monolithic] if self.monolithic is not None else []
-        matrices = (self.whole_matrix, self.solid_matrix, self.flow_matrix)
+        matrices = (self.whole_matrix, self.solid_matrix)
         for thing in (*things, self.solid, self.flow, self.network, *self.splits, *matrices):
             thing.destroy()
-
-
-def _measured(changes: list[float]) -> float:
-    """The last ratio of successive changes; NaN where there is none."""
-    ratios = [new / old for old, new in pairwise(changes) if old > 0.0]
-    return ratios[-1] if ratios else np.nan

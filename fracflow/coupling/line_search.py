@@ -33,18 +33,24 @@ def by_residual(size: Callable[[float], float], before: float, change: float) ->
     return max(best, SHORTEST)
 
 
-def by_energy(power: Callable[[float], float], before: float) -> float:
-    """The fraction at which the unbalanced forces do little work along the step: the lowest energy, where there is one.
+def by_energy(power: Callable[[float], float], before: float, change: float) -> float:
+    """The first fraction of 1, just past the first ``change`` of a status, that does not overshoot the lowest energy.
 
-    Where a joint closes and its stiffness stops the step, that is just past the closing.
+    Where all of them do, the fraction before at which the unbalanced forces do little work along the step.
 
     power   fraction -> out-of-balance force times step, positive while the energy falls
     before  power at fraction 0; not positive where the step does not lower the energy: then all of it is taken
+    change  fraction at which the first joint opens or closes, inf if none does
     """
     after = power(1.0)
     if before <= 0.0 or after >= -POWER_LEFT * before:
         return 1.0
-    low, high, at_low, at_high = 0.0, 1.0, before, after
+    end = 1.0
+    if change < 1.0:
+        end, after = change, power(change)
+        if after >= -POWER_SOUGHT * before:
+            return change
+    low, high, at_low, at_high = 0.0, end, before, after
     for trial in range(MOST_TRIALS):
         chord = (low * at_high - high * at_low) / (at_high - at_low)
         fraction = chord if trial % 2 == 0 and low < chord < high else 0.5 * (low + high)

@@ -15,20 +15,20 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.floating import Floating
+from fracflow.coupling.circles import JUST_PAST, Circles, Rounds, all_changed, statuses
 from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
 from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.coupling.near_null import tell_rigid_motions
-from fracflow.coupling.newton_failure import check_step, describe_failure, describe_floating
-from fracflow.coupling.newton_methods import NEWTON_METHODS, SingularMatrix
+from fracflow.coupling.newton_failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
+from fracflow.coupling.newton_methods import NEWTON_METHODS, SingularMatrix, softly_held
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
+from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
 PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
-JUST_PAST = 1e-6  # relative: how far past the opening or closing of a joint a shortened step ends
-SOFT = 1e-6  # of the natural stiffness: what holds a loose block on its way to the next contact
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -78,8 +78,8 @@ class Newton:
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
-        self._patterns: list[np.ndarray] = []
-        self._flipped, self._circles = np.zeros(0, dtype=bool), False
+        self._inner, self._circles = Circles(layout.comm), False
+        self._rounds: Rounds | None = None
         self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
 
@@ -88,6 +88,7 @@ class Newton:
         self.problem, self._krylov, self._step = problem, 0, np.inf
         self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
         fills, iterations, comm = self.matrix.fills, 0, self.matrix.layout.comm
+        self._rounds = Rounds(problem)
         for _ in range(MOST_CHANGES):
             self._pack(problem)
             self._is_start, self._circles, self._polished = True, False, False
@@ -95,18 +96,20 @@ class Newton:
             try:
                 self.snes.solve(None, self.unknowns)
             except SingularMatrix as error:
-                raise self._failure(0, iterations + self.snes.getIterationNumber()) from error
+                raise self._failure("its matrix is singular", iterations + self.snes.getIterationNumber()) from error
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
-                raise self._failure(self.snes.getConvergedReason(), iterations)
+                raise self._failure(why_stopped(self.snes), iterations)
             if self.only == "flow" or problem.hold:
                 break
-            self._restless = problem.change_statuses()
+            self._restless = self._rounds.change(problem, self._searches())
             if not comm.allreduce(bool(self._restless.any()), op=MPI.LOR):
                 break
+            if self._rounds.is_lost:
+                raise self._failure(CIRCLES, iterations)
         else:
-            raise self._failure(0, iterations)
+            raise self._failure(f"after {MOST_CHANGES} rounds of changes of status", iterations)
         if self._floats(problem):
             self._refuse_floating(problem)
         return NewtonReport(iterations, self._krylov, self.matrix.fills - fills, tuple(self._out_of_balance))
@@ -149,25 +152,22 @@ class Newton:
             return
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
         if self._floats(problem):
-            moduli = self._softly_held(moduli)
+            moduli = softly_held(moduli, self.matrix.operators.scales)
         self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
         self._is_filled = True
 
-    def _floats(self, problem: StepProblem) -> bool:
-        """Whether blocks float at the present trial, without inertia and with the film as it takes part. Collective."""
+    def _floats(self, problem: StepProblem, without: Bools | None = None) -> bool:
+        """Whether blocks float at the present trial, without inertia and with the film as it takes part. Collective.
+
+        without  (s, 2) what sections are taken not to carry, along and across
+        """
         if problem.alphas.a0 > 0.0 or self.only == "flow":
             return False
         operators = self.matrix.operators
         if self.floating is None:
             self.floating = Floating(operators, problem.loads, self.scene.method.quadrature)
         is_filled = operators.flow is not None and self.only is None and problem.alphas.a1 > 0.0
-        return self.floating.find(problem.sections, is_filled).shape[1] > 0
-
-    def _softly_held(self, moduli: Floats) -> Floats:
-        """Moduli with a trace of stiffness where a joint has none: the step leads a loose block to its next contact."""
-        scales, dim = self.matrix.operators.scales, moduli.shape[1]
-        soft = SOFT * scales.force / (scales.displacement * scales.length)
-        return moduli + soft * ~np.any(moduli != 0.0, axis=1)[:, :, None] * np.eye(dim)
+        return self.floating.find(problem.sections, is_filled, without).shape[1] > 0
 
     def _refuse_flight(self, problem: StepProblem, step: Floats) -> None:
         """Raise NotConverged where a step carries loose blocks off that no joint stops, in strains. Collective."""
@@ -181,11 +181,15 @@ class Newton:
     def _refuse_floating(self, problem: StepProblem, always: bool = True) -> None:
         """Raise NotConverged that names a loose block; if not ``always``, only one with a net force on it. Collective."""
         assert self.floating is not None
-        size = problem.solid_balance.norm(PETSc.NormType.INFINITY)
-        slack = SLACK * self.scene.accuracy.residual * size / max(problem.residual.solid, 1e-300)
+        slack = SLACK * self._round_off(problem)
         push = self.floating.motions.T @ self.floating.net_force(problem.solid_balance).ravel()
         if always or np.abs(push).max() > slack:
             raise NotConverged(describe_floating(self.scene, problem, self.floating, slack))
+
+    def _round_off(self, problem: StepProblem) -> float:
+        """What is left of the balance where it holds [force per thickness]. Collective."""
+        size = problem.solid_balance.norm(PETSc.NormType.INFINITY)
+        return self.scene.accuracy.residual * float(size) / max(problem.residual.solid, 1e-300)
 
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         problem, layout = self.problem, self.matrix.layout
@@ -238,32 +242,24 @@ class Newton:
 
         try:
             if self.scene.method.line_search == "energy":
-                return by_energy(power, power(0.0))
+                return by_energy(power, power(0.0), change * (1.0 + JUST_PAST))
             return by_residual(size, size(0.0), change * (1.0 + JUST_PAST))
         finally:
             trial.destroy()
             balance.destroy()
 
-    def _watch(self, iteration: int, is_open: np.ndarray) -> None:
-        """Notice that joints open and close in circles, or that it takes long. Collective."""
-        if iteration == 0:
-            self._patterns = []
-        same = np.array([np.array_equal(is_open, old) for old in self._patterns], dtype=np.int32)
-        everywhere = np.zeros_like(same)
-        self.matrix.layout.comm.Allreduce(same, everywhere, op=MPI.MIN)
-        cycle = self._patterns[int(np.flatnonzero(everywhere)[-1]) :] if everywhere.any() else self._patterns[-1:]
-        # all that changed since the same was open, or else in the last iteration
-        self._flipped = np.any([is_open ^ old for old in cycle], axis=0) if cycle else np.zeros_like(is_open)
-        if self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow":
-            returns = bool(everywhere.any()) and not everywhere[-1]
-            self._circles |= returns or iteration >= PATIENCE
-        self._patterns.append(is_open.copy())
+    def _searches(self) -> bool:
+        """Whether steps are shortened once statuses come back, or whole ones take long."""
+        return self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow"
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
         assert problem is not None
         self._out_of_balance.append(problem.residual.out_of_balance)
-        self._watch(iteration, problem.sections.is_open)
+        if iteration == 0:
+            self._inner.begin()
+        returns = self._inner.see(statuses(problem))
+        self._circles |= self._searches() and (returns or iteration >= PATIENCE)
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.past)
         self._is_start = False
@@ -287,11 +283,15 @@ class Newton:
             return flow and residual.out_of_balance < accuracy.out_of_balance
         return flow and residual.solid <= accuracy.residual
 
-    def _failure(self, reason: int, iterations: int) -> SolveError:
-        assert self.problem is not None
-        return NotConverged(
-            describe_failure(self.scene, self.problem, self._restless, self._flipped, reason, iterations)
-        )
+    def _failure(self, why: str, iterations: int) -> SolveError:
+        problem, rounds = self.problem, self._rounds
+        assert problem is not None and rounds is not None
+        restless, flipped = all_changed(problem, self._restless, self._inner, rounds.seen)
+        is_loose = self.only != "flow" and self._floats(problem, np.stack([restless | flipped, flipped], axis=1))
+        if is_loose and problem.residual.solid <= SLACK * self.scene.accuracy.residual and self.floating is not None:
+            return NotConverged(describe_floating(self.scene, problem, self.floating, self._round_off(problem)))
+        loose = self.floating if is_loose else None
+        return NotConverged(describe_failure(self.scene, problem, restless, flipped, why, iterations, loose))
 
     def destroy(self) -> None:
         """Free the solver. Collective."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from fracflow._petsc import PETSc
@@ -16,19 +18,63 @@ from fracflow.elements import joint
 from fracflow.errors import NotConverged
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Scene
 
 MOST_PLACES = 5
 SAME = 1e-6  # share of a motion that is none
 
 
+WHY = {
+    "DIVERGED_MAX_IT": "all that accuracy.max_iterations allows",
+    "DIVERGED_FNORM_NAN": "a balance is not a number",
+    "DIVERGED_LINEAR_SOLVE": "the linear solver did not converge",
+    "DIVERGED_LINE_SEARCH": "no part of its step lowers the residual",
+    "DIVERGED_FUNCTION_DOMAIN": "the joint laws have no answer there",
+    "DIVERGED_FUNCTION_COUNT": "all evaluations that PETSc's options allow",
+    "DIVERGED_DTOL": "the residual grew beyond what PETSc's options allow",
+}
+CIRCLES = "sections stick and slide in circles"
+WHY_LINEAR = {
+    "DIVERGED_MAX_IT": "all that PETSc's options allow",
+    "DIVERGED_DTOL": "its residual grew beyond what PETSc's options allow",
+    "DIVERGED_BREAKDOWN": "its basis broke down",
+    "DIVERGED_NANORINF": "its residual is not a number",
+    "DIVERGED_PCSETUP_FAILED": "its preconditioner could not be made, as of a singular matrix",
+}
+"""PETSc's reasons in words."""
+
+
+def why_stopped(snes: PETSc.SNES) -> str:
+    """Why Newton's method has stopped short, and its linear solver where that is why, in words."""
+    reasons, solver = PETSc.SNES.ConvergedReason, snes.getKSP()
+    why = _in_words(snes.getConvergedReason(), reasons, WHY)
+    if snes.getConvergedReason() != reasons.DIVERGED_LINEAR_SOLVE or solver.getConvergedReason() >= 0:
+        return why
+    how = _in_words(solver.getConvergedReason(), PETSc.KSP.ConvergedReason, WHY_LINEAR)
+    return f"{why} in {solver.getIterationNumber()} iterations: {how}"
+
+
+def _in_words(reason: int, reasons: type, words: Mapping[str, str]) -> str:
+    names = [name for name, value in vars(reasons).items() if value == reason]
+    known = [words[name] for name in names if name in words]
+    return (known or [name.lower().replace("_", " ") for name in names] or ["for a reason that PETSc does not name"])[0]
+
+
 def describe_failure(
-    scene: Scene, problem: StepProblem, restless: Bools, flipped: Bools, reason: int, iterations: int
+    scene: Scene,
+    problem: StepProblem,
+    restless: Bools,
+    flipped: Bools,
+    why: str,
+    iterations: int,
+    loose: Floating | None = None,
 ) -> str:
     """The message of a SolveError, the same on every rank. Collective.
 
     restless, flipped  (s,) sections that last began or ended to slide, and to be open
+    why                it stopped, in words
+    loose              blocks that nothing else holds
     """
     blocks, accuracy, name = problem.operators.blocks, scene.accuracy, scene.method.newton
     weakness, start = NEWTON_METHODS[name].weakness, problem.state.sections
@@ -42,14 +88,18 @@ def describe_failure(
     ]
     what = "Newton" if name == "newton" else f'method.newton = "{name}"'
     remedy = "try a smaller time_step" if name == "newton" else 'set method.newton = "newton"'
-    if not slipped:
+    if not slipped and why == WHY["DIVERGED_MAX_IT"]:
         remedy += ", or raise accuracy.max_iterations"
     if cycling and scene.method.line_search == "none":
         remedy += ', or set method.line_search = "energy"'
+    if cycling and scene.method.overshoot != "hold":
+        remedy += ', or set method.overshoot = "hold"'
+    if cycling and problem.alphas.a0 == 0.0:
+        remedy += ', or let them move in a stage of kind = "dynamic"'
     where = "".join(cycling)
+    where += f"nothing else holds {_block(loose, _loose(loose)[0])}; " if cycling and loose is not None else ""
     where += f"{weakness} (slipped before: {slipped}); " if slipped else ""
-    reasons = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
-    reason = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN if not np.isfinite(problem.residual.solid) else reason
+    why = why if np.isfinite(problem.residual.solid) else WHY["DIVERGED_FNORM_NAN"]
     residual = problem.residual
     wanted = (
         f"relative residual of the solid {residual.solid:.2e}, of the flow {max(residual.flow, residual.at_nodes):.2e}"
@@ -59,11 +109,13 @@ def describe_failure(
     worse = residual.solid > max(residual.flow, residual.at_nodes)
     place = place_of(problem, np.where(worse, solid, 0.0), np.where(worse, 0.0, flow))
     wanted += f", wanted {accuracy.residual:.0e}, worst {place}"
-    if scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
+    if why == CIRCLES:
+        wanted = "the balances hold with every status, but none is that of what they come to"
+    elif scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
         wanted = f"out-of-balance force {problem.residual.out_of_balance:.2e}, wanted {accuracy.out_of_balance:.0e}"
     return (
         f"time {problem.time:.6g}: {what} did not converge in {iterations} iterations"
-        f" ({reasons.get(reason, reason)}): {where}{wanted}; {remedy}"
+        f" ({why}): {where}{wanted}; {remedy}"
     )
 
 
@@ -110,13 +162,12 @@ def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, sl
 
     slack  a net force that is none [force per thickness]
     """
-    block, motions = floating.operators.blocks.solid, floating.motions
+    motions = floating.motions
     force = floating.net_force(problem.solid_balance)
     push = (motions @ (motions.T @ force.ravel())).reshape(-1, 3)
-    share = np.abs(motions).max(axis=1, initial=0.0).reshape(-1, 3)
-    loose = np.flatnonzero(share.max(axis=1) > SAME)
+    loose = _loose(floating)
     worst = int(loose[np.abs(push[loose]).max(axis=1).argmax()])
-    middle, system = floating.frames.middle[worst], scene.unit_system
+    system = scene.unit_system
     unit = f" {system.force}/{system.length}" if system.length else ""
     size = float(np.linalg.norm(push[worst, :2]))
     if size > slack:
@@ -130,11 +181,23 @@ def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, sl
         pushed = "no net force just now, and nothing that tells where it rests"
     more = f" (and {len(loose) - 1} more blocks with it)" if len(loose) > 1 else ""
     return (
-        f'time {problem.time:.6g}: block {worst} (rock "{block.rocks[block.piece_rock[worst]]}", centred at'
-        f" ({middle[0]:.4g}, {middle[1]:.4g})) has no support in {_free_ways(motions[3 * worst : 3 * worst + 3])}"
+        f"time {problem.time:.6g}: {_block(floating, worst)} has no support in {_free_ways(motions[3 * worst : 3 * worst + 3])}"
         f" ({_around(floating, problem, worst)}): {pushed}{more}; there is no equilibrium: hold it by a [[support]] or [[tie]],"
         ' lower the load, or let it move in a stage of kind = "dynamic"'
     )
+
+
+def _loose(floating: Floating) -> Ints:
+    """Numbers of the blocks that float."""
+    share = np.abs(floating.motions).max(axis=1, initial=0.0).reshape(-1, 3)
+    return np.flatnonzero(share.max(axis=1) > SAME)
+
+
+def _block(floating: Floating, piece: int) -> str:
+    """What a block is called."""
+    block, middle = floating.operators.blocks.solid, floating.frames.middle[piece]
+    rock = block.rocks[block.piece_rock[piece]]
+    return f'block {piece} (rock "{rock}", centred at ({middle[0]:.4g}, {middle[1]:.4g}))'
 
 
 def _free_ways(motions: Floats) -> str:

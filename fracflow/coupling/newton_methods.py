@@ -11,8 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow.assembly.joints import Joints
+from fracflow.assembly.operators import Scales
 from fracflow.mesh.data import Floats
 from fracflow.state import Sections
+
+SOFT = 1e-6  # of the natural stiffness: what holds a loose block on its way to the next contact
 
 
 class SingularMatrix(Exception):
@@ -48,6 +51,12 @@ def secant_moduli(joints: Joints, sections: Sections) -> Floats:
     moved = least != 0.0
     slope = np.where(moved, (sections.traction - joints.initial) / np.where(moved, least, 1.0), tangent)
     return np.asarray(slope[:, :, None] * np.eye(joints.dim))
+
+
+def softly_held(moduli: Floats, scales: Scales) -> Floats:
+    """Moduli with a trace of stiffness where a joint has none: the step leads a loose block to its next contact."""
+    soft = SOFT * scales.force / (scales.displacement * scales.length)
+    return moduli + soft * ~np.any(moduli != 0.0, axis=1)[:, :, None] * np.eye(moduli.shape[1])
 
 
 NEWTON_METHODS = {

@@ -27,26 +27,6 @@ def storage_matrix(kind: str, length: Floats) -> Floats:
     return matrices
 
 
-def wall_normals(frame: Floats) -> Floats:
-    """(2.36a) N (n, 4 dim, 2): from end wall forces to joint dofs, -n on the bottom, +n on the top.
-
-    Its transpose gives the end openings. frame (n, dim, dim), normal last row.
-    """
-    ends = np.concatenate([-np.eye(2), np.eye(2)])
-    joints, dim, _ = frame.shape
-    normals: Floats = np.einsum("ai,nj->naji", ends, frame[:, -1]).reshape(joints, 4 * dim, 2)
-    return normals
-
-
-def pressure_load(frame: Floats, storage: Floats) -> Floats:
-    """(2.34) b = N e (n, 4 dim, 2): wall forces of unit end pressures, faces apart.
-
-    storage (n, 2, 2). Its transpose times wall velocities is the storage rate of (3.18)-(3.19).
-    """
-    load: Floats = wall_normals(frame) @ storage
-    return load
-
-
 def conductivity(conductance: Floats) -> Floats:
     """(3.14a) k_F (n, 2, 2) of conductances (n,) [flow rate/pressure]; k_F p = flow rates into it."""
     matrices: Floats = np.einsum("n,i,j->nij", conductance, _ENDS, _ENDS)

@@ -19,7 +19,6 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.scene import Scene
 
 Data = dict[str, NDArray[Any]]
-COMPONENTS = ("xx", "yy", "zz", "xy")
 
 
 def deforms(mesh: SplitMesh, scene: Scene) -> NDArray[np.bool_]:

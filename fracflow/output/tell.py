@@ -93,9 +93,8 @@ def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
     for head in ("", "number", "value", "limit", "where"):
         table.add_column(head, no_wrap=True)
     for number in numbers:
-        value = "-" if number["value"] is None else f"{number['value']:.3g}"
-        limit = f"({number['note']})" if number["limit"] is None and number["note"] else "-"
-        limit = limit if number["limit"] is None else f"{number['limit']:.3g}"
+        value = number["value_text"] or "-"
+        limit = number["limit_text"] or (f"({number['note']})" if number["note"] else "-")
         mark = "!" if number["out_of_range"] else ""
         cells = (mark, f"{number['name']} {number['formula'].partition(' = ')[0]}", value, limit, number["where"])
         table.add_row(*map(escape, cells), style="bold" if mark else "")

@@ -91,6 +91,11 @@ class Film:
             made[name] = kind(scene(method), self.model.operators, self.model.loads)
         return made
 
+    def destroy(self) -> None:
+        """Free the solver and the state at rest."""
+        self.steady.destroy()
+        self.start.destroy()
+
     def problem(self, aperture: float, state: State, stepper: Any, dt: float, rate: float) -> StepProblem:
         """A step of the film with an aperture at rest, pumped at a rate."""
         operators = self.model.operators
@@ -148,6 +153,7 @@ def measure(steps: Floats, ratios: Floats) -> dict[str, Floats]:
         state.destroy()
     for coupling in made.values():
         coupling.destroy()
+    film.destroy()
     return found
 
 

@@ -6,7 +6,8 @@ The block of F6a on its joint, k_n0 = |f_n0| = 1: f_n(e) - f_n0 + k_r e = P, fro
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -101,7 +102,8 @@ def make(spring: float, way: str) -> Model:
     return replace(model, operators=replace(model.operators, joints=replace(joints, laws=laws)))
 
 
-def solver(model: Model, spring: float) -> Callable[[float, float], Outcome]:
+@contextmanager
+def solver(model: Model, spring: float) -> Iterator[Callable[[float, float], Outcome]]:
     """Function (load, start opening) -> outcome of one steady step."""
     stepping, state, joints = Stepping(model), rest(model), model.operators.joints
     block = model.operators.blocks.solid
@@ -132,7 +134,9 @@ def solver(model: Model, spring: float) -> Callable[[float, float], Outcome]:
         close = abs(opening - right) <= NEAR * (right + D0)
         return Outcome(RIGHT if close else WRONG, report.newton, opening)
 
-    return once
+    yield once
+    stepping.destroy()
+    state.destroy()
 
 
 def measure(forces: Floats, starts: Floats, ways: Sequence[str]) -> dict[tuple[str, float], Any]:
@@ -141,8 +145,8 @@ def measure(forces: Floats, starts: Floats, ways: Sequence[str]) -> dict[tuple[s
     found = {}
     for way in ways:
         for spring in SPRINGS:
-            once = solver(make(spring, way), spring)
-            found[way, spring] = np.array([[tuple(once(p, e)) for e in starts] for p in forces], dtype=kinds)
+            with solver(make(spring, way), spring) as once:
+                found[way, spring] = np.array([[tuple(once(p, e)) for e in starts] for p in forces], dtype=kinds)
     return found
 
 

@@ -9,6 +9,7 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.card.film import coupling_factor
 from fracflow.coupling.fixed_point import FixedPoint
+from fracflow.coupling.fixed_point_failure import cycles_needed
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.output import read_history
@@ -23,18 +24,21 @@ LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"
 
 
-def film(method=None, ends=("start", "end"), rock=1.0, **stage):
+def film(method=None, ends=("start", "end"), rock=1.0, more=None, **stage):
     """A film between rock far softer than its joint, so that each node has a spring of its own."""
     step = {"kind": "quasi-static", "time_step": 1.0, "steps": 1, **stage}
     return Scene.from_data(
         {
             "geometry": {
                 "domain": [0.0, -4.0, LENGTH, 4.0], "size": LENGTH / ELEMENTS, "cells": "quads",
-                "fracture": [{"name": "film", "points": [[0.0, 0.0], [LENGTH, 0.0]]}],
+                "fracture": [
+                    {"name": name, "points": points}
+                    for name, points in {"film": [[0.0, 0.0], [LENGTH, 0.0]], **(more or {})}.items()
+                ],
             },
             "method": {"coupling": "fixed-point", **(method or {})},
             "rock": {"rock": {"youngs_modulus": rock, "poissons_ratio": 0.0, "density": 1e-9}},
-            "fracture": {"film": {
+            "fracture": {"default": {
                 "law": "linear", "normal_stiffness": STIFFNESS, "shear_stiffness": STIFFNESS, "aperture": APERTURE,
             }},
             "fluid": {"viscosity": VISCOSITY, "specific_weight": 1e4},
@@ -103,7 +107,7 @@ def test_refusal_names_the_number_and_the_limit(comm):
         stepping.step(state, BackwardEuler(), 0.1 * limit, 0.1 * limit, {})
     found = re.search(
         r"multiplied by ([\d.e+-]+) a cycle \(predicted; ([\d.e+-]+) measured\), most in film; it must be below 1, as for a"
-        r" time_step > ([\d.e+-]+), not for a smaller one: .*monolithic.*aitken",
+        r" time_step > ([\d.e+-]+) s, not for a smaller one: .*monolithic.*aitken",
         str(caught.value),
     )
     assert found and abs(float(found[1]) - 10.0) <= 0.1 and abs(float(found[3]) / limit - 1.0) <= 0.06
@@ -143,9 +147,46 @@ def test_sealed_network_is_refused_by_name(name, comm):
     scene = film({"fixed_point": name}, ())
     model = prepare(scene, comm)
     stepping = Stepping(model)
-    with pytest.raises(SolveError, match=r"\(film\) has no prescribed pressure.*added-storage"):
+    with pytest.raises(SolveError, match=r"time 1 s: .* no pressure is prescribed in film \(11 nodes.*added-storage"):
         stepping.step(rest(model), BackwardEuler(), 1.0, 1.0, {})
     stepping.destroy()
+
+
+def test_all_fractures_of_a_sealed_part_are_named(comm):
+    model = prepare(film(ends=(), more={"cross": [[20.0, -4.0], [20.0, 4.0]]}), comm)
+    stepping = Stepping(model)
+    with pytest.raises(SolveError, match=r"prescribed in cross, film \(\d+ nodes around \(20, 0\)\)"):
+        stepping.step(rest(model), BackwardEuler(), 1.0, 1.0, {})
+    stepping.destroy()
+
+
+def test_cycles_that_run_out_tell_how_many_it_takes(comm):
+    """rho = 0.8: told after 8 cycles, within a tenth of what it takes; with so many the step is done."""
+    dt = rho_of_film(1.0, np.pi / LENGTH) / 0.8
+    told, took = [], []
+    for most in (8, None):
+        scene = film()
+        accuracy = scene.accuracy.model_copy(update={"max_cycles": most or told[0]})
+        model = prepare(scene.model_copy(update={"accuracy": accuracy}), comm)
+        stepping = Stepping(model)
+        if most is None:
+            new, report = stepping.step(rest(model), BackwardEuler(), dt, dt, {})
+            took.append(report.cycles)
+            new.destroy()
+        else:
+            with pytest.raises(SolveError, match=r"did not converge in 8 cycles") as caught:
+                stepping.step(rest(model), BackwardEuler(), dt, dt, {})
+            told.append(int(re.search(r"set accuracy.max_cycles = (\d+),", str(caught.value))[1]))
+        stepping.destroy()
+    assert 50 < took[0] <= told[0] <= 1.1 * took[0]
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "factor, left, expected", [(0.5, 2.0**10, 16), (0.1, 1.5, 7), (1.0, 10.0, None), (0.5, 0.5, None)]
+)
+def test_cycles_needed_by_a_geometric_series(factor, left, expected):
+    assert cycles_needed([factor**n for n in range(6)], left) == expected
 
 
 def test_steps_are_handed_over_and_counted(shared_tmp):
@@ -167,3 +208,5 @@ def test_steps_are_handed_over_and_counted(shared_tmp):
             assert np.abs(handed[key] - at_once[key]).max() <= 1e-8 * max(np.abs(at_once[key]).max(), 1e-3), key
     log = (shared_tmp / "handed" / "log.txt").read_text(encoding="utf-8")
     assert log.count("handed over to the monolithic solver") == 2 and f"{dynamic.sum()} steps were handed over" in log
+    assert re.search(r'stage failure: time \S+ s: coupling = "fixed-point"', log)
+    assert "none is measured" in log and "nan" not in log

@@ -12,6 +12,11 @@ from fracflow.laws.cubic_flow import MEANS, conductance
 LENGTH = np.array([2.0, 5.0])
 
 
+def walls(frame):
+    """What the openings at the ends (n, 4 dim, 2) make of unit end forces."""
+    return joint.jump_operator(frame, joint.RULES["nodal"][0])[:, :, -1].transpose(0, 2, 1)
+
+
 def test_storage_matrices():
     assert np.allclose(flow.storage_matrix("consistent", LENGTH)[1], 5 / 6 * np.array([[2, 1], [1, 2]]))
     assert np.allclose(flow.storage_matrix("averaging", LENGTH)[1], 5 / 4 * np.ones((2, 2)))
@@ -26,7 +31,7 @@ def test_wall_matrix_is_the_explicit_one():
     """(3.19), here per unit depth and in the order bottom 1, bottom 2, top 1, top 2."""
     points = np.array([[[1.0, 2.0], [4.0, 6.0]]])
     frame, length = joint.frame(points)
-    load = flow.pressure_load(frame, flow.storage_matrix("averaging", length))
+    load = walls(frame) @ flow.storage_matrix("averaging", length)
     dx, dy = 3.0, 4.0
     row = np.array([dy, -dx, dy, -dx, -dy, dx, -dy, dx]) / 4
     assert np.allclose(load[0].T, [row, row])
@@ -35,12 +40,9 @@ def test_wall_matrix_is_the_explicit_one():
 @pytest.mark.parametrize("kind", flow.STORAGE)
 def test_pressure_opens_the_joint(kind):
     frame, length = joint.frame(np.array([[[0.0, 0.0], [0.0, 2.0]]]))
-    load = flow.pressure_load(frame, flow.storage_matrix(kind, length)) @ np.array([3.0, 3.0])
+    load = walls(frame) @ flow.storage_matrix(kind, length) @ np.array([3.0, 3.0])
     by_face = load.reshape(2, 2, 2).sum(axis=1)
     assert np.allclose(by_face, [[6.0, 0.0], [-6.0, 0.0]]), "bottom (right) to +x, top (left) to -x"
-    xi, _ = joint.RULES["nodal"]
-    opening = joint.jump_operator(frame, xi)[:, :, -1]
-    assert np.allclose(flow.wall_normals(frame).transpose(0, 2, 1), opening)
 
 
 def test_flow_goes_down_the_pressure():

@@ -27,7 +27,7 @@ def test_plain_is_refused_with_its_number_and_window(shared_tmp):
     with pytest.raises(SolveError, match="diverges") as caught:
         run(load(SCENE, ["output.pictures=false"]), shared_tmp / "plain", MPI.COMM_WORLD)
     pattern = (
-        r"by ([\d.]+) a cycle \(predicted; ([\d.]+) measured\), most in film.*time_step < ([\d.e-]+) or > ([\d.]+)"
+        r"by ([\d.]+) a cycle \(predicted; ([\d.]+) measured\), most in film.*time_step < ([\d.e-]+) s or > ([\d.]+) s"
     )
     found = re.search(pattern, str(caught.value))
     assert found

@@ -87,14 +87,25 @@ def test_the_energy_search_finds_the_kink(stiff):
     def power(t):
         return 1.0 - t - stiff * max(0.0, t - 0.25)
 
-    found = by_energy(power, power(0.0))
+    found = by_energy(power, power(0.0), np.inf)
     root = (1.0 + 0.25 * stiff) / (1.0 + stiff)
     if power(1.0) >= -0.5:
         assert found == 1.0
     else:
         assert root - 0.1 <= found <= root + 1e-6
         assert abs(power(found)) <= 0.1 or found >= root
-    assert by_energy(lambda t: -1.0, -1.0) == 1.0
+    assert by_energy(lambda t: -1.0, -1.0, 0.5) == 1.0
+
+
+@pytest.mark.serial
+def test_the_energy_search_stops_just_past_a_change():
+    """A step too far is taken just past its first change, where the energy still falls; or less, where it no longer does."""
+    past = 0.25 * (1.0 + 1e-6)
+    assert by_energy(lambda t: 1.0 - 1e3 * max(0.0, t - 0.25), 1.0, past) == past
+    assert by_energy(lambda t: 1.0 - 5.0 * max(0.0, t - 0.25), 1.0, past) == past  # its lowest energy is at 0.45
+    assert by_energy(lambda t: 1.0 - t, 1.0, past) == 1.0
+    found = by_energy(lambda t: 1.0 - 10.0 * t, 1.0, past)
+    assert abs(found - 0.1) <= 0.01
 
 
 @pytest.mark.serial

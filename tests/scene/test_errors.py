@@ -1,4 +1,6 @@
 # ruff: noqa: E501 (messages stay whole)
+import re
+
 import pytest
 
 from fracflow.errors import InputError
@@ -60,7 +62,14 @@ CASES = {
     "support.0.on=[]": "support.0.on = []: must not be empty",
     "support.0.components=['z']": 'allowed: "x", "y", "rotation"',
     "support.0={on='west',components=['x'],displacement={y=1}}": 'support.0.components = ["x"]: contradicts displacement',
-    "well.node2.flow_rate=[[1,0],[0,1]]": "the times of a table must ascend",
+    "well.node2.flow_rate=[[1,0],[0,1]]": "the times of a table must ascend, here 0 after 1",
+    "well.node2.flow_rate=[[0,1],[2]]": "row 2 is no pair [time, value]; must be a number in m**3/s",
+    "well.node2.flow_rate=[0,1]": 'or a time table [[t, v], ...] such as [[0, 0], [10, "0.1 m^3/s"]], or {time = [...]',
+    'well.node2.flow_rate=[[0,"x"]]': "row 1 of the table [[t, v], ...], its value: must be a number in m**3/s",
+    "well.node2.flow_rate=[[0 1],[1 2]]": "is text, or a bracket or comma is missing; must be a number in m**3/s",
+    "well.node2.flow_rate={time=[0,1],value=[1]}": "here 2 and 1; such as {time = [0, 10], value = [0, ",
+    "load.0={on='west',force=[[0,1],[1,2]]}": "its x: row 1 is no pair [time, value]; must be a number in ",
+    "load.0={on='west',force=[[0,1],2]}": "[x, y] with a time table is such as [[[0, 0], [10, 1]], 0]",
     "well.node2.flow_rate={time=[0,0],value=[1,2],interpolation='step'}": "the times of a step table must differ",
     "well.node2.flow_rate={time=[0],value=[1],interpolation='cubic'}": 'allowed: "linear", "step"',
     "well.node2.flow_rate={time=[0],value=[1,2]}": "lists time and value of the same length",
@@ -143,6 +152,13 @@ def test_geometry_names(make):
 def test_syntax_missing_file_and_encoding(make, tmp_path):
     with pytest.raises(InputError, match=r"^scene.toml: not valid TOML: .*line 2"):
         make(text="title = 1\nunits 2\n")
+    for value, how in {
+        "[[0 1], [1 2]]": "commas between",
+        "[[0, 1], [1, 2]": "commas between",
+        "3 kPa": "in quotes",
+    }.items():
+        with pytest.raises(InputError, match=rf"line .* in key = {re.escape(value)}: .*{how}.*such as"):
+            make(text=f"title = 1\nkey = {value}\n\n[fluid]\n")
     with pytest.raises(InputError, match="no such scene file"):
         load(tmp_path / "other.toml")
     with pytest.raises(InputError, match="cannot be read"):
