@@ -142,6 +142,13 @@ class Network:
             self._closed[key] = self._make(loads, stores, at_start)
         return self._closed[key]
 
+    def look_at(self, state: State) -> None:
+        """See what conducts at a state. Collective."""
+        ops = self.model.operators
+        assert ops.flow is not None
+        opening = ops.joints.openings(state.sections.strain)
+        self.look(ops.flow.conduct(state.motion.displacement, state.pressure, opening))
+
     def look(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
         operators, before = self.model.operators, self._conducts

@@ -5,29 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from fracflow._petsc import PETSc
 from fracflow.assembly.compression import narrowing
-from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushed, switch
-from fracflow.assembly.energy_motion import Scheme, kinetic_energy
+from fracflow.assembly.energy import book, dissipated
+from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
 from fracflow.coupling import COUPLINGS, Coupling
-from fracflow.coupling.absorption import carried_on
-from fracflow.coupling.accept import accept, balance_terms, remember
+from fracflow.coupling.accept import accept, remember
 from fracflow.coupling.flow_digits import check_digits
-from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Bools, Floats
+from fracflow.run_instants import change, enter
 from fracflow.run_network import Network
 from fracflow.run_setup import Model
 from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
-from fracflow.state import Memory, Motion, Past, State, StepReport
-from fracflow.stepping import Alphas, Steady, Stepper, first, stepper_from
+from fracflow.state import Memory, State, StepReport
+from fracflow.stepping import Steady, Stepper, first, stepper_from
 from fracflow.tables_time import AT_ONCE
 
 Progress = Mapping[str, float]
@@ -154,7 +151,7 @@ class Stepping:
         fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
         if network is not None:
-            self._look(state)
+            self.network.look_at(state)
         trial: tuple[Floats, Floats] | None = None
         failed, same = None, False
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
@@ -203,13 +200,6 @@ class Stepping:
             f" time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}"
         )
 
-    def _look(self, state: State) -> None:
-        """Let the network see what conducts at a state. Collective."""
-        network = self.model.operators.flow
-        assert network is not None
-        opening = self.model.operators.joints.openings(state.sections.strain)
-        self.network.look(network.conduct(state.motion.displacement, state.pressure, opening))
-
     def _refuse_jumps(self, old: State, new: State) -> None:
         """Raise SolveError, on every rank, where a joint's strength fell faster than its spring unloads. Collective."""
         ops = self.model.operators
@@ -240,95 +230,15 @@ class Stepping:
         return self._variants[key] if reached else loads
 
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
-        """A new state, as a stage takes it over. Collective.
-
-        With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
-        Pressures of a compressible fluid stay as they are, and the balance gives what it takes up; those prescribed jump, and
-        go on at their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is prescribed
-        arrives during the first step.
-        """
-        ops, old = self.model.operators, state.motion
-        motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
-        if not stepper.inertia:
-            motion.velocity.set(0.0)
-        energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
-        if not stepper.inertia:
-            pressure, forces = state.pressure.copy(), state.forces.copy()
-            if forces.anchor is not None:
-                forces.anchor.destroy()
-                forces = replace(forces, anchor=None)
-            kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
-            return replace(kept, memory=Memory(), uptake=None)
-        for moved in self.model.loads.supports if dt > 0.0 else ():
-            motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
-        energy = pushed(energy, kinetic_energy(ops, motion.velocity))
-        was, around = state.sections, (0.0, dt)
-        begun = replace(state, motion=motion, uptake=None, energy=energy, around=around)
-        start = self._first_instant(begun, was.past, dt)
-        sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record)
-        start = replace(start, sections=sections)
-        if start.uptake is None:
-            return start
-        return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
+        """A new state, as a stage takes it over; see ``run_instants``. Collective."""
+        return enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
 
     def change(self, state: State, leaving: Bools) -> State:
-        """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective.
+        """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective."""
+        return change(self.model, self.network, self._limited_now(state), state, leaving)
 
-        Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
-        """
-        ops = self.model.operators
-        branch = ops.joints.flip(state.sections.strain, state.sections.past, leaving)
-        old = state.motion
-        motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
-        new = self._first_instant(replace(state, motion=motion), branch)
-        # they stand at their threshold because they were brought there, not by chance
-        settled = replace(new.sections, margin=np.where(leaving, np.inf, new.sections.margin))
-        new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
-        new = replace(new, friction=dissipated(state, new))
-        return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
-
-    def _first_instant(self, begun: State, branch: Past, dt: float | None = None) -> State:
-        """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
-
-        ``begun`` owns its motion, which the new state takes over. With ``dt``, a compressible fluid gets its first rates.
-        """
-        ops, motion = self.model.operators, begun.motion
-        loads = self._limited(self.model.loads, reached_before(self.model.loads, begun))
-        closed = loads
-        if ops.flow is not None:
-            self._look(begun)
-            closed = self.network.level(loads, begun)
-        now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
-        known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
-        begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
-        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
-        problem.branch = branch
-        try:
-            problem.evaluate()
-            compressible = ops.flow is not None and ops.flow.compressibility > 0.0
-            if compressible and dt is not None:
-                rate = starting_rate(ops, problem, dt)
-                problem.state = replace(begun, uptake=rate)
-                problem.evaluate()
-            elif not compressible and problem.residual.flow > self.model.scene.accuracy.residual:
-                starting_pressure(self.model.scene, ops, closed, problem)
-                problem.evaluate()
-            initial_acceleration(ops, problem, motion.acceleration)
-            parts = self.network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
-            for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
-                problem.pressure.getArray()[part.nodes] += level
-                part.walls.destroy()
-            if parts:
-                problem.evaluate()
-                initial_acceleration(ops, problem, motion.acceleration)
-            pressure, forces = problem.pressure.copy(), balance_terms(problem, motion)
-            sections = problem.sections
-        finally:
-            problem.destroy()
-            if anchor is not None and anchor is not known:
-                anchor.destroy()
-        start = replace(begun, pressure=pressure, sections=sections, forces=forces)
-        return replace(start, memory=Memory(), uptake=rate)
+    def _limited_now(self, state: State) -> Loads:
+        return self._limited(self.model.loads, reached_before(self.model.loads, state))
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""

@@ -121,6 +121,14 @@ class Joints:
             for group, start, reached in zip(self.laws, past, branch, strict=True)
         )
 
+    def have_changed(self, old: Past, new: Past) -> Bools:
+        """Which (s,) of this rank's sections have another status in ``new`` than in ``old``."""
+        changed = np.zeros(len(self.weights), dtype=bool)
+        for group, before, after in zip(self.laws, old, new, strict=True):
+            if group.law.status:
+                changed[group.sections] = group.law.has_changed(before, after)
+        return changed
+
     def step_limit(self, strain: Floats, increment: Floats) -> float:
         """Largest fraction of an increment that every law of this rank allows; at most 1."""
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]

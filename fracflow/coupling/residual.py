@@ -13,6 +13,13 @@ from fracflow.coupling.digits import ROUND_OFF
 from fracflow.mesh.data import Floats, Ints
 
 TINY = 1e-300  # a network of closed fractures has no terms
+CANCELLATION = 1e-4
+"""Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
+state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have. So does that of the last
+pressures in a network that comes to rest."""
+LEAST_FORCE = 1e-4  # share of the natural force that counts as a term of the balance where nothing is loaded
+LEAST_DRIVE = 1e-8
+"""Share of the largest pressure so far that drives at least: a network come to rest has only round-off to balance."""
 
 
 @dataclass(frozen=True)

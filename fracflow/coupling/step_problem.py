@@ -23,20 +23,23 @@ from fracflow.coupling.compression import taken_by, uptake_rate, why_not_finite
 from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
 from fracflow.coupling.moving_terms import MovingTerms
-from fracflow.coupling.residual import TINY, Residual, flow_residual, flow_sizes, largest, largest_of, over_ranks
+from fracflow.coupling.residual import (
+    CANCELLATION,
+    LEAST_DRIVE,
+    LEAST_FORCE,
+    TINY,
+    Residual,
+    flow_residual,
+    flow_sizes,
+    largest,
+    largest_of,
+    over_ranks,
+)
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import MotionValues, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
 from fracflow.tables_time import AT_ONCE, Around
-
-CANCELLATION = 1e-4
-"""Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
-state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have. So does that of the last
-pressures in a network that comes to rest."""
-LEAST_FORCE = 1e-4  # share of the natural force that counts as a term of the balance where nothing is loaded
-LEAST_DRIVE = 1e-8
-"""Share of the largest pressure so far that drives at least: a network come to rest has only round-off to balance."""
 
 
 class StepProblem:
@@ -257,9 +260,8 @@ class StepProblem:
         solid, noise = max(solid - noise, 0.0) / size, noise / size
         least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
         flow, noise = flow / flow_terms, max(noise, hidden / flow_terms)
-        rows = (
-            None if self._flow_rows is None else self._flow_rows + CANCELLATION * self.alphas.a1 * scales.length * moved
-        )
+        rows = self._flow_rows
+        rows = None if rows is None else rows + CANCELLATION * self.alphas.a1 * scales.length * moved
         closed = (closure.row for closure in self.loads.closures)
         own = flow_residual(balance, rows, flow_terms, closed, comm)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, least)
@@ -287,10 +289,7 @@ class StepProblem:
     def take_statuses(self, reached: Past) -> np.ndarray:
         """Give every section the status it has reached; tell which (s,) of this rank had another before."""
         joints = self.operators.joints
-        changed = np.zeros(len(self.sections.strain), dtype=bool)
-        for group, old, new in zip(joints.laws, self.branch, reached, strict=True):
-            if group.law.status:
-                changed[group.sections] = group.law.has_changed(old, new)
+        changed = joints.have_changed(self.branch, reached)
         self.branch = joints.follow(self.state.sections.past, reached)
         return changed
 
@@ -302,8 +301,7 @@ class StepProblem:
 
     def destroy(self) -> None:
         """Free the vectors of the trial."""
-        for vector in (self.load, self.source, self.displacement, self.increment, self.pressure):
-            vector.destroy()
-        for vector in (self.solid_balance, self.flow_balance):
+        trial = (self.displacement, self.increment, self.pressure)
+        for vector in (self.load, self.source, *trial, self.solid_balance, self.flow_balance):
             vector.destroy()
         self.moving.destroy()

@@ -1,0 +1,115 @@
+"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushed, switch
+from fracflow.assembly.energy_motion import Scheme, kinetic_energy
+from fracflow.assembly.loads import Loads
+from fracflow.coupling.absorption import carried_on
+from fracflow.coupling.accept import balance_terms
+from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.mesh.data import Bools
+from fracflow.run_network import Network
+from fracflow.run_setup import Model
+from fracflow.state import Memory, Motion, Past, State
+from fracflow.stepping import Alphas, Stepper
+
+
+def enter(model: Model, network: Network, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
+    """A new state, as a stage takes it over. Collective.
+
+    With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
+    Pressures of a compressible fluid stay as they are, and the balance gives what it takes up; those prescribed jump, and
+    go on at their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is prescribed
+    arrives during the first step.
+    """
+    ops, old = model.operators, state.motion
+    motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
+    if not stepper.inertia:
+        motion.velocity.set(0.0)
+    energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
+    if not stepper.inertia:
+        pressure, forces = state.pressure.copy(), state.forces.copy()
+        if forces.anchor is not None:
+            forces.anchor.destroy()
+            forces = replace(forces, anchor=None)
+        kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
+        return replace(kept, memory=Memory(), uptake=None)
+    for moved in model.loads.supports if dt > 0.0 else ():
+        motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
+    energy = pushed(energy, kinetic_energy(ops, motion.velocity))
+    was, around = state.sections, (0.0, dt)
+    begun = replace(state, motion=motion, uptake=None, energy=energy, around=around)
+    start = _first_instant(model, network, loads, begun, was.past, dt)
+    sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record)
+    start = replace(start, sections=sections)
+    if start.uptake is None:
+        return start
+    return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
+
+
+def change(model: Model, network: Network, loads: Loads, state: State, leaving: Bools) -> State:
+    """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective.
+
+    Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
+    """
+    ops = model.operators
+    branch = ops.joints.flip(state.sections.strain, state.sections.past, leaving)
+    old = state.motion
+    motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
+    new = _first_instant(model, network, loads, replace(state, motion=motion), branch)
+    # they stand at their threshold because they were brought there, not by chance
+    settled = replace(new.sections, margin=np.where(leaving, np.inf, new.sections.margin))
+    new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
+    new = replace(new, friction=dissipated(state, new))
+    return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
+
+
+def _first_instant(
+    model: Model, network: Network, loads: Loads, begun: State, branch: Past, dt: float | None = None
+) -> State:
+    """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
+
+    ``begun`` owns its motion, which the new state takes over. With ``dt``, a compressible fluid gets its first rates.
+    """
+    ops, motion = model.operators, begun.motion
+    closed = loads
+    if ops.flow is not None:
+        network.look_at(begun)
+        closed = network.level(loads, begun)
+    now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
+    known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
+    begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
+    problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
+    problem.branch = branch
+    try:
+        problem.evaluate()
+        compressible = ops.flow is not None and ops.flow.compressibility > 0.0
+        if compressible and dt is not None:
+            rate = starting_rate(ops, problem, dt)
+            problem.state = replace(begun, uptake=rate)
+            problem.evaluate()
+        elif not compressible and problem.residual.flow > model.scene.accuracy.residual:
+            starting_pressure(model.scene, ops, closed, problem)
+            problem.evaluate()
+        initial_acceleration(ops, problem, motion.acceleration)
+        parts = network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
+        for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
+            problem.pressure.getArray()[part.nodes] += level
+            part.walls.destroy()
+        if parts:
+            problem.evaluate()
+            initial_acceleration(ops, problem, motion.acceleration)
+        pressure, forces = problem.pressure.copy(), balance_terms(problem, motion)
+        sections = problem.sections
+    finally:
+        problem.destroy()
+        if anchor is not None and anchor is not known:
+            anchor.destroy()
+    start = replace(begun, pressure=pressure, sections=sections, forces=forces)
+    return replace(start, memory=Memory(), uptake=rate)
