@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fracflow._petsc import PETSc
 from fracflow.assembly.components import Closure
 from fracflow.assembly.flow import Compression, Conduction
 from fracflow.assembly.operators import Operators
@@ -29,6 +30,23 @@ def taken_by(operators: Operators, closure: Closure, before: Compression | None,
         return 0.0
     inside = np.isin(operators.blocks.joints.flow, closure.nodes)
     return float(operators.layout.comm.allreduce(float((after.held - before.held)[inside].sum())))
+
+
+def lost(
+    operators: Operators,
+    closure: Closure,
+    moved: PETSc.Vec,
+    pressure_change: Floats,
+    before: Compression | None,
+    after: Compression | None,
+) -> float:
+    """What a part has lost of what it must keep, over its natural size: its fluid, or its level. Collective."""
+    if closure.by != "level":
+        taken = taken_by(operators, closure, before, after)
+        return float((closure.weights.dot(moved) + taken) / closure.size)
+    weights = closure.weights.getArray(readonly=True)
+    here = float(weights @ pressure_change)
+    return float(operators.layout.comm.allreduce(here)) / operators.scales.pressure
 
 
 def why_not_finite(operators: Operators, conduction: Conduction | None) -> str:

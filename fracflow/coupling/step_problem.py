@@ -19,7 +19,7 @@ from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.assembly.prescribed import Prescribed
 from fracflow.coupling.absorption import Absorption
-from fracflow.coupling.compression import taken_by, uptake_rate, why_not_finite
+from fracflow.coupling.compression import lost, uptake_rate, why_not_finite
 from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
 from fracflow.coupling.moving_terms import MovingTerms
@@ -92,8 +92,7 @@ class StepProblem:
         self._flow_rows: Floats | None = None
         self._flow_noise, self._carried = np.zeros(0), 0.0
         self._widest: list[float] | None = None
-        network = operators.flow
-        self._before = 0.0 if network is None else np.abs(network.driving(state.pressure))
+        self._before = 0.0 if operators.flow is None else np.abs(operators.flow.driving(state.pressure))
 
     def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write what is prescribed at the end of the step into both vectors."""
@@ -110,12 +109,11 @@ class StepProblem:
 
     def move(self, increment: Floats) -> None:
         """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for the prescribed."""
-        old = self.state.motion.displacement.getArray(readonly=True)
+        old, held = self.state.motion.displacement.getArray(readonly=True), self.loads.held
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
         self.impose(self.displacement, self.pressure)
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
-        held = self.loads.held
         change[held] = new[held] - old[held]
 
     def evaluate(self, hold: bool = True) -> None:
@@ -230,16 +228,11 @@ class StepProblem:
 
     def _close(self) -> None:
         """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
-        scales, local = self.operators.scales, self.flow_balance.getArray()
         assert self.conduction is not None
+        change = self.pressure.getArray(readonly=True) - self.state.pressure.getArray(readonly=True)
+        trial = (self.increment, change, self.held, self.conduction.compression)
         for closure in self.loads.closures:
-            if closure.by != "level":
-                taken = taken_by(self.operators, closure, self.held, self.conduction.compression)
-                defect = (float(closure.weights.dot(self.increment)) + taken) / closure.size
-            else:
-                kept = float(closure.weights.dot(self.state.pressure))
-                defect = (float(closure.weights.dot(self.pressure)) - kept) / scales.pressure
-            local[closure.row] = self.flow_scale() * defect
+            self.flow_balance.getArray()[closure.row] = self.flow_scale() * lost(self.operators, closure, *trial)
 
     def _hold(self) -> None:
         self.loads.release(self.solid_balance)
