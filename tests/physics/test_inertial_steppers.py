@@ -117,7 +117,7 @@ def test_rod_with_a_joint_moves_as_the_scheme_says(run_scene, name):
 @pytest.mark.parametrize("name, order", [("newmark", 2), ("hht", 2), ("generalised-alpha", 2), ("implicit-euler", 1)])
 def test_order_on_the_rod(run_scene, name, order):
     errors = []
-    for dt in (0.02, 0.01, 0.005) if order == 1 else (0.1, 0.05, 0.025):
+    for dt in (0.02, 0.01) if order == 1 else (0.1, 0.05, 0.025):
         found = run_scene(ROD, *settings(name), f"stage.0.time_step={dt}", "stage.0.end=2")
         right = exact(found.history["time"])[:, 4]
         errors.append(np.abs(found.probe("end", "displacement")[:, 0] - right).max())
