@@ -132,10 +132,11 @@ def run_stage(
     count = stage.step_count(start)
     place = Place.of(progress)
     method, accuracy = model.scene.method, model.scene.accuracy
+    locates = stepping.explicit.may_locate(stepper, stage.time_step) and stepper.inertia and method.events == "located"
     rules = Rules(
         most_halvings(model.scene),
         0 if accuracy.step_error is None else stepper.order,
-        accuracy.max_events if stepper.inertia and method.events == "located" else 0,
+        accuracy.max_events if locates else 0,
     )
 
     def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:

@@ -13,10 +13,12 @@ from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, remember
+from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import check_digits
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Bools, Floats
+from fracflow.run_explicit import ExplicitSteps
 from fracflow.run_instants import change, enter
 from fracflow.run_network import Network
 from fracflow.run_setup import Model
@@ -24,7 +26,7 @@ from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.state import Memory, State, StepReport
-from fracflow.stepping import Steady, Stepper, first, stepper_from
+from fracflow.stepping import Explicit, Steady, Stepper, first, stepper_from
 from fracflow.tables_time import AT_ONCE
 
 Progress = Mapping[str, float]
@@ -69,6 +71,7 @@ class Stepping:
         self._network_version = 0
         self._at_rest: dict[Loads, Loads] = {}
         self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
+        self.explicit = ExplicitSteps(model, lambda line: self.network.log(line))
 
     def _coupling(self, loads: Loads) -> Coupling:
         coupling = self._couplings.pop(loads, None)
@@ -114,6 +117,15 @@ class Stepping:
         ahead    length of the step that follows, 0 where the stage ends; by default as long as this one
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
+        if isinstance(stepper, Explicit) and (count := self.explicit.count(dt)) > 1:
+            return self.explicit.in_parts(
+                lambda now, at, part, way, then: self.step(now, stepper, at, part, way, hold=hold, ahead=then),
+                state,
+                time,
+                (dt, dt if ahead is None else ahead),
+                controls,
+                count,
+            )
         rule = stepper if state.memory.time_step > 0.0 else first(stepper)
         loads = loads or self.model.loads
         new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold, ahead)
@@ -147,7 +159,9 @@ class Stepping:
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
         around = (dt, dt if ahead is None else ahead) if rule.inertia else AT_ONCE
         loads = self._standing(loads) if not rule.inertia else loads
-        scheme = Scheme(rule.inertia, rule.storage, rule.balance, alphas if rule.inertia else None, loads.held)
+        explicit = self.explicit.coupling if isinstance(rule, Explicit) else None
+        weighs = alphas if rule.inertia and explicit is None else None
+        scheme = Scheme(rule.inertia, rule.storage, rule.balance, weighs, loads.held)
         fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
         if network is not None:
@@ -157,11 +171,11 @@ class Stepping:
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
             limited = self._limited(loads, reached)
             closed = self._closed(limited, rule.storage)
-            problem = StepProblem(
+            problem = (StepProblem if explicit is None else ExplicitProblem)(
                 self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial, hold, around
             )
             try:
-                report = self._coupling(closed).solve(problem)
+                report = (explicit or self._coupling(closed)).solve(problem)
                 new = accept(problem, state.energy)
                 self._refuse_jumps(state, new)
                 report = replace(report, digits=check_digits(problem, new, self.model.scene.accuracy.digits))
@@ -231,6 +245,7 @@ class Stepping:
 
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
         """A new state, as a stage takes it over; see ``run_instants``. Collective."""
+        dt /= self.explicit.count(dt) if isinstance(stepper, Explicit) and dt > 0.0 else 1
         return enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
 
     def change(self, state: State, leaving: Bools) -> State:
@@ -244,4 +259,5 @@ class Stepping:
         """Free the solvers. Collective."""
         for coupling in self._couplings.values():
             coupling.destroy()
+        self.explicit.destroy()
         self.network.destroy()

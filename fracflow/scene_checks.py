@@ -23,6 +23,7 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
     """List what contradicts, is missing or unknown between tables: (path of the key, what is wrong)."""
     if not scene.stage:
         yield ("stage",), "missing; a run needs at least one [[stage]]"
+    yield from _method(scene)
     yield from _geometry(scene)
     yield from _materials(scene)
     yield from _controls(scene)
@@ -39,6 +40,15 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
     for path, name in (*in_history, *((("control", name), name) for name in scene.control)):
         if not {"", ".", ".."}.isdisjoint(name.split("/")):
             yield path, "is no name for the history, where / divides; put more than dots before and after it"
+
+
+def _method(scene: Scene) -> Iterator[Fault]:
+    method = scene.method
+    needs = {"mass": "lumped", "quadrature": "nodal", "storage": "lumped", "newmark_beta": 0.25, "newmark_gamma": 0.5}
+    for key, value in needs.items() if method.stepper == "explicit" else ():
+        if getattr(method, key) != value:
+            right = f'"{value}"' if isinstance(value, str) else f"{value:g}"
+            yield ("method", key), f'contradicts stepper = "explicit", which needs {right}; or use stepper = "newmark"'
 
 
 def _geometry(scene: Scene) -> Iterator[Fault]:

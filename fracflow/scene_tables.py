@@ -93,7 +93,8 @@ class Method(StepperKeys):
     stepper: InertiaStepper = Field(
         default="newmark",
         description="time integrator of dynamic stages: newmark (4.1)-(4.3); hht and generalised-alpha, which damp what the"
-        " time step does not resolve and are of second order; implicit-euler, of first order, which damps all",
+        " time step does not resolve and are of second order; implicit-euler, of first order, which damps all; explicit,"
+        " central differences of the rock with joints and film solved at the end of each step, in parts no longer than stable",
     )
     coupling: Literal["monolithic", "fixed-point", "whole-lu"] = Field(
         default="monolithic",

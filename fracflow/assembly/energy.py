@@ -60,7 +60,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
     )
     if ops.flow is not None:
         instants = (new,) if scheme.balance == "end" else (old, new)
-        parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme.storage)
+        parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme)
         if ops.flow.compressibility > 0.0:
             _add_compression(ops, parts, old, new, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
@@ -168,7 +168,7 @@ def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
 
 
 def _fluid_parts(
-    ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, storage: bool
+    ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, scheme: Scheme
 ) -> dict[str, float]:
     """Terms of the balance (3.20) times the potential that drives, both as means over the ``instants`` where it holds.
 
@@ -190,10 +190,13 @@ def _fluid_parts(
         "work_wells": share * sum(state.forces.source.dot(balanced) for state in instants),
         "work_pressure": resting,
     }
-    if storage:
+    if scheme.storage:
         swept = volume(ops.flow.squeeze, change, driving)
         parts["spurious"] = swept - pushed
-        stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity, balanced) for state in instants)
+        if scheme.balance == "step":  # of what the walls move
+            stored = volume(ops.flow.squeeze, change, balanced)
+        else:
+            stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity, balanced) for state in instants)
         stored += share * sum(state.uptake.dot(balanced) for state in instants if state.uptake is not None)
         parts["fluid_scheme"] = stored - swept
     else:

@@ -19,7 +19,7 @@ from fracflow.stepping import Alphas
 class Scheme:
     """What the books must know of a step; the first three as in ``stepping.Stepper``.
 
-    alphas  of a step with inertia; None of one that only puts a motion in
+    alphas  of a step with inertia; None of one that only puts a motion in, and of an explicit one
     held    local numbers of the solid unknowns that are prescribed
     """
 
@@ -54,8 +54,17 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
         return {"dropped": _total(ops, change @ mean)}  # of a stage before, let go in the first step
     kinetic = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
     alphas = scheme.alphas
+    is_held = np.zeros(len(change), dtype=bool)
+    is_held[scheme.held] = True
     if alphas is None:
-        return {"kinetic": kinetic, "scheme": _total(ops, change @ mean) - kinetic}
+        gained = 0.5 * (before.velocity + after.velocity) * _times(ops, after.velocity - before.velocity, new)
+        left = change * mean - gained
+        scheme_part, given_part = float(left[~is_held].sum()), -float(left[is_held].sum())
+        return {
+            "kinetic": kinetic,
+            "scheme": _total(ops, scheme_part),
+            "work_boundaries": _total(ops, given_part),
+        }
     # e = e_new a_new + e_old a of (4.2e,f)
     of_new, of_old = alphas.a1 / alphas.a0, alphas.a1 * alphas.a3 / alphas.a0 - alphas.a5
     e_new, e_old = 1.0 / alphas.a0 - 0.5 * dt * of_new, alphas.a3 / alphas.a0 - 0.5 * dt * of_old
@@ -69,8 +78,6 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     if alphas.looks_back:
         late = alphas.balance_old / (1.0 + alphas.balance_old)
         each += (0.5 - late) * change * (_static(ops, new) - _static(ops, old))
-    is_held = np.zeros(len(change), dtype=bool)
-    is_held[scheme.held] = True
     given = 0.5 * dt * (before.velocity + after.velocity) * push - change * mean
     return {
         "kinetic": kinetic,

@@ -10,6 +10,7 @@ from fracflow._petsc import MPI
 from fracflow.assembly.balance import static_balance
 from fracflow.assembly.compression import taken_between
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import flow_power
 from fracflow.coupling.newton import NewtonReport
 from fracflow.coupling.residual import Residual
@@ -21,7 +22,8 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
     motion = Motion(problem.displacement.copy(), problem.velocity(), problem.acceleration())
     drive = 0.0 if problem.conduction is None else float(np.abs(problem.conduction.pressure).max(initial=0.0))
-    forces, given = balance_terms(problem, motion), problem.loads.given_pressures
+    forces = problem.terms() if isinstance(problem, ExplicitProblem) else balance_terms(problem, motion)
+    given = problem.loads.given_pressures
     power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
     return State(
         problem.time,

@@ -6,6 +6,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.components import Closure
+from fracflow.assembly.compression import taken_up
 from fracflow.assembly.flow import Compression, Conduction
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats
@@ -21,6 +22,18 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
         return None
     old, mean = (0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.memory.uptake))
     rate: Floats = first_rate(alphas, taken, 0.0, old, mean)
+    return rate
+
+
+def uptake_at(
+    operators: Operators, state: State, alphas: Alphas, before: Compression | None, after: Compression | None
+) -> Floats | None:
+    """The same of what compression has taken up since ``state``; None of a fluid that is incompressible. Collective."""
+    if before is None or after is None:
+        return None
+    taken = taken_up(operators, before, after)
+    rate = uptake_rate(state, alphas, taken.getArray())
+    taken.destroy()
     return rate
 
 

@@ -21,8 +21,8 @@ ROUND_OFF = 0.5 * float(np.finfo(float).eps)
 NOISE = 2.0  # round-offs of single displacements that meet in the balance of a node
 MOST_DIGITS = 15.65  # -log10 of the spacing of doubles
 LEAST_SHARE = 1e-6
-"""Tractions below this share of the largest in the scene, or of the loads and reactions, have their digits counted from there:
-they may be nothing."""
+"""Tractions below this share of the largest in the scene, or of loads, reactions and forces of inertia, have their digits
+counted from there: they may be nothing, as those of a joint that no wave has reached."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ def digits_of(operators: Operators, state: State) -> Digits:
         np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     error, rock, size, stiff, beside = largest
-    forces = (state.forces.load.norm(PETSc.NormType.INFINITY), state.forces.support.norm(PETSc.NormType.INFINITY))
-    held = np.maximum(size, LEAST_SHARE * max(size.max(initial=0.0), max(forces) / operators.scales.length))
+    forces = _largest_force(operators, state)
+    held = np.maximum(size, LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
     if not lost.any():
         return Digits(MOST_DIGITS, "", 0.0, 0.0, False)
@@ -114,6 +114,15 @@ def digits_of(operators: Operators, state: State) -> Digits:
     left, by_rock = min(MOST_DIGITS, float(-np.log10(lost[worst]))), bool(rock[worst] > error[worst])
     stiffness = float(beside[worst] if by_rock else stiff[worst])
     return Digits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
+
+
+def _largest_force(operators: Operators, state: State) -> float:
+    """The largest load, reaction or force of inertia on a displacement [force per thickness]. Collective."""
+    inertia = state.forces.load.duplicate()
+    operators.mass.mult(state.motion.acceleration, inertia)
+    largest = max(vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support, inertia))
+    inertia.destroy()
+    return float(largest)
 
 
 def refuse_few(found: Digits, limit: int, time: float) -> None:

@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.compression import compression_of, taken_up
+from fracflow.assembly.compression import compression_of
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.assembly.prescribed import Prescribed
 from fracflow.coupling.absorption import Absorption
-from fracflow.coupling.compression import lost, uptake_rate, why_not_finite
+from fracflow.coupling.compression import lost, uptake_at, why_not_finite
 from fracflow.coupling.digits import blur, noise_here, noise_of_flow, noise_of_rock
 from fracflow.coupling.lag import Lag
 from fracflow.coupling.moving_terms import MovingTerms
@@ -204,14 +204,11 @@ class StepProblem:
         self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening), None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
-        if (stored := self.conduction.compression) is not None and self.held is not None:
-            taken = taken_up(self.operators, self.held, stored)
-            self._uptake = uptake_rate(self.state, self.alphas, taken.getArray())
-            taken.destroy()
-            if self._uptake is not None:
-                flow.getArray()[:] += self._uptake
-                rows += np.abs(self._uptake)
-                terms.append(largest_of(self._uptake))
+        self._uptake = uptake_at(self.operators, self.state, self.alphas, self.held, self.conduction.compression)
+        if self._uptake is not None:
+            flow.getArray()[:] += self._uptake
+            rows += np.abs(self._uptake)
+            terms.append(largest_of(self._uptake))
         speed.destroy()
         self._close()
         drive = LEAST_DRIVE * self.state.drive

@@ -4,6 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 from .error import local_error
+from .explicit import Explicit
 from .film import BDF2, BackwardEuler, Trapezoid, first
 from .generalised_alpha import GeneralisedAlpha
 from .hht import HHT
@@ -23,13 +24,16 @@ STEPPERS: dict[str, type[Any]] = {
 }
 """Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
 
-WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia}
+EXPLICIT: dict[str, type[Any]] = {"explicit": Explicit}
+"""Rules with a protocol of their own: see ``coupling.explicit``."""
+
+WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
 OF_FILMS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
 
 
 def stepper_from(name: str, method: Any) -> Stepper:
     """The rule of that name, with its parameters from the attributes of ``method`` that their keys name."""
-    kind = STEPPERS[name]
+    kind = (STEPPERS | EXPLICIT)[name]
     made: Stepper = kind(**{each.name: getattr(method, each.metadata["key"]) for each in fields(kind)})
     return made
 
@@ -42,6 +46,7 @@ __all__ = [
     "WITH_INERTIA",
     "Alphas",
     "BackwardEuler",
+    "Explicit",
     "GeneralisedAlpha",
     "HasMotion",
     "ImplicitEuler",

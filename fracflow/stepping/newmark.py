@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Protocol
 from ..errors import InputError
 from .parameters import check_parameters, parameter
 
-Balance = Literal["both", "end"]
+Balance = Literal["both", "end", "step"]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,8 @@ class Stepper(Protocol):
     order    order of accuracy in the time step; 0 where time does not enter
     inertia  the mass matrix takes part
     storage  wall velocities take part in the balance of fluid
-    balance  where in a step the fluid's balance is known to hold: at both its ends, or only at its end
+    balance  where in a step the fluid's balance is known to hold: at both its ends, only at its end, or over the step as a
+             whole, with what the walls move in it
     memory   it needs a step before it in its stage; see ``film.first``
     """
 

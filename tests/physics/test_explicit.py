@@ -1,0 +1,262 @@
+"""Explicit stages: d'Alembert at CFL 1, order with a joint, the same as implicit steps, books, refusals, ranks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError, SolveError
+from fracflow.output import read_history
+from fracflow.run import run
+from fracflow.scene import load
+
+MESHES = Path(__file__).parents[2] / "meshes"
+BAR_GEO = """
+n = {n}; h = {h};
+For i In {{0:2}}
+  Point(2*i + 1) = {{(i - 1)*n*h, 0, 0}};
+  Point(2*i + 2) = {{(i - 1)*n*h, h, 0}};
+  Line(10 + i) = {{2*i + 1, 2*i + 2}};
+EndFor
+For i In {{0:1}}
+  Line(20 + i) = {{2*i + 1, 2*i + 3}};
+  Line(30 + i) = {{2*i + 2, 2*i + 4}};
+  Curve Loop(i + 1) = {{20 + i, 11 + i, -(30 + i), -(10 + i)}};
+  Plane Surface(i + 1) = {{i + 1}};
+EndFor
+Transfinite Curve {{10:12}} = 2;
+Transfinite Curve {{20, 21, 30, 31}} = n + 1;
+Transfinite Surface "*";
+Recombine Surface "*";
+Physical Surface("rock") = {{1, 2}};
+{joint}
+Physical Curve("west") = {{10}};
+Physical Curve("east") = {{12}};
+Physical Curve("south") = {{20, 21}};
+Physical Curve("north") = {{30, 31}};
+"""
+BAR = """
+units = "none"
+[output]
+pictures = false
+[method]
+stepper = "explicit"
+[mesh]
+file = "bar.geo"
+[rock.rock]
+youngs_modulus = 1
+poissons_ratio = 0
+density = 1
+[[support]]
+on = ["south", "north"]
+components = ["y"]
+[[support]]
+on = "west"
+components = ["x"]
+displacement = {{x = {pulse}}}
+[[probe]]
+name = "before"
+at = [-0.5, 0]
+[[probe]]
+name = "behind"
+at = [0.5, 0]
+[[probe]]
+name = "end"
+at = [1, 0]
+[[stage]]
+kind = "dynamic"
+time_step = {dt}
+end = {end}
+"""
+JOINT = """
+[fracture.joint]
+law = "linear"
+normal_stiffness = {k}
+shear_stiffness = {k}
+"""
+
+
+@pytest.fixture
+def bar(run_scene, shared_tmp):
+    """Function (cells in each half, pulse (t, x), end, stiffness or None) -> Ran; half length 1, c = 1, dt = h/c."""
+
+    def once(n, pulse, end, stiffness=None, *overrides):
+        curve = 'Physical Curve("joint") = {11};' if stiffness is not None else ""
+        if MPI.COMM_WORLD.rank == 0:
+            (shared_tmp / "bar.geo").write_text(BAR_GEO.format(n=n, h=1.0 / n, joint=curve))
+        text = BAR.format(pulse=[list(map(float, row)) for row in pulse], dt=1.0 / n, end=end)
+        return run_scene(text + (JOINT.format(k=stiffness) if stiffness is not None else ""), *overrides)
+
+    return once
+
+
+def test_nodally_exact_at_cfl_1(bar):
+    """A pulse enters in the west, is doubled at the free east end and turned over at the west: u = sum of f(t -+ x)."""
+    pulse = np.array([[0.0, 0.0], [0.25, 0.7], [0.5, -0.2], [0.75, 0.0], [100.0, 0.0]])
+
+    def exact(x, t):
+        f = lambda s: np.interp(s, *pulse.T, left=0.0)  # noqa: E731
+        return sum((-1) ** k * (f(t - x - 4 * k) + f(t + x - 4 * (k + 1))) for k in range(4))
+
+    found = bar(16, pulse, 12.0)
+    for name, x in (("before", 0.5), ("behind", 1.5), ("end", 2.0)):
+        u = found.probe(name, "displacement")[:, 0]
+        assert np.abs(u - exact(x, found.history["time"])).max() < 1e-10
+    assert found.closes(1e-12)
+
+
+def transmitted(t, stiffness):
+    """Displacement behind a linear joint of a wave u = sin^2 that comes to it at 0, Z = 1: v_T' = 2k (v_I - v_T)."""
+    a, w, s = 2.0 * stiffness, 2.0 * np.pi, np.clip(t, 0.0, 1.0)
+    # u_T = a exp(-a t) * integral of exp(a s) (1 - cos w s)/2
+    within = 0.5 * (1.0 - np.exp(-a * s))
+    within -= 0.5 * a * (a * np.cos(w * s) + w * np.sin(w * s) - a * np.exp(-a * s)) / (a**2 + w**2)
+    return np.where(t <= 0.0, 0.0, within * np.exp(-a * np.clip(t - 1.0, 0.0, None)))
+
+
+@pytest.mark.parametrize("stiffness", [0.5, 5.0])
+def test_second_order_with_a_joint_at_cfl_1(bar, stiffness):
+    errors = []
+    for n in (16, 32, 64):
+        t = np.arange(3 * n + 1) / n
+        rows = np.c_[t, np.where(t < 1.0, np.sin(np.pi * t) ** 2, 0.0)]
+        found = bar(n, rows, 2.4, stiffness)
+        u = found.probe("behind", "displacement")[:, 0]
+        errors.append(np.abs(u - transmitted(found.history["time"] - 1.5, stiffness)).max())
+        assert found.closes(1e-11)
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx(2.0, abs=0.25)
+    assert errors[-1] < 4e-3
+
+
+CRACK = """
+[output]
+pictures = false
+[rock.rock]
+youngs_modulus = "10 GPa"
+poissons_ratio = 0.25
+density = 2500
+[fracture.default]
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "0.5 mm"
+friction_angle_deg = 30
+[geometry]
+domain = [0, 0, 4, 3]
+size = 0.8
+[[geometry.fracture]]
+name = "crack"
+points = [[0, 1], [4, 2]]
+[[geometry.fracture]]
+name = "branch"
+points = [[2, 0.5], [2, 2.5]]
+[initial_stress]
+xx = -6e6
+yy = -5e6
+xy = 2.72e6
+[fluid]
+viscosity = 1e-3
+initial_pressure = 1e6
+compressibility = {compressibility}
+[[support]]
+on = ["south", "north", "east", "west"]
+[[well]]
+name = "in"
+at = [2, 1.5]
+flow_rate = [[0, 0], [0.004, 6e-3], [1, 6e-3]]
+[[well]]
+name = "out"
+at = {{fracture = "crack", end = "end"}}
+pressure = "initial"
+[[probe]]
+name = "middle"
+at = [2, 1.5]
+on = "crack"
+[[probe]]
+name = "quarter"
+at = [1, 1.25]
+[[stage]]
+kind = "dynamic"
+time_step = 4e-5
+end = 0.006
+"""
+
+
+AT_ENDS = "method.events=at-step-ends"
+
+
+@pytest.mark.parametrize("compressibility", [0.0, 4.5e-10])
+def test_injection_as_by_implicit_steps(run_scene, compressibility):
+    """Both of second order, steps a fifth of the critical one: pressures, openings and slips to 1 % of their changes."""
+    text = CRACK.format(compressibility=compressibility)
+    implicit, explicit = (run_scene(text, f"method.stepper={name}", AT_ENDS) for name in ("newmark", "explicit"))
+    away = ["slip", "shear_traction"]  # in the middle they are nothing, by symmetry
+    for probe, more in (("middle", []), ("quarter", away)):
+        for quantity in ("pressure", "opening", "flow_rate", *more):
+            one, other = implicit.probe(probe, quantity), explicit.probe(probe, quantity)
+            assert np.abs(one - other).max() <= 0.01 * np.ptp(one), (probe, quantity)
+    assert explicit.history["step/slipping"].max() > 0
+    assert explicit.closes(1e-11)
+    # in parts: three times the critical step, and the wells still climb between
+    coarse = run_scene(text, "method.stepper=explicit", "stage.0.time_step=6e-4")
+    assert coarse.closes(1e-11)
+    assert coarse.probe("middle", "opening")[-1] == pytest.approx(explicit.probe("middle", "opening")[-1], rel=0.05)
+
+
+def test_ranks_agree(shared_tmp):
+    """All ranks, and the first alone, to 1e-11 of natural sizes: accelerations t/(rho h) = 5e3, velocities 5e3 x 1e-4."""
+    comm, file = MPI.COMM_WORLD, shared_tmp / "scene.toml"
+    if comm.rank == 0:
+        file.write_text(CRACK.format(compressibility=0.0).replace("4e-5", "1e-4"))
+    comm.barrier()
+    run(load(file, ["method.stepper=explicit"]), shared_tmp / "all", comm)
+    if comm.rank == 0:
+        run(load(file, ["method.stepper=explicit"]), shared_tmp / "one", MPI.COMM_SELF)
+        one, many = (read_history(shared_tmp / name / "history.h5") for name in ("one", "all"))
+        for name in one:
+            if name.startswith(("probe/", "energy/")) and "residual" not in name:
+                kind = name.rsplit("/", 1)[-1] if name.startswith("probe/") else "energy/"
+                size = max(np.nanmax(np.abs(one[key]), initial=0.0) for key in one if kind in key)
+                size = {"acceleration": 5e3, "velocity": 0.5, "slip_rate": 0.5}.get(kind, size)
+                assert np.nanmax(np.abs(one[name] - many[name]), initial=0.0) <= 1e-11 * size, name
+    comm.barrier()
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.8])
+def test_rigid_blocks_move_as_by_implicit_steps(shared_tmp, ratio):
+    """Application 5.2: without rock that deforms nothing is explicit, with located events and drops of strength too."""
+    comm, found = MPI.COMM_WORLD, {}
+    for name in ("newmark", "explicit"):
+        scene = load(
+            MESHES / "report_5_2" / "scene.toml",
+            [
+                "output.pictures=false",
+                f"method.stepper={name}",
+                f"fracture.default.stick_slip_ratio={ratio}",
+                "stage.0.end=8",
+            ],
+        )
+        run(scene, shared_tmp / name, comm)
+        found[name] = comm.bcast(read_history(shared_tmp / name / "history.h5") if comm.rank == 0 else None)
+    for key in ("displacement", "velocity"):
+        one, other = (found[name][f"probe/block/{key}"] for name in ("newmark", "explicit"))
+        assert other == pytest.approx(one, abs=1e-11)
+    assert np.abs(found["explicit"]["energy/residual"]).max() < 1e-12
+    assert "no rock deforms" in (shared_tmp / "explicit" / "log.txt").read_text()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "setting", ["mass=consistent", "quadrature=gauss2", "storage=consistent", "newmark_gamma=0.6", "newmark_beta=0.3"]
+)
+def test_what_it_needs_is_refused_by_name(tmp_path, setting):
+    (tmp_path / "scene.toml").write_text(CRACK.format(compressibility=0.0))
+    key = setting.partition("=")[0]
+    with pytest.raises(InputError, match=rf'method.{key}.*contradicts stepper = "explicit", which needs'):
+        load(tmp_path / "scene.toml", ["method.stepper=explicit", f"method.{setting}"])
+
+
+def test_a_part_without_outlet_that_no_wall_gives_way_to_is_refused(run_scene):
+    with pytest.raises(SolveError, match="needs walls that move"):
+        run_scene(CRACK.format(compressibility=0.0).replace('pressure = "initial"', "flow_rate = 0"), "support.0.on=rock",
+                  "method.stepper=explicit", "well.in.flow_rate=0")  # fmt: skip
