@@ -43,7 +43,7 @@ def test_exit_code_3(tmp_path):
 def test_agrees_with_monolithic_where_it_converges(ran):
     by_turns, at_once = ran("report_5_3", FIXED, *WIDE).history, ran("report_5_3", *WIDE).history
     assert by_turns["step/coupling"].max() > 1 == at_once["step/coupling"].max()
-    assert np.array_equal(by_turns["time"], at_once["time"])
+    assert by_turns["time"] == pytest.approx(at_once["time"], abs=1e-9)  # an event is as exact as the solution it is in
     tractions = ("normal_traction", "shear_traction")
     for name in ("pressure", "opening", "slip", *tractions, "displacement", "flow_rate"):
         keys = [f"probe/node{n}/{name}" for n in range(1, 6)]
