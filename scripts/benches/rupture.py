@@ -1,9 +1,9 @@
 """Spontaneous rupture of meshes/rupture by refinement: rupture.py [SIDES...] [--steppers ...] [--ranks N] [--out DIR].
 
-For each side of the squares [m] and each stepper: when the slip rate first passes 1 mm/s at five places, slip and moment per
-metre of depth at 6.6 s, and what the run took. By how much the last halving of the side changes the rupture times is the
-estimate of their error; exit code 1 where it is above 1 %, or where the steppers differ by more. Draws rupture times, slip
-and slip rates.
+For each side of the squares [m] and each stepper: when the slip rate, as the mean of a step, first passes 1 mm/s at five
+places, slip and moment per metre of depth at 6.6 s, and what the run took. By how much the last refinement changes the rupture
+times is the estimate of their error; exit code 1 where it is above 1 %, or where the steppers differ by more. Draws rupture
+times, slip and slip rates.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from size import machine
 
 SCENE = Path(__file__).parents[2] / "meshes" / "rupture"
-SIDES, STEPPERS = (400, 200, 100), ("explicit", "newmark")
+SIDES, STEPPERS = (100, 50, 25), ("explicit", "newmark")
 PLACES = (-12.0, -4.5, 4.5, 7.5, 12.0)
 EVERY = 0.5  # [km] between the probes of the curves
 RATE = 1e-3  # slip rate that counts as rupture [m/s]
@@ -66,8 +66,7 @@ def write_scene(folder: Path, side: float) -> Path:
     kept = "".join(part for part in text.split("[[") if not part.startswith("probe]]") for part in (f"[[{part}",))[2:]
     known = np.arange(-15.0 + EVERY, 15.0, EVERY)
     probes = "".join(
-        f'\n[[probe]]\nname = "x{x:g}"\nat = ["{x:g} km", 0]\non = "fault"\nquantities = ["slip", "slip_rate"]\n'
-        for x in known
+        f'\n[[probe]]\nname = "x{x:g}"\nat = ["{x:g} km", 0]\non = "fault"\nquantities = ["slip"]\n' for x in known
     )
     scene = folder / "scene.toml"
     scene.write_text(kept + probes, encoding="utf-8")
@@ -114,9 +113,12 @@ def measure(stepper: str, side: float, ranks: int, out: Path) -> tuple[Rupture, 
     seconds = time.perf_counter() - began
     found = fracflow.open(folder / "run")
     history, where = found.history, np.arange(-15.0 + EVERY, 15.0, EVERY)
-    rates = {x: np.ravel(history[f"probe/x{x:g}/slip_rate"]) for x in where}
     slips = {x: np.ravel(history[f"probe/x{x:g}/slip"]) for x in where}
-    curve = {x: first_passage(history["time"], rates[x]) for x in where}
+    # as the mean of a step: in explicit ones velocities of locked walls are off by dt^2/4 of their rock's jerk
+    middle, rates = 0.5 * (history["time"][1:] + history["time"][:-1]), {}
+    for x in where:
+        rates[x] = np.diff(slips[x]) / np.diff(history["time"])
+    curve = {x: first_passage(middle, rates[x]) for x in where}
     final = np.abs([slips[x][-1] for x in where])
     books = max(np.abs(history[f"energy/{name}"]).max() for name in ("rock_strain", "friction", "kinetic"))
     rupture = Rupture(
@@ -125,7 +127,7 @@ def measure(stepper: str, side: float, ranks: int, out: Path) -> tuple[Rupture, 
         float(np.abs(history["energy/residual"]).max() / books), len(history["time"]) - 1, seconds,
     )  # fmt: skip
     return rupture, {
-        "time": history["time"],
+        "middle": middle,
         "curve": curve,
         "rates": rates,
         "slip": dict(zip(where, final, strict=True)),
@@ -149,7 +151,7 @@ def draw(found: list[tuple[Rupture, dict[str, Any]]], path: Path) -> None:
             style = "-" if stepper == "explicit" else ":"
             rate = np.abs(data["rates"][x])
             below.plot(
-                data["time"], rate, style, color=f"C{colour}", lw=1, label=f"{x:g} km, {stepper}, {rupture.side:g} m"
+                data["middle"], rate, style, color=f"C{colour}", lw=1, label=f"{x:g} km, {stepper}, {rupture.side:g} m"
             )
     below.set(xlabel="time [s]", ylabel="slip rate [m/s]")
     for axes in (above, middle, below):
