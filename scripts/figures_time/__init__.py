@@ -1,0 +1,1 @@
+"""Figures of stepping in time: what the location of events is worth, and application 5.5 by refinement."""
