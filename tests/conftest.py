@@ -19,6 +19,7 @@ WORLD = MPI.COMM_WORLD.Dup()  # the suite's own messages never meet those of the
 SIZE, RANK = WORLD.size, WORLD.rank
 PATIENCE = float(os.environ.get("FRACFLOW_TEST_PATIENCE", "300"))  # seconds a rank waits for the others
 PATIENCE_AFTER_FAILURE = 30.0
+APPLICATIONS = {"reference", "report", "stability", "bench"}  # tests/parallel compares some of them on three ranks
 
 # Ranks must draw the same examples, and a failure must come back on the next run.
 settings.register_profile("fracflow", derandomize=True, deadline=None, database=None)
@@ -53,12 +54,19 @@ def pytest_sessionstart(session):
 
 
 def pytest_collection_modifyitems(config, items):
+    """What needs one process runs on one; whole applications run on one and two, and parts of the program on any number."""
+    tests = Path(__file__).parent
+
+    def runs_elsewhere(item):
+        group = item.path.relative_to(tests).parts[0]
+        return item.get_closest_marker("serial") is not None or (SIZE > 2 and group in APPLICATIONS)
+
     if SIZE == 1:
         return
-    serial = [item for item in items if item.get_closest_marker("serial")]
-    if serial:
-        config.hook.pytest_deselected(items=serial)
-        items[:] = [item for item in items if not item.get_closest_marker("serial")]
+    elsewhere = [item for item in items if runs_elsewhere(item)]
+    if elsewhere:
+        config.hook.pytest_deselected(items=elsewhere)
+        items[:] = [item for item in items if item not in elsewhere]
 
 
 def pytest_collection_finish(session):

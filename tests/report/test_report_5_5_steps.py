@@ -8,7 +8,9 @@ def _first_slips(ran, step, *overrides):
     """Start and slip of each node's first slip within 0.6 s."""
     stage = {"time_step": step, "steps": round(0.6 / step), "increment_per_step": step}
     found = {}
-    for event in ran("report_5_5", *(f"stage.failure.{key}={value}" for key, value in stage.items()), *overrides).events:
+    for event in ran(
+        "report_5_5", *(f"stage.failure.{key}={value}" for key, value in stage.items()), *overrides
+    ).events:
         if event["kind"] == "slip" and event["end"] is not None:
             found.setdefault(event["probe"], (event["start"], abs(event["slip"])))
     return found
