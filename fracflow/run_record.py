@@ -19,6 +19,7 @@ from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
+from fracflow.output.chatter import Chatter
 from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
 from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
@@ -192,6 +193,7 @@ class Files:
                 [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],
             ),
         )
+        self.chatter = Chatter(self.events.nodes.fracture)
         if notes is not None:
             self.events.remember(notes["events"])
         self.count = len(flow)
@@ -256,13 +258,23 @@ class Files:
         # A tip has no jump: what its law does with a stress past its strength is no slip.
         parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
 
+        is_open = parts & brought("open", True).astype(bool)
+        if told := self.chatter.update(step.stage, is_open):
+            self.folder.log(
+                f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {told}: {self._advice()}"
+            )
         self.events.update(
             state.time,
             parts & brought("sliding", True).astype(bool),
-            parts & brought("open", True).astype(bool),
+            is_open,
             brought("plastic_slip"),
             brought("slip_rate"),
         )
+
+    def _advice(self) -> str:
+        if self.scene.method.contact == "lumped" and not self.scene.has_flow:
+            return 'method.contact = "redistributed" takes the mass from the walls, else take a smaller time_step'
+        return 'take a smaller time_step, or method.stepper = "generalised-alpha" with rho_infinity = 0, which damps it'
 
     def fields(self, index: int, state: State, ends: Floats, motion: Floats) -> None:
         """Fields of rock and fractures for ParaView."""

@@ -12,6 +12,7 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.assembly.absorbing import describe
 from fracflow.assembly.components import label_parts
+from fracflow.assembly.contact_mass import redistributed, redistributes
 from fracflow.assembly.loads import Loads, assemble_loads
 from fracflow.assembly.operators import Operators, assemble
 from fracflow.coupling.defaults import set_defaults
@@ -207,6 +208,8 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
     numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
     loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
+    if redistributes(scene):
+        operators = redistributed(operators, scene, loads, mesh)
     placed = replace(placed, notes=(*placed.notes, *describe(blocks, scene)))
     return Model(scene, mesh, placed, operators, loads)
 

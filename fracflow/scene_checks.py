@@ -28,6 +28,12 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
     yield from _materials(scene)
     yield from _controls(scene)
     yield from _actions(scene)
+    if scene.method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
+        yield (
+            ("method", "contact"),
+            'is "redistributed" in a scene with a fluid: walls without mass have no first velocity to squeeze it by, and the'
+            ' fluid damps them as it is; use "lumped"',
+        )
     for key in ("well", "probe", "stage"):
         names = [entry.name for entry in getattr(scene, key)]
         for index, name in enumerate(names):

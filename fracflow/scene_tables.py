@@ -85,6 +85,12 @@ class Method(StepperKeys):
         description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
     )
     mass: Literal["lumped", "consistent"] = Field(default="lumped", description="mass matrix of the rock")
+    contact: Literal["redistributed", "lumped"] = Field(
+        default="redistributed",
+        description="inertia of fracture walls along their normal in dynamic stages: carried by the nodes next to them inside"
+        " the rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which"
+        ' damps them, and of model = "report"',
+    )
     film: FilmStepper = Field(
         default="backward-euler",
         description="time integrator of quasi-static stages: first order and monotone, or second order; trapezoid rings for"
@@ -146,6 +152,7 @@ class Method(StepperKeys):
             "storage": "report",
             "conductance": "report",
             "events": "at-step-ends",
+            "contact": "lumped",
             "newton_test": "out-of-balance",
             "tangent": "decoupled",
             "open_strength": "cohesion",
@@ -249,7 +256,8 @@ class Mesh(Part):
 
 def with_preset(data: dict[str, Any]) -> dict[str, Any]:
     """Fill the keys of [method] that a scene leaves open from its ``model``."""
-    preset = Method.PRESETS.get(str(data.get("model", "default")), {})
+    wet = {"contact": "lumped"} if "fluid" in data else {}  # walls without mass have no first velocity to squeeze it
+    preset = wet | Method.PRESETS.get(str(data.get("model", "default")), {})
     method = data.get("method", {})
     return {**data, "method": {**preset, **method}} if isinstance(method, dict) else data
 

@@ -32,6 +32,14 @@ class LawGroup:
 
 
 @dataclass(frozen=True)
+class Massless:
+    """Strains (s, dim) in which a wall has no mass; ``jump`` is G P, the strains of what carries its mass."""
+
+    components: Bools
+    jump: PETSc.Mat
+
+
+@dataclass(frozen=True)
 class Joints:
     """All joint sections of a rank; section = joint * rule points + point.
 
@@ -42,6 +50,7 @@ class Joints:
     groups    sections by unknowns, for the tangent
     laws      sections by law
     natural   natural coordinates of a joint's sections
+    massless  where walls have no mass of their own; None where all have
     """
 
     dim: int
@@ -52,6 +61,7 @@ class Joints:
     groups: tuple[SectionGroup, ...]
     laws: tuple[LawGroup, ...]
     natural: Floats
+    massless: Massless | None = None
 
     @property
     def points(self) -> int:
@@ -65,6 +75,10 @@ class Joints:
     def strain(self, displacement: PETSc.Vec) -> Floats:
         """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
         return self._apply(self.jump, displacement)
+
+    def carried(self, displacement: PETSc.Vec) -> Floats:
+        """Strains (s, dim) that there were if walls without mass moved as what carries it does. Collective."""
+        return self._apply(self.jump if self.massless is None else self.massless.jump, displacement)
 
     def moved(self, displacement: PETSc.Vec) -> Floats:
         """Sums of sizes (s, dim) of what the strains are the differences of, whose digits cancel [length]. Collective."""

@@ -36,7 +36,8 @@ class Scales:
 class Operators:
     """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid.
 
-    ``damping`` is C of absorbing sides, blocks of dim x dim at nodes; None where there are none.
+    ``damping`` is C of absorbing sides, blocks of dim x dim at nodes; None where there are none. ``inward`` is P of
+    ``contact_mass``, which ``mass`` has in it; None where every node carries its own mass.
     """
 
     blocks: Blocks
@@ -49,6 +50,7 @@ class Operators:
     flow: Flow | None
     scales: Scales
     damping: PETSc.Mat | None = None
+    inward: PETSc.Mat | None = None
 
     def nodal(self, unknowns: PETSc.Vec) -> PETSc.Vec:
         """Nodal values of a vector of solid unknowns: u = E q. The caller destroys the result. Collective."""

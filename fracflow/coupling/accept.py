@@ -9,6 +9,7 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.assembly.balance import static_balance
 from fracflow.assembly.compression import taken_between
+from fracflow.assembly.contact_mass import follow
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import flow_power
@@ -21,6 +22,9 @@ from fracflow.state import Forces, Memory, Motion, State, StepReport
 def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
     motion = Motion(problem.displacement.copy(), problem.velocity(), problem.acceleration())
+    if problem.alphas.a0 > 0.0:
+        follow(problem.operators, motion.velocity)
+        follow(problem.operators, motion.acceleration)
     drive = 0.0 if problem.conduction is None else float(np.abs(problem.conduction.pressure).max(initial=0.0))
     forces = problem.terms() if isinstance(problem, ExplicitProblem) else balance_terms(problem, motion)
     given = problem.loads.given_pressures

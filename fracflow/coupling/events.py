@@ -1,7 +1,8 @@
 """Where inside a step the first joint sections begin or end to slide, part or meet.
 
 Between two states that a rule for motions connects with all statuses held, strains are taken as the cubic through both ends'
-strains and rates (Hermite), which for the trapezoidal rule is its own parabola.
+strains and rates (Hermite), which for the trapezoidal rule is its own parabola. A wall without mass goes its way in the
+measure in which that of its mass has been gone.
 """
 
 from __future__ import annotations
@@ -61,6 +62,8 @@ def _path(joints: Joints, old: State, new: State, dt: float) -> Path:
     change: Floats = new.sections.strain - start
     # what a straight path lacks of the rates at either end
     left, right = (change - dt * joints.strain(state.motion.velocity) for state in (old, new))
+    if joints.massless is not None:
+        start, change, left, right = _without_mass(joints, (old, new), dt, (start, change, left, right))
 
     def at(fraction: Floats) -> tuple[Floats, Floats]:
         x = fraction[:, None]
@@ -69,6 +72,29 @@ def _path(joints: Joints, old: State, new: State, dt: float) -> Path:
         return np.asarray(start + x * change + bend * lean, float), np.asarray(moved, float)
 
     return at
+
+
+def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tuple[Floats, ...]) -> tuple[Floats, ...]:
+    """The path with that of walls without mass, which go their way as what carries their mass goes its own. Collective.
+
+    Closed, they follow it by a share, as the joint lets them; open, all the way. Where they part or meet on the way, the
+    path is that of the open wall, which passes there at the same instant.
+    """
+    assert joints.massless is not None
+    old, new = ends
+    at_old, at_new = (joints.carried(state.motion.displacement) for state in ends)
+    whole, (start, change, *_) = at_new - at_old, path
+    follows = np.abs(change) <= np.abs(whole)
+    share = np.where(follows, change, 0.0) / np.where(follows & (whole != 0.0), whole, 1.0)
+    gap = [joints.approach(state.sections.strain, change, old.sections.past)[:, CONTACT] for state in ends]
+    opens, closes = (gap[0] < 0.0) & (gap[1] > 0.0), (gap[0] > 0.0) & (gap[1] < 0.0)
+    free = np.zeros(start.shape, dtype=bool)
+    free[:, -1] = opens | closes
+    behind = np.where(opens[:, None], new.sections.strain - whole, start)
+    share = np.where(free, 1.0, share)
+    bends = [share * (whole - dt * joints.carried(state.motion.velocity)) for state in ends]
+    found = (np.where(free, behind, start), np.where(free, whole, change), *bends)
+    return tuple(np.where(joints.massless.components, its, other) for its, other in zip(found, path, strict=True))
 
 
 def _first_root(joints: Joints, path: Path, past: Past, kind: int, until: float) -> Floats:

@@ -71,13 +71,20 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
 
 
 def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
-    """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective."""
+    """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective.
+
+    Walls whose mass was moved inward go with those who carry it, P a = a, and what acts on them acts there: M a = P' f.
+    """
     matrix, solver = _mass(operators, problem)
-    solver.solve(problem.solid_balance, acceleration)
-    check_solution(solver, acceleration, problem.solid_balance, f"time {problem.time:.6g}: first accelerations")
+    force = problem.solid_balance.copy()
+    if operators.inward is not None:
+        operators.inward.multTranspose(problem.solid_balance, force)
+        problem.loads.release(force)
+    solver.solve(force, acceleration)
+    check_solution(solver, acceleration, force, f"time {problem.time:.6g}: first accelerations")
     acceleration.scale(-1.0)
-    solver.destroy()
-    matrix.destroy()
+    for thing in (force, solver, matrix):
+        thing.destroy()
 
 
 def first_levels(
@@ -110,12 +117,28 @@ def first_levels(
 def _mass(operators: Operators, problem: StepProblem) -> tuple[PETSc.Mat, PETSc.KSP]:
     """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
     matrix, solver = _with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
+    if operators.inward is not None:
+        _bind(matrix, operators.inward)
     start = matrix.getOwnershipRange()[0]
     matrix.zeroRowsColumns((start + problem.loads.held).astype(PETSc.IntType), 1.0)
     solver.setOperators(matrix)
     solver.setOptionsPrefix("mass_")
     solver.setFromOptions()
     return matrix, solver
+
+
+def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
+    """Add to M what keeps accelerations that have no mass at P a: s (1 - P)' (1 - P), s a mass. Collective."""
+    diagonal = mass.getDiagonal()
+    size = float(diagonal.max()[1])
+    diagonal.destroy()
+    apart = inward.copy()
+    apart.scale(-1.0)
+    apart.shift(1.0)
+    square = apart.transposeMatMult(apart)
+    mass.axpy(size, square, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    apart.destroy()
+    square.destroy()
 
 
 def _with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:

@@ -74,11 +74,13 @@ class JointLaw(Protocol):
     """Frozen parameters, pure functions of strain and past; ``status`` is the latched part of ``history``.
 
     Parameters of its own are declared with ``key``; a scene refuses those of other laws, unless ``passes_over`` is set.
+    ``opens`` tells whether its walls may part.
     """
 
     history: ClassVar[dict[str, Kind]]
     status: ClassVar[tuple[str, ...]]
     passes_over: ClassVar[bool]
+    opens: ClassVar[bool]
 
     def rest(self, sections: int, dim: int) -> dict[str, Floats]:
         """History of the initial state, one array a name: "shear" (n, dim-1), "scalar" (n,)."""

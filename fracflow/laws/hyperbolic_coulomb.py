@@ -54,6 +54,7 @@ class HyperbolicCoulomb:
     history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "sliding": "shear"}
     status: ClassVar[tuple[str, ...]] = ("sliding",)
     passes_over: ClassVar[bool] = False
+    opens: ClassVar[bool] = True
 
     def rest(self, sections: int, dim: int) -> dict[str, Floats]:
         """No plastic slip, sticking."""

@@ -28,6 +28,7 @@ class Linear:
     history: ClassVar[dict[str, Kind]] = {}
     status: ClassVar[tuple[str, ...]] = ()
     passes_over: ClassVar[bool] = True  # a scene may switch to springs, and keep its friction for later
+    opens: ClassVar[bool] = False
 
     def rest(self, sections: int, dim: int) -> dict[str, Floats]:
         """No history."""

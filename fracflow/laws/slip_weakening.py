@@ -61,6 +61,7 @@ class SlipWeakening:
     history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "slip_path": "scalar", "sliding": "shear"}
     status: ClassVar[tuple[str, ...]] = ("sliding",)
     passes_over: ClassVar[bool] = False
+    opens: ClassVar[bool] = True
 
     def rest(self, sections: int, dim: int) -> dict[str, Floats]:
         """No slip, sticking."""

@@ -1,0 +1,151 @@
+"""The mass of fracture walls, moved inward: what stays, what goes, and the first accelerations without it."""
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.assembly.solid import mass
+from fracflow.errors import InputError
+from fracflow.run_setup import prepare
+from fracflow.run_start import rest
+from fracflow.run_steps import Stepping
+from fracflow.scene import Scene
+from fracflow.stepping import STEPPERS
+
+ROCK = {"youngs_modulus": 1.0, "poissons_ratio": 0.25, "density": 2.0}
+JOINT = {"normal_stiffness": 100.0, "shear_stiffness": 50.0, "aperture": 1.0, "friction_coefficient": 0.5}
+CROSSING = [
+    {"name": "steep", "points": [[0.9, 0.0], [2.1, 2.0]]},
+    {"name": "flat", "points": [[0.0, 1.1], [3.0, 0.9]]},
+    {"name": "tip", "points": [[2.2, 1.5], [2.7, 1.7]]},
+]
+
+
+def _scene(traces=CROSSING, size=0.2, cells="triangles", joint=JOINT, **more):
+    data = {
+        "units": "none",
+        "geometry": {"domain": [0, 0, 3, 2], "fracture": traces, "size": size, "cells": cells},
+        "rock": {"rock": ROCK},
+        "fracture": {"default": joint},
+        "stage": [{"kind": "dynamic", "time_step": 0.1, "steps": 1}],
+    }
+    return Scene.from_data({**data, **more})
+
+
+def _model(**more):
+    """Operators with the mass moved, and the mass matrix that there was."""
+    scene = _scene(**more)
+    ops = prepare(scene, MPI.COMM_WORLD).operators
+    return ops, mass(ops.blocks, scene, ops.expand)
+
+
+def _vector(ops, values):
+    """A vector with the values (n, 2) of the nodes of this rank."""
+    vector, block = ops.layout.solid_vector(), ops.blocks.solid
+    first = block.unknown_starts[ops.layout.comm.rank]
+    vector.getArray()[block.unknown[: block.owned] - first] = values
+    return vector
+
+
+def _times(matrix, vector):
+    result = vector.duplicate()
+    matrix.mult(vector, result)
+    return result
+
+
+def _sums(ops, matrix, field):
+    """Per block of rock the two sums (p, 2) of M times a field (n, 2)."""
+    return _of_blocks(ops, _times(matrix, _vector(ops, field)))
+
+
+def _of_blocks(ops, forces):
+    """Sums (p, 2) of a vector over each block."""
+    block, result = ops.blocks.solid, forces.getArray()
+    local = result[block.unknown[: block.owned] - block.unknown_starts[ops.layout.comm.rank]]
+    total = np.zeros((len(block.piece_rock), 2))
+    np.add.at(total, block.piece[: block.owned], local)
+    return ops.layout.comm.allreduce(total)
+
+
+@pytest.mark.parametrize("cells", ["triangles", "quads"])
+@pytest.mark.parametrize("kind", ["lumped", "consistent"])
+def test_each_block_keeps_its_mass_and_first_moments_in_every_direction(cells, kind):
+    moved, there = _model(cells=cells, method={"mass": kind})
+    assert moved.inward is not None
+    points = moved.blocks.solid.points[: moved.blocks.solid.owned]
+    assert len(moved.blocks.solid.piece_rock) == 4
+    for along in np.eye(2):
+        for weight in (np.ones(len(points)), *points.T):
+            field = weight[:, None] * along
+            new, old = _sums(moved, moved.mass, field), _sums(moved, there, field)
+            assert new == pytest.approx(old, abs=1e-13 * np.abs(old).max())
+
+
+def test_walls_keep_their_mass_along_the_fracture_and_lose_it_across():
+    level = [{"name": "inclined", "points": [[0.0, 0.4], [3.0, 1.6]]}]
+    moved, there = _model(traces=level)
+    normal = np.array([-1.2, 3.0]) / np.hypot(1.2, 3.0)
+    along = np.array([normal[1], -normal[0]])
+    block = moved.blocks.solid
+    on_wall = np.zeros(len(block.points), dtype=bool)
+    on_wall[np.concatenate([moved.blocks.joints.bottom.ravel(), moved.blocks.joints.top.ravel()])] = True
+    random = np.random.default_rng(3).standard_normal(10_000)
+    size = np.where(on_wall, random[block.node_ids], 0.0)[: block.owned, None]
+    ghosts = moved.layout.comm.allreduce(int(on_wall[block.owned :].sum()))
+    if not ghosts:  # walls of other ranks' joints are not known here
+        lost = _times(moved.mass, _vector(moved, size * normal))
+        assert lost.norm() < 1e-13 * _times(there, _vector(moved, size * normal)).norm()
+    field = _vector(moved, size * along)
+    assert field.dot(_times(moved.mass, field)) == pytest.approx(field.dot(_times(there, field)), rel=1e-13)
+
+
+def test_no_motion_has_negative_kinetic_energy():
+    moved, _ = _model(cells="quads")
+    size = moved.mass.getSize()[0]
+    if moved.layout.comm.size == 1:
+        mass = moved.mass[:, :]
+        values = np.linalg.eigvalsh(mass)
+        assert values[0] > -1e-13 * values[-1]
+        assert (values < 1e-12 * values[-1]).sum() < size / 2
+
+
+@pytest.mark.parametrize("opens", [True, False])
+def test_walls_that_never_part_keep_theirs(opens):
+    springs = {"law": "linear", "normal_stiffness": 100.0, "shear_stiffness": 50.0}
+    ops = prepare(_scene(joint=JOINT if opens else springs), MPI.COMM_WORLD).operators
+    assert (ops.inward is not None) == opens
+
+
+def test_blocks_too_thin_keep_theirs():
+    """One cell across: no node is inside."""
+    ops = prepare(_scene([{"name": "a", "points": [[0, 1], [3, 1]]}], 1.0, "quads"), MPI.COMM_WORLD).operators
+    assert ops.inward is None
+
+
+@pytest.mark.parametrize("stepper", ["newmark", "hht", "generalised-alpha", "implicit-euler"])
+def test_every_block_falls_from_the_first_instant_and_walls_with_it(stepper):
+    """The centre of mass of each block is accelerated by the force on it; walls go with what carries their mass."""
+    sides = ["west", "east", "south", "north"]
+    pressed = {"initial_stress": {"xx": -10, "yy": -10}, "load": [{"on": sides, "traction": "initial-stress"}]}
+    model = prepare(_scene(method={"stepper": stepper}, body_force={"x": 0.6, "y": -1.4}, **pressed), MPI.COMM_WORLD)
+    stepping, rule, state, ops = Stepping(model), STEPPERS[stepper](), rest(model), model.operators
+    state = stepping.enter(state, rule, 0.1)
+    one = np.ones((ops.blocks.solid.owned, 1))
+    masses = _sums(ops, ops.mass, one * [1.0, 1.0])
+    assert _of_blocks(ops, _times(ops.mass, state.motion.acceleration)) == pytest.approx(
+        masses * [0.3, -0.7], rel=1e-11
+    )
+    for step in range(1, 41):
+        state, _ = stepping.step(state, rule, 0.1 * step, 0.1, {})
+        followed = _times(ops.inward, state.motion.acceleration).getArray()
+        assert state.motion.acceleration.getArray() == pytest.approx(followed, abs=1e-12)
+        assert np.abs(followed).max(initial=0.0) < 1.5  # nothing rings
+    stepping.destroy()
+
+
+def test_refused_with_a_fluid():
+    fluid = {"viscosity": 1e-3, "specific_weight": 1.0}
+    assert _scene(fluid=fluid).method.contact == "lumped"
+    assert _scene(model="report").method.contact == "lumped"
+    with pytest.raises(InputError, match=r'method\.contact.* use "lumped"'):
+        _scene(fluid=fluid, method={"contact": "redistributed"})
