@@ -28,12 +28,6 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
     yield from _materials(scene)
     yield from _controls(scene)
     yield from _actions(scene)
-    if scene.method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
-        yield (
-            ("method", "contact"),
-            'is "redistributed" in a scene with a fluid: walls without mass have no first velocity to squeeze it by, and the'
-            ' fluid damps them as it is; use "lumped"',
-        )
     for key in ("well", "probe", "stage"):
         names = [entry.name for entry in getattr(scene, key)]
         for index, name in enumerate(names):
@@ -50,11 +44,25 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
 
 def _method(scene: Scene) -> Iterator[Fault]:
     method = scene.method
-    needs = {"mass": "lumped", "quadrature": "nodal", "storage": "lumped", "newmark_beta": 0.25, "newmark_gamma": 0.5}
+    needs: dict[str, str | float] = {
+        "mass": "lumped",
+        "quadrature": "nodal",
+        "storage": "lumped",
+        "newmark_beta": 0.25,
+        "newmark_gamma": 0.5,
+    }
+    if scene.has_dynamics:
+        needs["contact"] = "lumped"
     for key, value in needs.items() if method.stepper == "explicit" else ():
         if getattr(method, key) != value:
             right = f'"{value}"' if isinstance(value, str) else f"{value:g}"
             yield ("method", key), f'contradicts stepper = "explicit", which needs {right}; or use stepper = "newmark"'
+    if method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
+        yield (
+            ("method", "contact"),
+            'is "redistributed" in a scene with a fluid: walls without mass have no first velocity to squeeze it by, and the'
+            ' fluid damps them as it is; use "lumped"',
+        )
 
 
 def _geometry(scene: Scene) -> Iterator[Fault]:

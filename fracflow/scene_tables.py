@@ -89,7 +89,7 @@ class Method(StepperKeys):
         default="redistributed",
         description="inertia of fracture walls along their normal in dynamic stages: carried by the nodes next to them inside"
         " the rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which"
-        ' damps them, and of model = "report"',
+        ' damps them, of explicit steps, and of model = "report"',
     )
     film: FilmStepper = Field(
         default="backward-euler",
@@ -255,11 +255,13 @@ class Mesh(Part):
 
 
 def with_preset(data: dict[str, Any]) -> dict[str, Any]:
-    """Fill the keys of [method] that a scene leaves open from its ``model``."""
-    wet = {"contact": "lumped"} if "fluid" in data else {}  # walls without mass have no first velocity to squeeze it
-    preset = wet | Method.PRESETS.get(str(data.get("model", "default")), {})
-    method = data.get("method", {})
-    return {**data, "method": {**preset, **method}} if isinstance(method, dict) else data
+    """Fill the keys of [method] that a scene leaves open from its ``model``, its stepper, and whether it has a fluid."""
+    preset, method = Method.PRESETS.get(str(data.get("model", "default")), {}), data.get("method", {})
+    if not isinstance(method, dict):
+        return data
+    if "fluid" in data or method.get("stepper") == "explicit":  # both take velocities of walls from their mass
+        preset = {**preset, "contact": "lumped"}
+    return {**data, "method": {**preset, **method}}
 
 
 ALTERNATIVES = tuple(OTHERWISE.items())

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.jump import entry_sizes
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.joined_matrix import JoinedMatrix
@@ -128,17 +129,18 @@ def _mass(operators: Operators, problem: StepProblem) -> tuple[PETSc.Mat, PETSc.
 
 
 def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
-    """Add to M what keeps accelerations that have no mass at P a: s (1 - P)' (1 - P), s a mass. Collective."""
-    diagonal = mass.getDiagonal()
-    size = float(diagonal.max()[1])
-    diagonal.destroy()
-    apart = inward.copy()
+    """Add to M what keeps accelerations that have no mass at P a: (1 - P)' S (1 - P), S masses of nodes near by. Collective."""
+    diagonal, sizes, apart = mass.getDiagonal(), entry_sizes(inward), inward.copy()
+    near = diagonal.duplicate()
+    sizes.mult(diagonal, near)
+    near.sqrtabs()
     apart.scale(-1.0)
     apart.shift(1.0)
+    apart.diagonalScale(near)
     square = apart.transposeMatMult(apart)
-    mass.axpy(size, square, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    apart.destroy()
-    square.destroy()
+    mass.axpy(1.0, square, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    for thing in (diagonal, near, sizes, apart, square):
+        thing.destroy()
 
 
 def _with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:

@@ -143,9 +143,13 @@ def test_every_block_falls_from_the_first_instant_and_walls_with_it(stepper):
     stepping.destroy()
 
 
-def test_refused_with_a_fluid():
+def test_lumped_where_walls_need_their_mass():
     fluid = {"viscosity": 1e-3, "specific_weight": 1.0}
+    assert _scene().method.contact == "redistributed"
     assert _scene(fluid=fluid).method.contact == "lumped"
     assert _scene(model="report").method.contact == "lumped"
-    with pytest.raises(InputError, match=r'method\.contact.* use "lumped"'):
+    assert _scene(method={"stepper": "explicit"}).method.contact == "lumped"
+    with pytest.raises(InputError, match=r'method\.contact.* fluid.* use "lumped"'):
         _scene(fluid=fluid, method={"contact": "redistributed"})
+    with pytest.raises(InputError, match=r'method\.contact.*stepper = "explicit", which needs "lumped"'):
+        _scene(method={"contact": "redistributed", "stepper": "explicit"})
