@@ -34,7 +34,7 @@ INTEGRATORS: Mapping[str, Mapping[str, str | float]] = {
     "gen-alpha 0 lumped without events": {
         "stepper": "generalised-alpha", "rho_infinity": 0.0, "contact": "lumped", "events": "at-step-ends",
     },
-    "explicit": {"stepper": "explicit", "contact": "lumped"},
+    "explicit without events": {"stepper": "explicit", "contact": "lumped", "events": "at-step-ends"},
 }  # fmt: skip
 """Names of the maps -> keys of [method]; trapezoidal rule where no stepper is named. Those the program lacks are left out."""
 LIMIT = 1e-3
