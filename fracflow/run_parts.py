@@ -5,7 +5,7 @@ Parts are powers of 1/2 of a step, or of what is left of it after an event, each
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from fracflow.errors import NotConverged
@@ -13,6 +13,7 @@ from fracflow.scene import Scene
 from fracflow.state import State, StepReport
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
+AT_A_JUMP = 1e-9  # of a step: times so near are one
 EFFORT = 20  # Newton iterations of a part from which on the next one is shorter
 
 
@@ -165,6 +166,15 @@ def next_part(start: float) -> float:
         return 1.0
     numerator, denominator = start.as_integer_ratio()
     return (numerator & -numerator) / denominator
+
+
+def next_jump(jumps: Sequence[float], start: float, time_step: float, begin: float, end: float) -> float | None:
+    """Fraction of the step from ``start`` at which something prescribed first jumps after ``begin``, up to ``end``."""
+    for jump in jumps:
+        place = (jump - start) / time_step
+        if begin + AT_A_JUMP < place <= end + AT_A_JUMP:
+            return end if place > end - AT_A_JUMP else place
+    return None
 
 
 def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: float, end: float) -> dict[str, float]:

@@ -10,7 +10,16 @@ from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.run_accuracy import step_error
 from fracflow.run_events import to_first_event
-from fracflow.run_parts import Attempted, Place, Rules, in_parts, most_halvings, on_the_way, still_lacking
+from fracflow.run_parts import (
+    Attempted,
+    Place,
+    Rules,
+    in_parts,
+    most_halvings,
+    next_jump,
+    on_the_way,
+    still_lacking,
+)
 from fracflow.run_setup import Model
 from fracflow.run_steps import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.scene_actions import Stage
@@ -138,9 +147,14 @@ def run_stage(
         0 if accuracy.step_error is None else stepper.order,
         accuracy.max_events if locates else 0,
     )
+    # supports that move are sampled by their means all along: their tables may have a kink in every step
+    splits = bool(rules.events) and not model.scene.moves_supports
+    jumps = model.scene.jump_times if splits else ()
 
     def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
         assert stage.time_step is not None
+        jump = next_jump(jumps, start + (n - 1) * stage.time_step, stage.time_step, begin, end)
+        end = end if jump is None else jump
         whole = stage.time_step * (end - begin)
 
         def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
@@ -148,7 +162,9 @@ def run_stage(
             to = end if share == 1.0 else begin + share * (end - begin)
             lacking = 0.0 if stepper.inertia else still_lacking(begin, to)
             now, time = on_the_way(old.controls, controls, begin, to), start + (n - 1 + to) * stage.time_step
-            if to == 1.0:
+            if splits:  # parts end at jumps, which are then no matter of means
+                ahead = 0.0
+            elif to == 1.0:
                 ahead = 0.0 if n == count else stage.time_step
             else:
                 ahead = share * whole if share == 1.0 else (1.0 - to) * stage.time_step
@@ -160,6 +176,9 @@ def run_stage(
         error = 0.0
         if accuracy.step_error is not None:
             error = step_error(model.operators, stepper, share * whole, state, new) / accuracy.step_error
+        if share == 1.0 and jump is not None and not (n == count and end == 1.0):
+            old, new = new, stepping.enter(new, stepper, stage.time_step)
+            old.destroy()
         return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin), error)
 
     while count is None or n < count:

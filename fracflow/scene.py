@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import (
+    BaseModel,
     Field,
     PrivateAttr,
     ValidationError,
@@ -34,6 +35,7 @@ from fracflow.scene_tables import (
 )
 from fracflow.scene_toml import override, read_toml, write_toml, write_value
 from fracflow.scene_traces import with_traces
+from fracflow.tables_time import TimeTable
 from fracflow.units import UnitSystem, fault
 
 __all__ = ["Absorbing", "Scene", "load"]
@@ -151,6 +153,16 @@ class Scene(Part):
         return any(stage.kind == "dynamic" for stage in self.stage)
 
     @property
+    def jump_times(self) -> tuple[float, ...]:
+        """Instants, ascending, at which a table in time jumps [time]."""
+        return tuple(sorted({float(time) for table in _tables(self) for time in table.jumps[0]}))
+
+    @property
+    def moves_supports(self) -> bool:
+        """Whether a support is moved in the course of time."""
+        return any(len(table.times) > 1 for support in self.support for table in _tables(support))
+
+    @property
     def carries_unbalanced(self) -> bool:
         """Whether the rock carries what initial tractions of fractures and its own stress differ by."""
         return self.initial_stress is not None and self.initial_stress.unbalanced == "carried"
@@ -204,3 +216,15 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
     for setting in [text for text in overrides if not text.startswith(BEFORE_TRACES)]:
         override(data, setting)
     return Scene.from_data(data, file)
+
+
+def _tables(thing: Any) -> Iterator[TimeTable]:
+    """All tables in time that a part of a scene holds."""
+    if isinstance(thing, TimeTable):
+        yield thing
+    elif isinstance(thing, BaseModel):
+        for name in type(thing).model_fields:
+            yield from _tables(getattr(thing, name))
+    elif isinstance(thing, (list, tuple, Mapping)):
+        for each in thing.values() if isinstance(thing, Mapping) else thing:
+            yield from _tables(each)

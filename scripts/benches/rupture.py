@@ -32,6 +32,8 @@ RATE = 1e-3  # slip rate that counts as rupture [m/s]
 SHEAR_MODULUS = 80.1e9 / 2.5
 END, BAR = 6.6, 0.01
 FASTEST = 6000.0
+ITERATIVE = "-solid_ksp_type fgmres -solid_ksp_rtol 1e-12 -solid_pc_type bjacobi -solid_sub_pc_type ilu".split()
+"""The matrix of so short an implicit step is mostly mass: a few iterations solve it, five times as fast as its factors."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,10 @@ def measure(stepper: str, side: float, ranks: int, out: Path) -> tuple[Rupture, 
     ]
     given = {"method.stepper": stepper, "method.events": "at-step-ends", "stage.0.time_step": f"{dt:.17g}"}
     given |= {"output.pictures": "false", "output.checkpoint_seconds": "600"}
+    given |= {"method.contact": "lumped"}  # no wall leaves the other
     for key, value in given.items():
         command += ["--set", f"{key}={value}"]
+    command += ["--", *(ITERATIVE if stepper != "explicit" else [])]
     began = time.perf_counter()
     subprocess.run(command, check=True, env=clean, stdout=subprocess.DEVNULL)
     seconds = time.perf_counter() - began

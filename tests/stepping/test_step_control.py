@@ -50,3 +50,18 @@ def test_error_follows_what_is_asked_for_and_steps_are_powers_of_two(shared_tmp)
 def test_an_error_that_is_never_reached_changes_nothing(shared_tmp):
     plain, free = _ran(shared_tmp / "plain"), _ran(shared_tmp / "free", "accuracy.step_error=0.999999")
     assert np.array_equal(plain[0], free[0]) and np.array_equal(plain[1], free[1])
+
+
+@pytest.mark.parametrize("stepper", ["newmark", "generalised-alpha", "explicit"])
+@pytest.mark.parametrize("error", [None, 1e-2, 1e-4])
+def test_a_force_that_jumps_gives_its_impulse_however_steps_are_cut(shared_tmp, stepper, error):
+    """1 from 0.87 to 2.03 s on a free mass of 1: 1.16 fast then, and 0.5 1.16^2 + 1.16 (4 - 2.03) away at 4 s."""
+    table = '{time = [0, 0.87, 2.03], value = [0, 1, 0], interpolation = "step"}'
+    given = ["output.pictures=false", QUIET, "fracture.default.shear_stiffness=1e-9", f"method.stepper={stepper}"]
+    given += [f"load.0.traction=[{table}, 0]", "stage.0.time_step=0.4", "stage.0.end=4", "accuracy.max_halvings=8"]
+    given += [] if error is None else [f"accuracy.step_error={error}"]
+    run(load("meshes/report_5_2/scene.toml", given), shared_tmp / "out", MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    history = read_history(shared_tmp / "out" / "history.h5")
+    assert history["probe/block/velocity"][-1, 0] == pytest.approx(1.16, rel=1e-7)
+    assert history["probe/block/displacement"][-1, 0] == pytest.approx(0.5 * 1.16**2 + 1.16 * 1.97, rel=1e-7)
