@@ -16,9 +16,9 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.floating import Floating
 from fracflow.coupling.circles import JUST_PAST, Circles, Rounds, all_changed, statuses
-from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
+from fracflow.coupling.joined_matrix import JoinedMatrix
+from fracflow.coupling.krylov import set_up
 from fracflow.coupling.line_search import by_energy, by_residual
-from fracflow.coupling.near_null import tell_rigid_motions
 from fracflow.coupling.newton_failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
 from fracflow.coupling.newton_methods import NEWTON_METHODS, SingularMatrix, softly_held
 from fracflow.coupling.step_problem import StepProblem
@@ -65,13 +65,7 @@ class Newton:
         self.snes.setLineSearchPreCheck(self._pre_check)
         self.snes.setMaxLinearSolveFailures(scene.accuracy.max_iterations)
         self.snes.setFromOptions()
-        preconditioner = self.snes.getKSP().getPC()
-        if preconditioner.getType() == "fieldsplit":
-            solid, flow = layout.index_sets()
-            tell_rigid_motions(matrix.operators, solid)
-            preconditioner.setFieldSplitIS(*zip(PARTS, (solid, flow), strict=True))
-            solid.destroy()
-            flow.destroy()
+        set_up(self.snes.getKSP(), matrix)
         self.least = 0  # iterations in any case
         self.problem: StepProblem | None = None
         self.floating: Floating | None = None
