@@ -36,6 +36,10 @@ class ExplicitSteps:
         """Equal parts in which a step of length ``dt`` is taken. Collective."""
         return parts(dt, self.coupling.critical)
 
+    def part(self, stepper: Stepper, dt: float) -> float:
+        """Length of the parts in which a rule takes a step of length ``dt``. Collective."""
+        return dt / self.count(dt) if isinstance(stepper, Explicit) else dt
+
     def may_locate(self, stepper: Stepper, dt: float) -> bool:
         """Whether steps of length ``dt`` may end at events; what an explicit rule makes of them goes to the log. Collective.
 

@@ -3,7 +3,6 @@
 from dataclasses import fields
 from typing import Any
 
-from .error import local_error
 from .explicit import Explicit
 from .film import BDF2, BackwardEuler, Trapezoid, first
 from .generalised_alpha import GeneralisedAlpha
@@ -58,7 +57,6 @@ __all__ = [
     "first",
     "first_rate",
     "keys_of",
-    "local_error",
     "stepper_from",
     "velocity",
 ]
