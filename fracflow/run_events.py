@@ -77,8 +77,10 @@ def _approach(
     count = comm.allreduce(int(leaving.sum()), op=MPI.SUM)
     if count == 0:
         return new, report, reached
-    after = stepping.change(new, leaving)
-    new.destroy()
+    try:
+        after = stepping.change(new, leaving)
+    finally:
+        new.destroy()
     return after, replace(report, located=report.located + count), reached
 
 
