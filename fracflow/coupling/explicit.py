@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.balance import static_balance
 from fracflow.assembly.clusters import find_clusters
 from fracflow.assembly.inertia import Solve, damped_mass, fastest, inverse_mass
 from fracflow.assembly.loads import Loads
@@ -94,36 +95,32 @@ class ExplicitCoupling:
             blur=blur(state.sections.blur, problem._moved),
             record=np.maximum(state.sections.record, np.linalg.norm(problem.sections.traction, axis=1)),
         )
-        problem.end = self._end(problem, old, pull, dt, force, moved)
-        problem.residual = Residual(report.motion, report.flow, 0.0)
         force.destroy()
         moved.destroy()
+        problem.end = self._end(problem, old, dt)
+        problem.residual = Residual(report.motion, report.flow, 0.0)
         fills = report.iterations if ops.flow is not None else 0
         return StepReport(report.iterations, 0, 1, fills, report.motion, report.flow)
 
-    def _end(
-        self, problem: ExplicitProblem, old: MotionValues, pull: Floats, dt: float, force: PETSc.Vec, term: PETSc.Vec
-    ) -> tuple[Floats, Floats, Forces]:
-        """Velocity, acceleration and terms of the balances at the end of a step; both vectors are overwritten."""
+    def _end(self, problem: ExplicitProblem, old: MotionValues, dt: float) -> tuple[Floats, Floats, Forces]:
+        """Velocity, acceleration and terms of the balances at the end of a step."""
         ops, held = self.operators, self.held
-        force.set(0.0)
-        ops.joints.force(-pull, force)
-        force.axpy(1.0, problem.load)
-        force.axpy(-1.0, ops.prestress)
-        ops.stiffness.mult(problem.displacement, term)
-        force.axpy(-1.0, term)
+        force = static_balance(ops, problem.displacement, problem.sections.traction, problem.pressure, problem.load)
+        force.scale(-1.0)
         new = self._accelerated(problem, force, old.velocity + 0.5 * dt * old.acceleration, dt)
         speed = velocity_after(old, new, dt)
         # what is held moves as in an implicit step
         for values, given in ((new, StepProblem.acceleration(problem)), (speed, StepProblem.velocity(problem))):
             values[held] = given.getArray(readonly=True)[held]
             given.destroy()
+        term, support = force.duplicate(), force.duplicate()
         term.setArray(new)
-        support = term.duplicate()
         ops.mass.mult(term, support)
         support.axpy(-1.0, force)
         term.setArray(speed)
         absorbed, anchor = problem.absorption.force(term), problem.absorption.anchor
+        force.destroy()
+        term.destroy()
         if absorbed is not None:
             support.axpy(1.0, absorbed)
         is_held = np.zeros(len(new), dtype=bool)
