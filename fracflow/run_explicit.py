@@ -69,7 +69,7 @@ class ExplicitSteps:
         """
         dt, ahead = around
         then = ahead / self.count(ahead) if ahead > 0.0 else 0.0
-        now, total = state, StepReport(0, 0, 0, 0, 0.0, 0.0)
+        now, total = state, StepReport()
         for done in range(1, count + 1):
             at = time - dt * (count - done) / count
             try:
@@ -80,9 +80,7 @@ class ExplicitSteps:
                     now.destroy()
             now = new
             total = replace(
-                report,
-                newton=total.newton + report.newton,
-                factorisations=total.factorisations + report.factorisations,
+                report.after(total),
                 solid_residual=max(total.solid_residual, report.solid_residual),
                 flow_residual=max(total.flow_residual, report.flow_residual),
                 digits=min(total.digits, report.digits),
