@@ -11,7 +11,6 @@ from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushe
 from fracflow.assembly.energy_motion import Scheme, kinetic_energy
 from fracflow.assembly.loads import Loads
 from fracflow.coupling.absorption import carried_on
-from fracflow.coupling.accept import balance_terms
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.mesh.data import Bools
@@ -113,7 +112,7 @@ def _first_instant(
         if parts:
             problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
-        forces = balance_terms(problem, motion)
+        forces = problem.forces(motion)
         failed.pop_all()
         start = replace(begun, pressure=problem.pressure.copy(), sections=problem.sections, forces=forces)
     return replace(start, memory=Memory(), uptake=rate)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from fracflow._petsc import PETSc
@@ -12,14 +10,13 @@ from fracflow.assembly.clusters import find_clusters
 from fracflow.assembly.inertia import Solve, damped_mass, fastest, inverse_mass
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.digits import blur
 from fracflow.coupling.residual import Residual
 from fracflow.coupling.section_solve import SectionSolver
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
-from fracflow.state import Forces, MotionValues, StepReport
+from fracflow.state import Forces, Motion, MotionValues, StepReport
 from fracflow.stepping.explicit import critical_step, joint_share, predicted, velocity_after
 
 MOST_KEPT = 4  # lengths of steps whose damped masses are kept
@@ -43,7 +40,7 @@ class ExplicitProblem(StepProblem):
         result.setArray(values)
         return result
 
-    def terms(self) -> Forces:
+    def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them."""
         return self.end[2]
 
@@ -89,12 +86,7 @@ class ExplicitCoupling:
         joints.force(pulled - pull, force)
         self.inverse.mult(force, moved)
         problem.move(problem.increment.getArray() + joint_share(dt) * moved.getArray())
-        problem._moved = joints.moved(problem.increment)
-        problem.sections = replace(
-            problem.sections,
-            blur=blur(state.sections.blur, problem._moved),
-            record=np.maximum(state.sections.record, np.linalg.norm(problem.sections.traction, axis=1)),
-        )
+        problem.take(problem.sections)
         force.destroy()
         moved.destroy()
         problem.end = self._end(problem, old, dt)
