@@ -13,6 +13,7 @@ from fracflow.stepping import (
     HHT,
     STEPPERS,
     Alphas,
+    Explicit,
     GeneralisedAlpha,
     ImplicitEuler,
     Newmark,
@@ -79,6 +80,22 @@ def test_local_error_is_that_of_a_step_and_of_its_order(name):
         told.append(np.abs(stepper.local_error(dt, old, new)).max())
         assert 0.5 < told[-1] / wrong < 2.0
     assert order_of(told) == pytest.approx(stepper.order + 1, abs=0.1)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 4])
+def test_local_error_of_central_differences_is_that_of_all_parts_of_a_step(parts):
+    """Of cos t; what is told by the length of a part and the ends of the step is what its parts add."""
+    phase, told = np.linspace(0.0, np.pi, 200), []
+    for step in (0.2, 0.1, 0.05):
+        dt = step / parts
+        old = now = Motion(np.cos(phase), -np.sin(phase), -np.cos(phase))
+        for _ in range(parts):
+            u = now.displacement + dt * now.velocity + dt**2 / 2 * now.acceleration
+            now = Motion(u, now.velocity + dt / 2 * (now.acceleration - u), -u)
+        wrong = np.hypot(now.displacement - np.cos(phase + step), now.velocity + np.sin(phase + step)).max()
+        told.append(np.abs(Explicit().local_error(dt, old, now)).max())
+        assert 0.8 < told[-1] / wrong < 1.3
+    assert order_of(told) == pytest.approx(3, abs=0.1)
 
 
 @pytest.mark.parametrize("gamma, order", [(0.5, 2), (0.51, 1), (0.7, 1)])
