@@ -58,7 +58,7 @@ def run(
         recorder.log(line)
     if watches_spurious(scene):
         recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
-    step = Step(state, 0, 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0), {"fresh": 1.0})
+    step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)
     return _go(model, recorder, step, began, progress)
@@ -85,7 +85,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     settle(model)
     step = Step(
         restore_state(model.operators, arrays, notes),
-        notes["stage"], 0.0, StepReport(0, 0, 0, 0, 0.0, 0.0), notes["progress"],
+        notes["stage"], 0.0, StepReport(), notes["progress"],
     )  # fmt: skip
     recorder = Recorder(model, folder, comm, notes)
     recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")

@@ -39,12 +39,12 @@ def to_first_event(stepping: Stepping, state: State, take: Take, dt: float) -> t
             new.destroy()
             start = stepping.change(state, event.sections)
             new, more = take(start, 1.0, True)
-            report = _both(report, more)
+            report = more.after(report)
             event = first_event(stepping.model.operators.joints, start, new, dt)
             if event is not None and event.fraction <= NEAR:
                 new.destroy()
                 new, more = take(start, 1.0, False)
-                return new, _both(report, more), 1.0
+                return new, more.after(report), 1.0
         return (new, report, 1.0) if event is None else _approach(stepping, start, new, report, event, take, dt)
     finally:
         if start is not state:
@@ -65,9 +65,9 @@ def _approach(
         new.destroy()
         if aim <= NEAR:  # it returned to where it began: there is no way to keep the statuses
             new, more = take(start, 1.0, False)
-            return new, _both(report, more), 1.0
+            return new, more.after(report), 1.0
         new, more = take(start, aim, True)
-        report, reached = _both(report, more), aim
+        report, reached = more.after(report), aim
         found = first_event(stepping.model.operators.joints, start, new, aim * dt, BEYOND)
         if found is None:
             leaving = np.zeros_like(leaving)
@@ -77,18 +77,8 @@ def _approach(
     count = comm.allreduce(int(leaving.sum()), op=MPI.SUM)
     if count == 0:
         return new, report, reached
-    after = stepping.change(new, leaving)
-    new.destroy()
+    try:
+        after = stepping.change(new, leaving)
+    finally:
+        new.destroy()
     return after, replace(report, located=report.located + count), reached
-
-
-def _both(first: StepReport, second: StepReport) -> StepReport:
-    """The report of the second of two solves, with the cost of both."""
-    return replace(
-        second,
-        newton=first.newton + second.newton,
-        krylov=first.krylov + second.krylov,
-        cycles=max(first.cycles, second.cycles),
-        factorisations=first.factorisations + second.factorisations,
-        located=first.located + second.located,
-    )

@@ -36,6 +36,10 @@ class ExplicitSteps:
         """Equal parts in which a step of length ``dt`` is taken. Collective."""
         return parts(dt, self.coupling.critical)
 
+    def part(self, stepper: Stepper, dt: float) -> float:
+        """Length of the parts in which a rule takes a step of length ``dt``. Collective."""
+        return dt / self.count(dt) if isinstance(stepper, Explicit) else dt
+
     def may_locate(self, stepper: Stepper, dt: float) -> bool:
         """Whether steps of length ``dt`` may end at events; what an explicit rule makes of them goes to the log. Collective.
 
@@ -65,7 +69,7 @@ class ExplicitSteps:
         """
         dt, ahead = around
         then = ahead / self.count(ahead) if ahead > 0.0 else 0.0
-        now, total = state, StepReport(0, 0, 0, 0, 0.0, 0.0)
+        now, total = state, StepReport()
         for done in range(1, count + 1):
             at = time - dt * (count - done) / count
             try:
@@ -76,9 +80,7 @@ class ExplicitSteps:
                     now.destroy()
             now = new
             total = replace(
-                report,
-                newton=total.newton + report.newton,
-                factorisations=total.factorisations + report.factorisations,
+                report.after(total),
                 solid_residual=max(total.solid_residual, report.solid_residual),
                 flow_residual=max(total.flow_residual, report.flow_residual),
                 digits=min(total.digits, report.digits),

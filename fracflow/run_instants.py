@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,6 @@ from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushe
 from fracflow.assembly.energy_motion import Scheme, kinetic_energy
 from fracflow.assembly.loads import Loads
 from fracflow.coupling.absorption import carried_on
-from fracflow.coupling.accept import balance_terms
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.mesh.data import Bools
@@ -75,23 +75,29 @@ def _first_instant(
 ) -> State:
     """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
 
-    ``begun`` owns its motion, which the new state takes over. With ``dt``, a compressible fluid gets its first rates.
+    ``begun`` owns its motion, which the new state takes over; it is freed where there is none. With ``dt``, a compressible
+    fluid gets its first rates.
     """
     ops, motion = model.operators, begun.motion
-    closed = loads
-    if ops.flow is not None:
-        network.look_at(begun)
-        closed = network.level(loads, begun)
-    now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
-    known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
-    begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
-    problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
-    problem.branch = branch
-    try:
+    with ExitStack() as done, ExitStack() as failed:
+        failed.callback(motion.destroy)
+        closed = loads
+        if ops.flow is not None:
+            network.look_at(begun)
+            closed = network.level(loads, begun)
+        now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
+        known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
+        if anchor is not None and anchor is not known:
+            done.callback(anchor.destroy)
+        begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
+        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
+        done.callback(problem.destroy)
+        problem.branch = branch
         problem.evaluate()
         compressible = ops.flow is not None and ops.flow.compressibility > 0.0
         if compressible and dt is not None:
             rate = starting_rate(ops, problem, dt)
+            failed.callback(rate.destroy)
             problem.state = replace(begun, uptake=rate)
             problem.evaluate()
         elif not compressible and problem.residual.flow > model.scene.accuracy.residual:
@@ -99,17 +105,14 @@ def _first_instant(
             problem.evaluate()
         initial_acceleration(ops, problem, motion.acceleration)
         parts = network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
+        for part in parts:
+            done.callback(part.walls.destroy)
         for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
             problem.pressure.getArray()[part.nodes] += level
-            part.walls.destroy()
         if parts:
             problem.evaluate()
             initial_acceleration(ops, problem, motion.acceleration)
-        pressure, forces = problem.pressure.copy(), balance_terms(problem, motion)
-        sections = problem.sections
-    finally:
-        problem.destroy()
-        if anchor is not None and anchor is not known:
-            anchor.destroy()
-    start = replace(begun, pressure=pressure, sections=sections, forces=forces)
+        forces = problem.forces(motion)
+        failed.pop_all()
+        start = replace(begun, pressure=problem.pressure.copy(), sections=problem.sections, forces=forces)
     return replace(start, memory=Memory(), uptake=rate)

@@ -128,7 +128,11 @@ class Network:
             room = swept[part.nodes]
             slack = BALANCED * (np.abs(room).sum() + self.model.operators.scales.length * moved * len(room))
             if not gives and abs(room.sum()) > slack and (stores or len(room) > 1):
-                other = "give minimum_hydraulic_aperture" if problem.held is not None else "give fluid.compressibility"
+                other = (
+                    "give minimum_hydraulic_aperture"
+                    if problem.fluid_before is not None
+                    else "give fluid.compressibility"
+                )
                 raise SolveError(
                     f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
                     f" by {room.sum():.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
@@ -243,10 +247,10 @@ def _swept(problem: StepProblem) -> tuple[Floats, float]:
     """
     network, room = problem.operators.flow, problem.operators.layout.flow_vector()
     assert network is not None
-    if problem.held is None:
+    if problem.fluid_before is None:
         network.squeeze.multTranspose(problem.increment, room)
     else:
-        network.taken_up(-problem.held.weight / network.compressibility, room)
+        network.taken_up(-problem.fluid_before.weight / network.compressibility, room)
     found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))
     room.destroy()
     return found, float(problem.increment.norm(PETSc.NormType.INFINITY))

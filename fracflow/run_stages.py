@@ -175,7 +175,8 @@ def run_stage(
         )
         error = 0.0
         if accuracy.step_error is not None:
-            error = step_error(model.operators, stepper, share * whole, state, new) / accuracy.step_error
+            part = stepping.explicit.part(stepper, share * whole)
+            error = step_error(model.operators, stepper, part, state, new) / accuracy.step_error
         if share == 1.0 and jump is not None and not (n == count and end == 1.0):
             old, new = new, stepping.enter(new, stepper, stage.time_step)
             old.destroy()

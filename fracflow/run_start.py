@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.balance import static_balance
 from fracflow.assembly.energy import book, dissipated, empty_books, put_in
 from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.joints import implied_tractions
@@ -163,16 +164,10 @@ def _affine(given: InitialMotion, key: str, points: Floats) -> Floats:
 
 def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
     """Inner forces less the loads of the initial state, on all unknowns. The caller destroys it. Collective."""
-    ops = model.operators
-    balance, term = ops.prestress.copy(), ops.layout.solid_vector()
-    ops.stiffness.multAdd(displacement, balance, balance)
-    ops.joints.force(traction, balance)
-    model.loads.initial_force(term)
-    balance.axpy(-1.0, term)
-    if ops.flow is not None:
-        ops.flow.push.mult(pressure, term)
-        balance.axpy(-1.0, term)
-    term.destroy()
+    initial = model.operators.layout.solid_vector()
+    model.loads.initial_force(initial)
+    balance = static_balance(model.operators, displacement, traction, pressure, initial)
+    initial.destroy()
     return balance
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from fracflow.errors import InputError
 from fracflow.scene_errors import nearest
+from fracflow.stepping import WITH_INERTIA, keys_of
 from fracflow.tables import FractureEnd, Place
 from fracflow.units import COMPRESSIBILITY
 
@@ -44,25 +45,29 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
 
 def _method(scene: Scene) -> Iterator[Fault]:
     method = scene.method
-    needs: dict[str, str | float] = {
-        "mass": "lumped",
-        "quadrature": "nodal",
-        "storage": "lumped",
-        "newmark_beta": 0.25,
-        "newmark_gamma": 0.5,
-    }
+    needs = {"mass": "lumped", "quadrature": "nodal", "storage": "lumped"}
     if scene.has_dynamics:
         needs["contact"] = "lumped"
     for key, value in needs.items() if method.stepper == "explicit" else ():
         if getattr(method, key) != value:
-            right = f'"{value}"' if isinstance(value, str) else f"{value:g}"
-            yield ("method", key), f'contradicts stepper = "explicit", which needs {right}; or use stepper = "newmark"'
+            yield (
+                ("method", key),
+                f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"',
+            )
     if method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
         yield (
             ("method", "contact"),
             'is "redistributed" in a scene with a fluid: walls without mass have no first velocity to squeeze it by, and the'
             ' fluid damps them as it is; use "lumped"',
         )
+    keys = {name: keys_of({name: kind}) for name, kind in WITH_INERTIA.items()}
+    for key, (default, _, _) in keys_of(WITH_INERTIA).items():
+        if key not in keys[method.stepper] and getattr(method, key) != default:  # a scene written back has all defaults
+            users = ", ".join(name for name, own in keys.items() if key in own)
+            yield (
+                ("method", key),
+                f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper',
+            )
 
 
 def _geometry(scene: Scene) -> Iterator[Fault]:

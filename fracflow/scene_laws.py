@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING
 from difflib import get_close_matches
 from typing import Annotated, Any
 
 from pydantic import Field
 
-from fracflow.laws import JOINT_LAWS, Key, keys_of
+from fracflow.laws import JOINT_LAWS, Key, keys_of, parameters_of
 from fracflow.profiles import Along, Profile
 from fracflow.units import Quantity, fault
 
@@ -61,7 +61,7 @@ def foreign_keys(law: Any) -> set[str]:
 
 def defaults(law: str) -> dict[str, float]:
     """What a law takes for its own keys where a table has none; friction has to be given."""
-    given = {field.name: field.default for field in fields(JOINT_LAWS[law]) if field.name in KEYS[law]}
+    given = {field.name: field.default for field in parameters_of(JOINT_LAWS[law]) if field.name in KEYS[law]}
     return {name: v for name, v in given.items() if v is not MISSING and name not in OTHERWISE.values()}
 
 
@@ -74,7 +74,7 @@ def check(law: str, table: Mapping[str, Any]) -> None:
     for other, name in OTHERWISE.items():
         if table.get(other) is not None and table.get(name) is not None:
             raise fault(f"contradicts {name}; give one of them", key=other)
-    for field in fields(JOINT_LAWS[law]):
+    for field in parameters_of(JOINT_LAWS[law]):
         other = next((other for other, meant in OTHERWISE.items() if meant == field.name), "")
         if other and table.get(other) is None and table.get(field.name) is None:
             raise fault(f"missing; give it or {field.name}", key=other)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,12 +173,12 @@ class StepReport:
     located         sections whose friction changed its status at the end of the step, which was sought
     """
 
-    newton: int
-    krylov: int
-    cycles: int
-    factorisations: int
-    solid_residual: float
-    flow_residual: float
+    newton: int = 0
+    krylov: int = 0
+    cycles: int = 0
+    factorisations: int = 0
+    solid_residual: float = 0.0
+    flow_residual: float = 0.0
     out_of_balance: tuple[float, ...] = ()
     digits: float = 15.65
     predicted: float = np.nan
@@ -186,3 +186,16 @@ class StepReport:
     handed_over: str = ""
     round_off: float = 0.0
     located: int = 0
+
+    def after(self, earlier: StepReport) -> StepReport:
+        """The report of this solve with the cost of one before it in the same step, and what happened there."""
+        return replace(
+            self,
+            newton=earlier.newton + self.newton,
+            krylov=earlier.krylov + self.krylov,
+            cycles=max(earlier.cycles, self.cycles),
+            factorisations=earlier.factorisations + self.factorisations,
+            handed_over=self.handed_over or earlier.handed_over,
+            round_off=max(earlier.round_off, self.round_off),
+            located=earlier.located + self.located,
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -34,23 +33,9 @@ class TimeTable:
         """Make a table that has one value for ever."""
         return TimeTable((0.0,), (value,))
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether the value never changes."""
-        return len(set(self.values)) == 1
-
     def __call__(self, time: float) -> float:
         """Sample the table; at a jump, within 1e-12 of its time, the mean of both sides."""
-        tolerance = 1e-12 * max(abs(time), abs(self.times[0]), abs(self.times[-1]))
-        first = bisect_left(self.times, time - tolerance)
-        after = bisect_right(self.times, time + tolerance)
-        if first < after:
-            before = first if self.interpolation == "linear" else max(first - 1, 0)
-            return 0.5 * (self.values[before] + self.values[after - 1])
-        if after == 0 or after == len(self.times) or self.interpolation == "step":
-            return self.values[max(after - 1, 0)]
-        fraction = (time - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
-        return self.values[after - 1] + fraction * (self.values[after] - self.values[after - 1])
+        return float(self.around(time, *AT_ONCE)[0])
 
     @property
     def jumps(self) -> tuple[Floats, Floats]:
@@ -65,7 +50,7 @@ class TimeTable:
 
         A jump enters with the share of [time - before/2, time + after/2] that comes after it: at the jump itself the mean
         of both sides in the midst of equal steps, the right side where a stage begins (before = 0), the left one where it
-        ends. A sum over the steps, halves at both ends, is then that of the table but for second order.
+        ends, the mean where both are 0. A sum over the steps, halves at both ends, is that of the table but for second order.
         """
         at_times: Floats = np.atleast_1d(np.asarray(time, dtype=float))
         times, values = np.array(self.times), np.array(self.values)
@@ -77,17 +62,13 @@ class TimeTable:
             first, last = np.clip(past - 1, 0, None), np.clip(past, None, len(times) - 1)
             length = np.where(inside, times[last] - times[first], 1.0)
             share = np.where(inside, np.minimum((at_times - times[first]) / length, 1.0), 0.0)
-            result = result + share * (values[last] - values[first])
+            result = np.where(share < 1.0, result + share * (values[last] - values[first]), values[last])
         at, sizes = self.jumps
         width = 0.5 * (before + after)
         for jump, size in zip(at, sizes, strict=True):
             is_past = jump < at_times - tolerance
             is_here = ~is_past & (jump <= at_times + tolerance)
-            share = (
-                np.clip((at_times + 0.5 * after - jump) / width, 0.0, 1.0)
-                if width > 0.0
-                else np.full(len(at_times), 0.5)
-            )
+            share = np.clip((at_times + 0.5 * after - jump) / width, 0.0, 1.0) if width > 0.0 else 1.0 * is_past
             share = np.where(is_here, after / (before + after) if width > 0.0 else 0.5, share)
             result = result + size * (share - is_past)
         return result
@@ -95,6 +76,6 @@ class TimeTable:
 
 def sampled(value: Callable[[float], Any], time: float, around: Around) -> Any:
     """A function of time at the end of a step; a table as ``TimeTable.around`` does between the lengths ``around`` it."""
-    if isinstance(value, TimeTable) and around != AT_ONCE:
+    if isinstance(value, TimeTable):
         return float(value.around(time, *around)[0])
     return value(time)

@@ -1,10 +1,13 @@
 """What a run keeps for itself while it runs."""
 
+import gc
 from pathlib import Path
 
 import pytest
 
+from fracflow import run_instants
 from fracflow._petsc import MPI, PETSc
+from fracflow.errors import SolveError
 from fracflow.run import run
 from fracflow.scene import load
 
@@ -37,3 +40,29 @@ def test_nothing_is_left_to_a_collection(name, overrides, shared_tmp, capfd):
     assert len(left) > 3
     assert left[0] or MPI.COMM_WORLD.rank
     assert all("Total entries: 0" in text or not text for text in left), left[-1]
+
+
+@pytest.mark.parametrize("instant", [1, 2], ids=["a stage begins", "a joint slips"])
+def test_nothing_is_left_by_an_instant_that_is_not_found(instant, shared_tmp, capfd, monkeypatch):
+    """First accelerations fail as the stage of 5.2 begins, or at its first event: what was made until then is freed."""
+    found, made_up = run_instants.initial_acceleration, "made up"
+
+    def fail_at_last(*args):
+        calls.append(args[-1])
+        if len(calls) == instant:
+            raise SolveError(made_up)
+        found(*args)
+
+    calls = []
+    monkeypatch.setattr(run_instants, "initial_acceleration", fail_at_last)
+    PETSc.garbage_cleanup()
+    with pytest.raises(SolveError, match=made_up) as caught:
+        run(load(MESHES / "report_5_2" / "scene.toml", ["output.pictures=false"]), shared_tmp / "out")
+    assert len(calls) == instant
+    calls.clear()
+    caught.value.__cause__ = caught.value.__context__ = None  # frames of what failed; those of the run keep its model
+    gc.collect()
+    capfd.readouterr()
+    PETSc.garbage_view()
+    text = capfd.readouterr().out
+    assert "Total entries: 0" in text if MPI.COMM_WORLD.rank == 0 else not text or "Total entries: 0" in text

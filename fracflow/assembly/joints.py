@@ -5,7 +5,7 @@ residual  G' W f(G u)      tangent  G' W D G
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from fracflow.assembly.properties import along_fractures, initial_pressure, init
 from fracflow.elements import joint
 from fracflow.elements.shape import line_shape
 from fracflow.errors import InputError
-from fracflow.laws import JOINT_LAWS
+from fracflow.laws import JOINT_LAWS, JointLaw, make_law, parameters_of
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.scene import Scene
@@ -28,7 +28,7 @@ class LawGroup:
     """Sections that follow one law: their numbers (n,), and the law with its parameters (n,)."""
 
     sections: Ints
-    law: Any
+    law: JointLaw
 
 
 @dataclass(frozen=True)
@@ -218,19 +218,18 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
     }
     groups = []
     for name in sorted({table.law for table in tables}):
-        law = JOINT_LAWS[name]
         sections = np.flatnonzero(np.array([table.law == name for table in tables], dtype=bool)[fracture])
         given: dict[str, Any] = {
             "initial_normal_traction": initial[sections, -1],
             "initial_shear_traction": initial[sections, :-1],
         }
-        for field in fields(law):
+        for field in parameters_of(JOINT_LAWS[name]):
             if field.name in choices:
                 given[field.name] = choices[field.name]
             elif field.name not in given:
                 key = "friction" if field.name == "friction_coefficient" else field.name
                 given[field.name] = along_fractures(blocks, scene, key, natural).ravel()[sections]
-        groups.append(LawGroup(sections, law(**given)))
+        groups.append(LawGroup(sections, make_law(name, **given)))
     return tuple(groups)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from fracflow.assembly.properties import initial_pressure, initial_stress
 from fracflow.elements import joint
-from fracflow.laws import JOINT_LAWS
+from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.profiles import sample
 from fracflow.scene import Scene
@@ -29,10 +29,9 @@ class CardJoints:
     aperture         (j, 2) d at the initial state [length]
     conducting       (j, 2) flow per thickness and pressure gradient: d^3/(12 mu), or what is given
     is_cubic         (j,) whether the cubic law gives it
-    ratio            (j, 2) stick-slip ratio, 1 where a law knows no friction
+    laws             the law of each fracture
     drop             (j, 2) by how much strength falls with slip at the initial normal traction; 0 where it does not [stress]
-    distance         (j, 2) slip over which it does: 0 where it falls at once [length]
-    slips            (j,) whether its law lets it slip
+    distance         (j, 2) slip over which it does: 0 where it falls at once, inf where it does not [length]
     modulus          E' = E/(1 - nu^2) of the rock beside, two rocks in series; inf where both are rigid [stress]
     shear_modulus    mu* = G/(1 - nu), likewise [stress]
     layer            E' D, likewise, D the depth of each connected block: its area over the length of its joints
@@ -54,10 +53,9 @@ class CardJoints:
     aperture: Floats
     conducting: Floats
     is_cubic: Bools
-    ratio: Floats
+    laws: tuple[type[JointLaw], ...]
     drop: Floats
     distance: Floats
-    slips: Bools
     modulus: Floats
     shear_modulus: Floats
     layer: Floats
@@ -83,15 +81,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
     aperture, given = ends("aperture"), ends("conductance")
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
     cubic = np.maximum(aperture, ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
-    laws = [JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures]
-
-    def of_law(answers: list[bool]) -> Bools:
-        return np.array(answers, dtype=bool)[mesh.joint_fracture] if len(length) else np.zeros(0, dtype=bool)
-
-    drops_at_once = of_law(["stick_slip_ratio" in {f.name for f in fields(law)} for law in laws])
-    ratio = np.where(drops_at_once[:, None], ends("stick_slip_ratio"), 1.0)
-    distance = ends("slip_weakening_distance")
-    drop = _drop(ratio, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
+    drop, distance = _weakening(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
     rock = _rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
     return CardJoints(
@@ -103,10 +93,9 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
         aperture,
         np.where(np.isnan(given), cubic, given),
         np.isnan(given).all(axis=1),
-        ratio,
+        tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
         drop,
-        np.where(np.isnan(distance), 0.0, distance),
-        of_law([bool(law.status) for law in laws]),
+        distance,
         2.0 * _in_series(rock["modulus"][mesh.joint_cells]),
         2.0 * _in_series(rock["shear_modulus"][mesh.joint_cells]),
         _in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
@@ -131,12 +120,21 @@ def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:
     return np.maximum(-effective, 0.0)
 
 
-def _drop(ratio: Floats, ends: Callable[[str], Floats], pressed: Floats) -> Floats:
-    """Fall of strength (j, 2): at once to a ratio of its peak, or with slip to another friction."""
-    peak, dynamic = ends("friction"), ends("dynamic_friction_coefficient")
-    cohesion = np.nan_to_num(ends("cohesion"), nan=0.0)
-    at_once = np.where(ratio < 1.0, (1.0 - ratio) * (cohesion + pressed * peak), 0.0)
-    return np.where(np.isnan(dynamic), at_once, pressed * (peak - dynamic))
+def _weakening(scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], pressed: Floats) -> tuple[Floats, Floats]:
+    """Fall of strength (j, 2) under the pressures ``pressed`` (j, 2), and the slip (j, 2) over which it comes."""
+    drop, distance = np.zeros_like(pressed), np.full_like(pressed, np.inf)
+    of_fracture = [scene.fracture_named(name).law for name in mesh.fractures]
+    for name in sorted(set(of_fracture)):
+        here = np.isin(mesh.joint_fracture, np.flatnonzero([law == name for law in of_fracture]))
+        given = {
+            each: ends("friction" if each == "friction_coefficient" else each)[here].ravel()
+            for each in (*keys_of(JOINT_LAWS[name]), "normal_stiffness", "shear_stiffness", "aperture")
+            if each in {field.name for field in parameters_of(JOINT_LAWS[name])}
+        }
+        law, pressures = make_law(name, **given), pressed[here].ravel()
+        drop[here] = law.strength_drop(pressures).reshape(-1, 2)
+        distance[here] = law.slip_length(len(pressures)).reshape(-1, 2)
+    return drop, distance
 
 
 def _of_slower(speed: Floats, values: Floats) -> Floats:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow.card.joints import CardJoints
+from fracflow.laws import JointLaw
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
@@ -70,8 +71,8 @@ class View:
         self.stages = [film for stage in scene.stage if (film := film_stage(scene, stage)) is not None]
         self.dynamic = [film for film in self.stages if film.alpha_0 > 0.0]
         self.flows = scene.has_flow and len(joints.length) > 0
-        self.drops = joints.ratio < 1.0
-        self.weakens = (joints.drop > 0.0) & (joints.distance > 0.0)
+        self.drops = joints.distance == 0.0
+        self.weakens = (joints.drop > 0.0) & (joints.distance > 0.0) & np.isfinite(joints.distance)
 
     def worst(self, values: Floats) -> tuple[float | None, int, str]:
         """Largest value of (j,) or (j, 2), its joint, and the name of its fracture; None where none is known."""
@@ -80,6 +81,10 @@ class View:
         each = np.where(np.isnan(values), -np.inf, values).reshape(len(values), -1).max(axis=1)
         joint = int(each.argmax())
         return float(each[joint]), joint, self.joints.names[self.joints.fracture[joint]]
+
+    def law(self, joint: int) -> type[JointLaw]:
+        """That of a joint."""
+        return self.joints.laws[self.joints.fracture[joint]]
 
     def dynamic_time(self) -> float:
         """How long the stages with inertia last, as far as the scene bounds them [time]."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow.card.number import Number, View
+from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats
 from fracflow.units import LENGTH, STIFFNESS
 
@@ -62,7 +63,8 @@ def _weakening(view: View, joint: int) -> str:
     length = joints.length[joint]
     rigid = max(ZONE / COHESIVE, PATCH / UNSTABLE) * length * drop / joints.shear_modulus[joint]
     distance = max(rigid, (ZONE * length) ** 2 * drop / joints.layer[joint])
-    return f", or a law that weakens with slip, slip_weakening_distance above {distance:.2g}{view.unit(LENGTH)}"
+    keys = [law.weakens_over for law in JOINT_LAWS.values() if law.weakens_over]
+    return f", or a law that weakens with slip, {' or '.join(keys)} above {distance:.2g}{view.unit(LENGTH)}"
 
 
 def _lengths(view: View, factor: float, of_layer: float) -> Floats:
@@ -83,7 +85,7 @@ def nucleation(view: View) -> Number:
         own = joints.length[joint] / coarse
         remedy = (
             f"strength drops at once, so slip has no length but the joint's own, {own:.3g}{view.unit(LENGTH)}, which"
-            " the mesh does not resolve: refine, or set stick_slip_ratio = 1"
+            f" the mesh does not resolve: refine, or set {view.law(joint).no_drop}"
         )
         return Number(name, formula, 0.0, None, True, where, remedy, "D_c = 0")
     if not view.weakens.any():
@@ -116,7 +118,7 @@ def _finer(view: View, joint: int, share: float) -> str:
     )
     return (
         "how far slip runs, and how fast, is a choice of the mesh: joints shorter than"
-        f" {joints.length[joint] * share:.3g}{view.unit(LENGTH)}, or slip_weakening_distance above"
+        f" {joints.length[joint] * share:.3g}{view.unit(LENGTH)}, or {view.law(joint).weakens_over} above"
         f" {joints.distance[joint].min() / (share**2 if thin else share):.3g}{view.unit(LENGTH)}"
     )
 
@@ -124,10 +126,10 @@ def _finer(view: View, joint: int, share: float) -> str:
 def dissimilar_rock(view: View) -> Number:
     """N = 0.096 (k_n c_s/mu) T: e-folds in the dynamic stages of a wave along a joint that slides between unlike rocks."""
     name, formula, joints = "dissimilar rock", "N = 0.096 (k_n c_s/mu) T", view.joints
-    speeds = joints.shear_speed
+    speeds, slips = joints.shear_speed, np.array([bool(law.status) for law in joints.laws], dtype=bool)[joints.fracture]
     with np.errstate(invalid="ignore"):
         contrast = speeds.max(axis=1, initial=0.0) / speeds.min(axis=1, initial=np.inf)
-        unlike = joints.slips & (contrast > 1.0 + 1e-9)
+        unlike = slips & (contrast > 1.0 + 1e-9)
     if not unlike.any():
         return Number(name, formula, note="like rocks")
     if not view.dynamic:

@@ -7,16 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.assembly.balance import static_balance
 from fracflow.assembly.compression import taken_between
 from fracflow.assembly.contact_mass import follow
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import flow_power
 from fracflow.coupling.newton import NewtonReport
 from fracflow.coupling.residual import Residual
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.state import Forces, Memory, Motion, State, StepReport
+from fracflow.state import Memory, Motion, State, StepReport
 
 
 def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
@@ -26,7 +24,7 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
         follow(problem.operators, motion.velocity)
         follow(problem.operators, motion.acceleration)
     drive = 0.0 if problem.conduction is None else float(np.abs(problem.conduction.pressure).max(initial=0.0))
-    forces = problem.terms() if isinstance(problem, ExplicitProblem) else balance_terms(problem, motion)
+    forces = problem.forces(motion)
     given = problem.loads.given_pressures
     power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
     return State(
@@ -55,35 +53,6 @@ def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepRe
         report.out_of_balance,
         round_off=residual.round_off,
     )
-
-
-def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
-    """Terms of both balances with the reactions of what is held. Collective."""
-    ops = problem.operators
-    absorbed = problem.absorption.force(motion.velocity)
-    support = static_balance(
-        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, absorbed
-    )
-    ops.mass.multAdd(motion.acceleration, support, support)
-    conduction, source = ops.layout.flow_vector(), problem.source.copy()
-    if ops.flow is not None:
-        assert problem.conduction is not None
-        ops.flow.outflow(problem.conduction, conduction)
-        drawn = ops.layout.flow_vector()
-        ops.flow.squeeze.multTranspose(motion.velocity, drawn)
-        drawn.axpy(1.0, conduction)
-        if (uptake := problem.uptake()) is not None:
-            drawn.axpy(1.0, uptake)
-            uptake.destroy()
-        for part in problem.loads.pressures:
-            source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
-        drawn.destroy()
-    held = np.zeros(ops.layout.solid_count, dtype=bool)
-    held[problem.loads.held] = True
-    support.getArray()[~held] = 0.0
-    anchor = problem.absorption.anchor
-    kept = None if anchor is None else anchor.copy()
-    return Forces(problem.load.copy(), support, conduction, source, absorbed, kept, problem.absorption.incident)
 
 
 def remember(operators: Operators, old: State, new: State, dt: float) -> Memory:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.balance import static_balance
 from fracflow.assembly.clusters import find_clusters
 from fracflow.assembly.inertia import Solve, damped_mass, fastest, inverse_mass
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.digits import blur
 from fracflow.coupling.residual import Residual
 from fracflow.coupling.section_solve import SectionSolver
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
-from fracflow.state import Forces, MotionValues, StepReport
+from fracflow.state import Forces, Motion, MotionValues, StepReport
 from fracflow.stepping.explicit import critical_step, joint_share, predicted, velocity_after
 
 MOST_KEPT = 4  # lengths of steps whose damped masses are kept
@@ -42,7 +40,7 @@ class ExplicitProblem(StepProblem):
         result.setArray(values)
         return result
 
-    def terms(self) -> Forces:
+    def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them."""
         return self.end[2]
 
@@ -88,42 +86,33 @@ class ExplicitCoupling:
         joints.force(pulled - pull, force)
         self.inverse.mult(force, moved)
         problem.move(problem.increment.getArray() + joint_share(dt) * moved.getArray())
-        problem._moved = joints.moved(problem.increment)
-        problem.sections = replace(
-            problem.sections,
-            blur=blur(state.sections.blur, problem._moved),
-            record=np.maximum(state.sections.record, np.linalg.norm(problem.sections.traction, axis=1)),
-        )
-        problem.end = self._end(problem, old, pull, dt, force, moved)
-        problem.residual = Residual(report.motion, report.flow, 0.0)
+        problem.take(problem.sections)
         force.destroy()
         moved.destroy()
+        problem.end = self._end(problem, old, dt)
+        problem.residual = Residual(report.motion, report.flow, 0.0)
         fills = report.iterations if ops.flow is not None else 0
         return StepReport(report.iterations, 0, 1, fills, report.motion, report.flow)
 
-    def _end(
-        self, problem: ExplicitProblem, old: MotionValues, pull: Floats, dt: float, force: PETSc.Vec, term: PETSc.Vec
-    ) -> tuple[Floats, Floats, Forces]:
-        """Velocity, acceleration and terms of the balances at the end of a step; both vectors are overwritten."""
+    def _end(self, problem: ExplicitProblem, old: MotionValues, dt: float) -> tuple[Floats, Floats, Forces]:
+        """Velocity, acceleration and terms of the balances at the end of a step."""
         ops, held = self.operators, self.held
-        force.set(0.0)
-        ops.joints.force(-pull, force)
-        force.axpy(1.0, problem.load)
-        force.axpy(-1.0, ops.prestress)
-        ops.stiffness.mult(problem.displacement, term)
-        force.axpy(-1.0, term)
+        force = static_balance(ops, problem.displacement, problem.sections.traction, problem.pressure, problem.load)
+        force.scale(-1.0)
         new = self._accelerated(problem, force, old.velocity + 0.5 * dt * old.acceleration, dt)
         speed = velocity_after(old, new, dt)
         # what is held moves as in an implicit step
         for values, given in ((new, StepProblem.acceleration(problem)), (speed, StepProblem.velocity(problem))):
             values[held] = given.getArray(readonly=True)[held]
             given.destroy()
+        term, support = force.duplicate(), force.duplicate()
         term.setArray(new)
-        support = term.duplicate()
         ops.mass.mult(term, support)
         support.axpy(-1.0, force)
         term.setArray(speed)
         absorbed, anchor = problem.absorption.force(term), problem.absorption.anchor
+        force.destroy()
+        term.destroy()
         if absorbed is not None:
             support.axpy(1.0, absorbed)
         is_held = np.zeros(len(new), dtype=bool)

@@ -61,8 +61,8 @@ class ExplicitFilm:
         swept = problem.alphas.a1 * (joints.weights * change[:, -1]).reshape(-1, 2)
         slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
         flow.set(0.0)
-        taken = uptake_at(self.operators, problem.state, problem.alphas, problem.held, conduction.compression)
-        problem._uptake = taken
+        taken = uptake_at(self.operators, problem.state, problem.alphas, problem.fluid_before, conduction.compression)
+        problem.taken_up = taken
         if taken is not None and conduction.compression is not None:
             slope[:, np.arange(2), np.arange(2)] += problem.alphas.b1 * conduction.compression.slope
             flow.getArray()[:] += taken

@@ -81,7 +81,7 @@ class _Lost(Exception):
     def __init__(self, why: str = "", cost: StepReport | None = None, left: float = np.nan) -> None:
         """Say why, at what cost, and how far they came."""
         super().__init__(why)
-        self.cost, self.left = cost or StepReport(0, 0, 0, 0, 0.0, 0.0), left
+        self.cost, self.left = cost or StepReport(), left
 
 
 class FixedPoint:
@@ -121,15 +121,7 @@ class FixedPoint:
             why = describe_divergence(self.scene, problem, self.whole_matrix, prediction, changes, lost.left, str(lost))
             if not hands_over:  # a smaller time step may help the solid, where it was the solid that failed
                 raise (NotConverged if str(lost) and not is_hopeless else SolveError)(why) from lost
-            report = self._hand_over(problem)
-            report = replace(
-                report,
-                newton=report.newton + lost.cost.newton,
-                krylov=report.krylov + lost.cost.krylov,
-                factorisations=report.factorisations + lost.cost.factorisations,
-                cycles=len(changes),
-                handed_over=why,
-            )
+            report = replace(self._hand_over(problem).after(lost.cost), cycles=len(changes), handed_over=why)
         return replace(report, predicted=prediction.factor, measured=measured_factor(changes))
 
     def _cycle(
@@ -137,7 +129,7 @@ class FixedPoint:
     ) -> StepReport:
         """Cycles until the balances hold. Raises _Lost when they diverge, or after ``most``. Collective."""
         accuracy, rule = self.scene.accuracy, RELAXATIONS[self.name]
-        cycles, total, left = Cycles(prediction.factor), StepReport(0, 0, 0, 0, 0.0, 0.0), np.nan
+        cycles, total, left = Cycles(prediction.factor), StepReport(), np.nan
         for number in range(1, (most or accuracy.max_cycles) + 1):
             problem.branch = problem.state.sections.past  # no section slips for a pressure that was on its way
             try:
@@ -151,15 +143,14 @@ class FixedPoint:
                 raise _Lost(f"in cycle {number}: {error}", total) from error
             changes.append(self._largest(added))
             residual = problem.residual
-            total = StepReport(
-                total.newton + report.newton + 1,
-                total.krylov + report.krylov + self.flow.getIterationNumber(),
-                number,
-                total.factorisations + report.fills + 1,
-                residual.solid,
-                residual.flow,
-                round_off=residual.round_off,
-            )
+            cycle = step_report(report, residual, number)
+            total = replace(
+                cycle,
+                newton=cycle.newton + 1,
+                krylov=cycle.krylov + self.flow.getIterationNumber(),
+                factorisations=cycle.factorisations + 1,
+                out_of_balance=(),
+            ).after(total)
             still = max(accuracy.pressure * self._driven(problem), ROUND_OFF * self._size(problem))
             if most is None and changes[-1] <= still and residual.flow <= accuracy.residual:
                 return total

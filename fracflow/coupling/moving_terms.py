@@ -8,7 +8,7 @@ from fracflow._petsc import PETSc
 from fracflow.assembly.balance import static_balance_of
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.absorption import Absorption
-from fracflow.coupling.residual import largest
+from fracflow.coupling.residual import CANCELLATION, largest
 from fracflow.state import State
 from fracflow.stepping import Alphas
 
@@ -33,11 +33,11 @@ class MovingTerms:
         return MovingTerms(operators.mass, alphas, absorption, state, before)
 
     def add(
-        self, acceleration: PETSc.Vec, velocity: PETSc.Vec, displacement: PETSc.Vec, cancels: float, balance: PETSc.Vec
+        self, acceleration: PETSc.Vec, velocity: PETSc.Vec, displacement: PETSc.Vec, balance: PETSc.Vec
     ) -> list[float]:
         """Add them to ``balance``, which was zero; this rank's largest terms. Collective.
 
-        cancels  share of alpha_0 M u, and of alpha_1 C u, that counts as a term
+        A share CANCELLATION of alpha_0 M u, and of alpha_1 C u, counts as a term.
         """
         alphas, term = self.alphas, balance.duplicate()
         met = acceleration.copy()
@@ -47,7 +47,7 @@ class MovingTerms:
         self.mass.mult(met, balance)
         sizes = [largest(balance)]
         self.mass.mult(displacement, term)
-        sizes.append(cancels * alphas.mass * largest(term))
+        sizes.append(CANCELLATION * alphas.mass * largest(term))
         if self.before is not None:
             balance.axpy(alphas.balance_old, self.before)
             sizes.append(alphas.balance_old * largest(self.before))
@@ -55,7 +55,7 @@ class MovingTerms:
         if absorbed is not None and self.absorption.damping is not None:
             balance.axpy(1.0, absorbed)
             self.absorption.damping.mult(displacement, term)
-            sizes += [largest(absorbed), cancels * alphas.a1 * largest(term)]
+            sizes += [largest(absorbed), CANCELLATION * alphas.a1 * largest(term)]
             absorbed.destroy()
         met.destroy()
         term.destroy()

@@ -74,19 +74,17 @@ def flow_residual(
     return over_ranks([largest_of(balance / np.maximum(own, TINY))], comm)[0]
 
 
-def flow_sizes(
-    conduction: Conduction, cancels: float, before: Floats | float, drive: float, storing: float
-) -> tuple[Floats, float]:
+def flow_sizes(conduction: Conduction, before: Floats | float, drive: float, storing: float) -> tuple[Floats, float]:
     """What elements carry at full pressure at their ends (j, 2), terms whose difference is their flow; the most that runs.
 
-    cancels  share of a term that is the least of what is left of it; before  end pressures of the last state
-    drive    least pressure that drives; storing  b_1, by which a compressible fluid is taken up
+    before  end pressures of the last state; drive  largest pressure that has driven since the start
+    storing  b_1, by which a compressible fluid is taken up
     """
-    size = np.maximum(np.maximum(np.abs(conduction.pressure), cancels * before), drive)
+    size = np.maximum(np.maximum(np.abs(conduction.pressure), CANCELLATION * before), LEAST_DRIVE * drive)
     drop = np.ptp(conduction.pressure, axis=1, keepdims=True)
-    runs = conduction.conductance[:, None] * np.maximum(drop, cancels * size)
+    runs = conduction.conductance[:, None] * np.maximum(drop, CANCELLATION * size)
     through: Floats = conduction.conductance[:, None] * size
     if (stored := conduction.compression) is not None:
         known = np.abs(stored.held) + stored.weight * np.abs(conduction.pressure)
-        through = np.maximum(through, cancels * storing * known)
+        through = np.maximum(through, CANCELLATION * storing * known)
     return through, float(runs.max(initial=0.0))

@@ -25,7 +25,6 @@ from fracflow.coupling.lag import Lag
 from fracflow.coupling.moving_terms import MovingTerms
 from fracflow.coupling.residual import (
     CANCELLATION,
-    LEAST_DRIVE,
     LEAST_FORCE,
     TINY,
     Residual,
@@ -35,9 +34,10 @@ from fracflow.coupling.residual import (
     largest_of,
     over_ranks,
 )
+from fracflow.coupling.terms import balance_terms
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
-from fracflow.state import MotionValues, Past, Sections, State
+from fracflow.state import Forces, Motion, MotionValues, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
 from fracflow.tables_time import AT_ONCE, Around
 
@@ -87,8 +87,8 @@ class StepProblem:
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
-        self.held = compression_of(operators, state)
-        self._uptake: Floats | None = None
+        self.fluid_before = compression_of(operators, state)
+        self.taken_up: Floats | None = None
         self._flow_rows: Floats | None = None
         self._flow_noise, self._carried = np.zeros(0), 0.0
         self._widest: list[float] | None = None
@@ -123,11 +123,8 @@ class StepProblem:
         """
         ops, u, p = self.operators, self.displacement, self.pressure
         # jumps of this step on top of those of the last state: a motion that walls share costs no digits afterwards
-        before = self.state.sections
-        self._moved = ops.joints.moved(self.increment)
-        answer = ops.joints.respond(before.strain + ops.joints.strain(self.increment), self.branch, hold)
-        record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
-        self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
+        strain = self.state.sections.strain + ops.joints.strain(self.increment)
+        self.take(ops.joints.respond(strain, self.branch, hold))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -137,7 +134,7 @@ class StepProblem:
             solid.axpy(scale, term)
 
         acceleration, speed = self.acceleration(), self.velocity()
-        terms += self.moving.add(acceleration, speed, u, CANCELLATION, solid)
+        terms += self.moving.add(acceleration, speed, u, solid)
         ops.stiffness.mult(u, term)
         add(1.0)
         ops.prestress.copy(term)
@@ -153,8 +150,20 @@ class StepProblem:
         solid.axpy(-1.0, self.load)
         for vector in (acceleration, speed, term):
             vector.destroy()
-        self._hold()
+        self.loads.release(solid)
+        for part in self.loads.pressures:
+            self.flow_balance.getArray()[part.numbers] = 0.0
         self._measure(max(terms), max(flow_terms))
+
+    def take(self, answer: Sections) -> None:
+        """Take what the sections answer to the present motion."""
+        before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
+        record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
+        self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
+
+    def forces(self, motion: Motion) -> Forces:
+        """Terms of both balances at the end of the step; the caller owns them. Collective."""
+        return balance_terms(self, motion)
 
     # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. What moved in this step
     # stands for the trial, and nothing for the last state: both are known to more digits so.
@@ -184,10 +193,10 @@ class StepProblem:
 
     def uptake(self) -> PETSc.Vec | None:
         """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""
-        if self._uptake is None:
+        if self.taken_up is None:
             return None
         result = self.operators.layout.flow_vector()
-        result.setArray(self._uptake)
+        result.setArray(self.taken_up)
         return result
 
     def _flow_balance(self) -> list[float]:
@@ -204,15 +213,15 @@ class StepProblem:
         self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening), None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
-        self._uptake = uptake_at(self.operators, self.state, self.alphas, self.held, self.conduction.compression)
-        if self._uptake is not None:
-            flow.getArray()[:] += self._uptake
-            rows += np.abs(self._uptake)
-            terms.append(largest_of(self._uptake))
+        now = self.conduction.compression
+        self.taken_up = uptake_at(self.operators, self.state, self.alphas, self.fluid_before, now)
+        if self.taken_up is not None:
+            flow.getArray()[:] += self.taken_up
+            rows += np.abs(self.taken_up)
+            terms.append(largest_of(self.taken_up))
         speed.destroy()
         self._close()
-        drive = LEAST_DRIVE * self.state.drive
-        through, runs = flow_sizes(self.conduction, CANCELLATION, self._before, drive, self.alphas.b1)
+        through, runs = flow_sizes(self.conduction, self._before, self.state.drive, self.alphas.b1)
         self._carried = max(*terms, runs)
         sized, noise = flow.duplicate(), flow.duplicate()
         network.taken_up(through, sized)
@@ -227,14 +236,9 @@ class StepProblem:
         """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
         assert self.conduction is not None
         change = self.pressure.getArray(readonly=True) - self.state.pressure.getArray(readonly=True)
-        trial = (self.increment, change, self.held, self.conduction.compression)
+        trial = (self.increment, change, self.fluid_before, self.conduction.compression)
         for closure in self.loads.closures:
             self.flow_balance.getArray()[closure.row] = self.flow_scale() * lost(self.operators, closure, *trial)
-
-    def _hold(self) -> None:
-        self.loads.release(self.solid_balance)
-        for part in self.loads.pressures:
-            self.flow_balance.getArray()[part.numbers] = 0.0
 
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
@@ -252,8 +256,7 @@ class StepProblem:
         flow, noise = flow / flow_terms, max(noise, hidden / flow_terms)
         rows = self._flow_rows
         rows = None if rows is None else rows + CANCELLATION * self.alphas.a1 * scales.length * moved
-        closed = (closure.row for closure in self.loads.closures)
-        own = flow_residual(balance, rows, flow_terms, closed, comm)
+        own = flow_residual(balance, rows, flow_terms, (closure.row for closure in self.loads.closures), comm)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, least)
         if not np.isfinite(solid + flow):
             raise NotConverged(f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}")

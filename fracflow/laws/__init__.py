@@ -2,17 +2,26 @@
 
 from typing import Any
 
-from .base import JointLaw, JointResponse, Key, keys_of
+from .base import JointLaw, JointResponse, Key, keys_of, parameters_of
 from .hyperbolic_coulomb import HyperbolicCoulomb
 from .linear import Linear
 from .slip_weakening import SlipWeakening
 
-JOINT_LAWS: dict[str, type[Any]] = {
+JOINT_LAWS: dict[str, type[JointLaw]] = {
     "hyperbolic-coulomb": HyperbolicCoulomb,
     "linear": Linear,
     "slip-weakening": SlipWeakening,
 }
 
+
+def make_law(name: str, **parameters: Any) -> JointLaw:
+    """The law of that name, with parameters as numbers or arrays (n,)."""
+    kind: Any = JOINT_LAWS[name]
+    made: JointLaw = kind(**parameters)
+    return made
+
+
 __all__ = [
     "JOINT_LAWS", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "Linear", "SlipWeakening", "keys_of",
+    "make_law", "parameters_of",
 ]  # fmt: skip

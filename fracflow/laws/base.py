@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Literal, Protocol
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, ClassVar, Literal, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,11 @@ def key(meaning: str, dimension: str = "1", not_above: str = "", **limits: float
     limits  "above", "at_least", "below", "at_most"
     """
     return {"key": Key(meaning, dimension, limits, not_above)}
+
+
+def parameters_of(law: type[JointLaw]) -> tuple[Field[Any], ...]:
+    """All parameters of a law, in order."""
+    return fields(cast(Any, law))
 
 
 def keys_of(law: Any) -> dict[str, Key]:
@@ -73,18 +78,24 @@ class JointResponse:
 class JointLaw(Protocol):
     """Frozen parameters, pure functions of strain and past; ``status`` is the latched part of ``history``.
 
-    Parameters of its own are declared with ``key``; a scene refuses those of other laws, unless ``passes_over`` is set.
-    ``opens`` tells whether its walls may part.
+    Parameters of its own are declared with ``key``; a scene refuses those of other laws, unless ``passes_over`` is set. A
+    law that inherits the bodies here has no history, no strength, and walls that never part.
+
+    opens         whether its walls may part
+    weakens_over  key of the slip over which its strength falls; empty where it has none
+    no_drop       setting with which its strength does not drop at once; empty where it never does
     """
 
-    history: ClassVar[dict[str, Kind]]
-    status: ClassVar[tuple[str, ...]]
-    passes_over: ClassVar[bool]
-    opens: ClassVar[bool]
+    history: ClassVar[dict[str, Kind]] = {}
+    status: ClassVar[tuple[str, ...]] = ()
+    passes_over: ClassVar[bool] = False
+    opens: ClassVar[bool] = False
+    weakens_over: ClassVar[str] = ""
+    no_drop: ClassVar[str] = ""
 
     def rest(self, sections: int, dim: int) -> dict[str, Floats]:
         """History of the initial state, one array a name: "shear" (n, dim-1), "scalar" (n,)."""
-        ...
+        return rest_history(self.history, sections, dim)
 
     def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
         """Response to the total strain (n, dim) after ``past``: at most one change of status a section, none with ``hold``."""
@@ -92,15 +103,15 @@ class JointLaw(Protocol):
 
     def has_changed(self, old: Past, new: Past) -> Bools:
         """Whether each section (n,) has another status in ``new`` than in ``old``."""
-        ...
+        return np.zeros(len(next(iter(new.values()), ())), dtype=bool)
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
         """Largest fraction (n,) of the increment (n, dim) that may be taken; inf where there is no limit."""
-        ...
+        return np.full(len(strain), np.inf)
 
     def change_at(self, strain: Floats, increment: Floats) -> Floats:
         """Fraction (n,) of the increment (n, dim), above 0, at which the walls part or meet; inf where they do neither."""
-        ...
+        return np.full(len(strain), np.inf)
 
     def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
         """Two distances (n, 2) from the next event, of friction and of contact; only their signs and zeros count.
@@ -111,18 +122,26 @@ class JointLaw(Protocol):
         That of friction is positive while the status in ``past`` lasts, and falls through zero where it ends. That of
         contact is positive where the walls are apart, negative where they touch. Infinite for never.
         """
-        ...
+        return np.full((len(strain), 2), np.inf)
 
     def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
         """``past`` with the other status of friction at the chosen sections (n,)."""
-        ...
+        return dict(past)
 
     def steepness(self, traction: Floats, past: Past) -> Floats:
         """How fast the strength (n,) falls with slip after ``past``, over the shear stiffness, at tractions (n, dim).
 
         From 1 on the joint cannot unload as fast as its strength falls: it jumps, however stiff the rock is.
         """
-        ...
+        return np.zeros(len(traction))
+
+    def strength_drop(self, pressed: Floats) -> Floats:
+        """By how much strength (n,) falls in all once a section slips under a pressure ``pressed`` (n,) >= 0 [stress]."""
+        return np.zeros(len(pressed))
+
+    def slip_length(self, sections: int) -> Floats:
+        """Slip (n,) over which it does: 0 where it falls at once, inf where it does not fall [length]."""
+        return np.full(sections, np.inf)
 
 
 def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[str, Floats]:

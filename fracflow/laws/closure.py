@@ -13,7 +13,7 @@ NOISE = 1e-10  # of the aperture: no opening or closing
 
 
 @dataclass(frozen=True, eq=False)
-class Closure:
+class NormalClosure:
     """(2.11), Fig. 3: hyperbola in compression, straight to f_n = 0, nothing beyond.
 
     normal_stiffness  k_n0 [stress/length], > 0

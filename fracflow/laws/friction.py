@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from .base import Bools, Floats, JointResponse, Past, per_section, per_tangent
-from .closure import Closure
+from .base import Bools, Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
+from .closure import NormalClosure
 
 ROUND_OFF = 1e-12
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil
@@ -26,7 +26,7 @@ class Trial:
     along               what of it points the way that the section slid before
     """
 
-    closure: Closure
+    closure: NormalClosure
     strain: Floats
     past: Past
     f_n: Floats
@@ -43,10 +43,10 @@ class Trial:
     was_sliding: Bools
 
     @staticmethod
-    def of(law: Any, strain: Floats, past: Past) -> Trial:
-        """The trial of a law that has a ``closure``, a shear stiffness and an initial shear traction."""
+    def of(law: FrictionLaw, strain: Floats, past: Past) -> Trial:
+        """The trial of a law."""
         sections, dim = strain.shape
-        closure: Closure = law.closure
+        closure = law.closure
         opening = strain[:, -1]
         f_n, k_n, energy = closure.respond(opening)
         is_open, k_s = closure.is_open(opening), per_section(law.shear_stiffness, sections)
@@ -162,11 +162,41 @@ class Trial:
         )
 
 
-def changed_slide(old: Past, new: Past) -> Bools:
-    """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
-    same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
-    changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
-    return changed
+class FrictionLaw(JointLaw):
+    """A joint that closes by a hyperbola and slides: what no friction changes. ``history`` has plastic_slip and sliding."""
+
+    normal_stiffness: Parameter
+    shear_stiffness: Parameter
+    aperture: Parameter
+    initial_normal_traction: Parameter
+    initial_shear_traction: Parameter
+    strength_when_open: bool
+
+    status: ClassVar[tuple[str, ...]] = ("sliding",)
+    opens: ClassVar[bool] = True
+
+    @property
+    def closure(self) -> NormalClosure:
+        """The normal law."""
+        return NormalClosure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
+
+    def has_changed(self, old: Past, new: Past) -> Bools:
+        """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
+        same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
+        changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
+        return changed
+
+    def step_limit(self, strain: Floats, increment: Floats) -> Floats:
+        """Fraction to the boundary -d0 of the closure."""
+        return self.closure.step_limit(strain, increment)
+
+    def change_at(self, strain: Floats, increment: Floats) -> Floats:
+        """Fraction of the increment at which the walls part or meet."""
+        return self.closure.change_at(strain, increment)
+
+    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
+        """``past`` with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
+        return Trial.of(self, strain, past).flipped(chosen)
 
 
 def _quotient(size: Floats, peak: Floats) -> Floats:

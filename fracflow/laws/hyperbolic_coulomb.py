@@ -7,13 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import Bools, Floats, JointResponse, Kind, Parameter, Past, key, per_section, rest_history
-from .closure import Closure
-from .friction import Trial, changed_slide
+from .base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
+from .friction import FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
-class HyperbolicCoulomb:
+class HyperbolicCoulomb(FrictionLaw):
     """(2.11)-(2.12), Figs. 3 and 4: hyperbolic closure, no tension, Coulomb friction with stick-slip ratio.
 
     normal_stiffness        k_n0 [stress/length], > 0
@@ -52,18 +51,7 @@ class HyperbolicCoulomb:
     strength_when_open: bool = False
 
     history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "sliding": "shear"}
-    status: ClassVar[tuple[str, ...]] = ("sliding",)
-    passes_over: ClassVar[bool] = False
-    opens: ClassVar[bool] = True
-
-    def rest(self, sections: int, dim: int) -> dict[str, Floats]:
-        """No plastic slip, sticking."""
-        return rest_history(self.history, sections, dim)
-
-    @property
-    def closure(self) -> Closure:
-        """The normal law."""
-        return Closure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
+    no_drop: ClassVar[str] = "stick_slip_ratio = 1"
 
     def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
         """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``past``, at most one change of status.
@@ -88,18 +76,6 @@ class HyperbolicCoulomb:
             coupled=self.coupled_tangent,
         )
 
-    def has_changed(self, old: Past, new: Past) -> Bools:
-        """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
-        return changed_slide(old, new)
-
-    def step_limit(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction to the boundary -d0 of the closure."""
-        return self.closure.step_limit(strain, increment)
-
-    def change_at(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction of the increment at which the walls part or meet."""
-        return self.closure.change_at(strain, increment)
-
     def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
         """Distances (n, 2) from the next event at strain (n, dim), which moves by ``change`` (n, dim) in a step."""
         sections = len(strain)
@@ -109,10 +85,14 @@ class HyperbolicCoulomb:
         trial = Trial.of(self, strain, past)
         return trial.approach(change, cohesion - trial.f_n * tan_phi, alpha * tan_phi)
 
-    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
-        """``past`` with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
-        return Trial.of(self, strain, past).flipped(chosen)
+    def strength_drop(self, pressed: Floats) -> Floats:
+        """(1 - alpha) (C + pressed tan phi)."""
+        tan_phi, cohesion, alpha = (
+            per_section(v, len(pressed)) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
+        )
+        drops = alpha < 1.0
+        return np.where(drops, np.where(drops, 1.0 - alpha, 1.0) * (cohesion + pressed * tan_phi), 0.0)
 
-    def steepness(self, traction: Floats, past: Past) -> Floats:
-        """None: the drop of alpha < 1 comes at once, at the onset of slip."""
-        return np.zeros(len(traction))
+    def slip_length(self, sections: int) -> Floats:
+        """0: the drop of alpha < 1 comes at once, at the onset of slip."""
+        return np.where(per_section(self.stick_slip_ratio, sections) < 1.0, 0.0, np.inf)

@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import Bools, Floats, JointResponse, Kind, Parameter, Past, per_section, per_tangent, rest_history
+from .base import Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class Linear(JointLaw):
     """(2.22) with constant moduli: f = f_0 + k eps in shear and normal direction, tension included.
 
     normal_stiffness        k_n [stress/length], number or (n,)
@@ -25,14 +25,7 @@ class Linear:
     initial_normal_traction: Parameter = 0.0
     initial_shear_traction: Parameter = 0.0
 
-    history: ClassVar[dict[str, Kind]] = {}
-    status: ClassVar[tuple[str, ...]] = ()
     passes_over: ClassVar[bool] = True  # a scene may switch to springs, and keep its friction for later
-    opens: ClassVar[bool] = False
-
-    def rest(self, sections: int, dim: int) -> dict[str, Floats]:
-        """No history."""
-        return rest_history(self.history, sections, dim)
 
     def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
         """(2.22) Traction, tangent and stored energy of strain (n, dim); ``past`` is empty."""
@@ -57,27 +50,3 @@ class Linear:
             margin=np.full(sections, np.inf),
             past={},
         )
-
-    def has_changed(self, old: Past, new: Past) -> Bools:
-        """Never."""
-        return np.zeros(len(next(iter(new.values()), ())), dtype=bool)
-
-    def step_limit(self, strain: Floats, increment: Floats) -> Floats:
-        """No limit."""
-        return np.full(len(strain), np.inf)
-
-    def change_at(self, strain: Floats, increment: Floats) -> Floats:
-        """Never: the springs hold in tension too."""
-        return np.full(len(strain), np.inf)
-
-    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
-        """Never: no strength, and no contact that could be lost."""
-        return np.full((len(strain), 2), np.inf)
-
-    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
-        """Nothing to flip."""
-        return dict(past)
-
-    def steepness(self, traction: Floats, past: Past) -> Floats:
-        """None: nothing weakens."""
-        return np.zeros(len(traction))

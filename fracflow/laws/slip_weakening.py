@@ -7,13 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import Bools, Floats, JointResponse, Kind, Parameter, Past, key, per_section, rest_history
-from .closure import Closure
-from .friction import Trial, changed_slide
+from .base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
+from .friction import FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
-class SlipWeakening:
+class SlipWeakening(FrictionLaw):
     """(2.11) with Coulomb friction whose coefficient falls linearly with slip (Ida 1972, Andrews 1976).
 
     normal_stiffness             k_n0 [stress/length], > 0
@@ -59,18 +58,7 @@ class SlipWeakening:
     strength_when_open: bool = False
 
     history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "slip_path": "scalar", "sliding": "shear"}
-    status: ClassVar[tuple[str, ...]] = ("sliding",)
-    passes_over: ClassVar[bool] = False
-    opens: ClassVar[bool] = True
-
-    def rest(self, sections: int, dim: int) -> dict[str, Floats]:
-        """No slip, sticking."""
-        return rest_history(self.history, sections, dim)
-
-    @property
-    def closure(self) -> Closure:
-        """The normal law."""
-        return Closure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
+    weakens_over: ClassVar[str] = "slip_weakening_distance"
 
     def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:
         """Mu of slip paths D (n,), and by how much it falls with further slip [1/length], 0 from D_c on."""
@@ -124,24 +112,19 @@ class SlipWeakening:
         result: Floats = pressed * falls / per_section(self.shear_stiffness, len(traction))
         return result
 
-    def has_changed(self, old: Past, new: Past) -> Bools:
-        """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
-        return changed_slide(old, new)
+    def strength_drop(self, pressed: Floats) -> Floats:
+        """Pressed (mu_p - mu_d)."""
+        peak, dynamic = (
+            per_section(v, len(pressed)) for v in (self.friction_coefficient, self.dynamic_friction_coefficient)
+        )
+        return pressed * (peak - dynamic)
 
-    def step_limit(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction to the boundary -d0 of the closure."""
-        return self.closure.step_limit(strain, increment)
-
-    def change_at(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction of the increment at which the walls part or meet."""
-        return self.closure.change_at(strain, increment)
+    def slip_length(self, sections: int) -> Floats:
+        """D_c."""
+        return per_section(self.slip_weakening_distance, sections)
 
     def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
         """Distances (n, 2) from the next event at strain (n, dim), which moves by ``change`` (n, dim) in a step."""
         mu, _ = self.friction(past["slip_path"])
         trial = Trial.of(self, strain, past)
         return trial.approach(change, per_section(self.cohesion, len(strain)) - trial.f_n * mu, mu)
-
-    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
-        """``past`` with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
-        return Trial.of(self, strain, past).flipped(chosen)

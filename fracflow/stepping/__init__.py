@@ -3,7 +3,6 @@
 from dataclasses import fields
 from typing import Any
 
-from .error import local_error
 from .explicit import Explicit
 from .film import BDF2, BackwardEuler, Trapezoid, first
 from .generalised_alpha import GeneralisedAlpha
@@ -12,7 +11,7 @@ from .implicit_euler import ImplicitEuler
 from .newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
 from .parameters import keys_of
 
-STEPPERS: dict[str, type[Any]] = {
+STEPPERS: dict[str, type[Stepper]] = {
     "newmark": Newmark,
     "hht": HHT,
     "generalised-alpha": GeneralisedAlpha,
@@ -24,7 +23,7 @@ STEPPERS: dict[str, type[Any]] = {
 }
 """Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
 
-EXPLICIT: dict[str, type[Any]] = {"explicit": Explicit}
+EXPLICIT: dict[str, type[Stepper]] = {"explicit": Explicit}
 """Rules with a protocol of their own: see ``coupling.explicit``."""
 
 WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
@@ -33,7 +32,7 @@ OF_FILMS = {name: kind for name, kind in STEPPERS.items() if kind.storage and no
 
 def stepper_from(name: str, method: Any) -> Stepper:
     """The rule of that name, with its parameters from the attributes of ``method`` that their keys name."""
-    kind = (STEPPERS | EXPLICIT)[name]
+    kind: type[Any] = (STEPPERS | EXPLICIT)[name]
     made: Stepper = kind(**{each.name: getattr(method, each.metadata["key"]) for each in fields(kind)})
     return made
 
@@ -58,7 +57,6 @@ __all__ = [
     "first",
     "first_rate",
     "keys_of",
-    "local_error",
     "stepper_from",
     "velocity",
 ]

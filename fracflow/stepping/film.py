@@ -9,9 +9,9 @@ BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from .newmark import Alphas, Balance, Stepper, checked
+from .newmark import Alphas, Balance, HasMotion, Stepper, checked, error_by_rate
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,10 @@ class BackwardEuler:
         """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
         return Alphas(a1=1.0 / checked(time_step))
 
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """That of backward Euler."""
+        return error_by_rate(time_step, old, new)
+
 
 @dataclass(frozen=True)
 class Trapezoid:
@@ -42,6 +46,10 @@ class Trapezoid:
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 2/dt, alpha_4 = 1, the rest zero; time_step [time], positive."""
         return Alphas(a1=2.0 / checked(time_step), a4=1.0)
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """That of backward Euler."""
+        return error_by_rate(time_step, old, new)
 
 
 @dataclass(frozen=True)
@@ -62,6 +70,10 @@ class BDF2:
         """alpha_1 and alpha_6; time_step [time], and ``last`` the length of the last one, None for as long; positive."""
         ratio = checked(time_step) / checked(time_step if last is None else last)
         return Alphas(a1=(1.0 + 2.0 * ratio) / (1.0 + ratio) / time_step, a6=ratio / (1.0 + ratio))
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """That of backward Euler."""
+        return error_by_rate(time_step, old, new)
 
 
 def first(stepper: Stepper) -> Stepper:

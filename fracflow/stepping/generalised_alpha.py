@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from .newmark import Alphas, Balance, newmark_alphas, weighed
+from .newmark import Alphas, Balance, HasMotion, error_by_jerk, newmark_alphas, weighed
 from .parameters import check_parameters, parameter
 
 
@@ -42,3 +42,8 @@ class GeneralisedAlpha:
         late = of_forces - of_inertia
         motion = newmark_alphas(time_step, (1.0 + late) ** 2 / 4.0, 0.5 + late)
         return weighed(motion, of_inertia, of_forces)
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """(beta - 1/6) dt^2 (a_new - a)."""
+        beta = 1.0 / (self.rho + 1.0) ** 2  # (1 - alpha_m + alpha_f)^2/4
+        return error_by_jerk(beta - 1.0 / 6.0, time_step, old, new)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from .newmark import Alphas, Balance, newmark_alphas, weighed
+from .newmark import Alphas, Balance, HasMotion, error_by_jerk, newmark_alphas, weighed
 from .parameters import check_parameters, parameter
 
 
@@ -35,7 +35,16 @@ class HHT:
         """Refuse what is not stable."""
         check_parameters(self)
 
+    @property
+    def beta(self) -> float:
+        """That of Newmark's motion."""
+        return (1.0 - self.alpha) ** 2 / 4.0
+
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """(4.3) with the weights of the old balance; time_step [time], positive."""
-        motion = newmark_alphas(time_step, (1.0 - self.alpha) ** 2 / 4.0, 0.5 - self.alpha)
+        motion = newmark_alphas(time_step, self.beta, 0.5 - self.alpha)
         return weighed(motion, of_inertia=0.0, of_forces=-self.alpha)
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """(beta - 1/6) dt^2 (a_new - a)."""
+        return error_by_jerk(self.beta - 1.0 / 6.0, time_step, old, new)

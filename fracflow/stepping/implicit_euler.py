@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from .newmark import Alphas, Balance, checked
+from .newmark import Alphas, Balance, HasMotion, checked
 
 
 @dataclass(frozen=True)
@@ -22,3 +22,7 @@ class ImplicitEuler:
         """alpha_0 = 1/dt^2, alpha_1 = alpha_2 = 1/dt, the rest zero; time_step [time], positive."""
         dt = checked(time_step)
         return Alphas(a0=1.0 / dt**2, a1=1.0 / dt, a2=1.0 / dt)
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """dt^2 a_new/2."""
+        return 0.5 * time_step**2 * new.acceleration

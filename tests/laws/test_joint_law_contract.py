@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from fracflow.laws import JOINT_LAWS
+from fracflow.laws import JOINT_LAWS, keys_of
 from fracflow.scene_materials import Fracture
 
 SECTIONS = 40
@@ -234,6 +234,41 @@ def test_softening_is_told(law, dim):
         same = steep == law.steepness(more.traction, more.past)  # not across the end of the weakening
         assert np.allclose(fall[on & same], (steep * moved * law.shear_stiffness)[on & same], rtol=1e-6, atol=1e-9)
         past = response.past
+
+
+def test_the_drop_of_strength_is_told(law, dim):
+    """``strength_drop`` is what has gone of the strength after more slip than ``slip_length``, and not before."""
+    strain, past = np.zeros((SECTIONS, dim)), law.rest(SECTIONS, dim)
+    strain[:, -1] = -np.linspace(0.0, 5e-3, SECTIONS)
+    pressed = -law.respond(strain, past).traction[:, -1]
+    peak, drop, length = law.respond(strain, past).strength, law.strength_drop(pressed), law.slip_length(SECTIONS)
+    assert drop.shape == length.shape == (SECTIONS,) and (drop >= 0.0).all() and (length >= 0.0).all()
+    assert bool(law.weakens_over) == bool((np.isfinite(length) & (length > 0.0)).any())
+    assert bool(law.no_drop) == bool((length == 0.0).any())
+    if not law.status:
+        assert np.isinf(peak).all() and np.isinf(length).all() and not drop.any()
+        return
+
+    def lost(slip):
+        strain[:, 0] = slip + (peak - law.initial_shear_traction) / law.shear_stiffness
+        answer = law.respond(strain, past)
+        assert answer.is_sliding.all()
+        return peak - np.linalg.norm(answer.traction[:, :-1], axis=1), answer.inelastic[:, 0]
+
+    fallen, slipped = lost(0.1)
+    assert np.isinf(length).all() or (slipped >= length).all()
+    assert fallen == pytest.approx(drop, rel=1e-12)
+    fallen, slipped = lost(1e-6)
+    early = slipped < length
+    assert np.array_equal(early, length > 0.0)
+    assert fallen[~early] == pytest.approx(drop[~early], rel=1e-12) and (fallen[early] < 0.1 * drop[early]).all()
+
+
+@pytest.mark.parametrize("name", JOINT_LAWS)
+def test_what_a_law_advises_are_keys_of_its_own(name):
+    law = JOINT_LAWS[name]
+    for said in (law.weakens_over, law.no_drop.partition(" = ")[0]):
+        assert not said or said in keys_of(law)
 
 
 def test_stored_energy_is_the_work_of_the_traction(law, dim):

@@ -246,9 +246,7 @@ def test_rigid_blocks_move_as_by_implicit_steps(shared_tmp, ratio):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(
-    "setting", ["mass=consistent", "quadrature=gauss2", "storage=consistent", "newmark_gamma=0.6", "newmark_beta=0.3"]
-)
+@pytest.mark.parametrize("setting", ["mass=consistent", "quadrature=gauss2", "storage=consistent"])
 def test_what_it_needs_is_refused_by_name(tmp_path, setting):
     (tmp_path / "scene.toml").write_text(CRACK.format(compressibility=0.0))
     key = setting.partition("=")[0]

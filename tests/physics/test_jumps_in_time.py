@@ -26,6 +26,21 @@ def test_a_jump_is_shared_by_the_halves_of_steps_around_it(table, before, after)
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize("table, before, after", [(STEP, 2.0, 5.0), (ROWS, 2.0, 5.0)], ids=["step", "rows"])
+def test_of_no_width_a_jump_is_all_ahead_or_all_past(table, before, after):
+    """Only at the jump itself is half of it there; rows are linear up to it: 2 t."""
+    left = 2.0 * 0.7 if table is ROWS else before
+    assert table.around(np.array([0.7, 1.0, 1.3]), 0.0, 0.0).tolist() == [left, 0.5 * (before + after), after]
+    assert [table(t) for t in (-1.0, 0.7, 1.0, 1.3, 9.0)] == [table(0.0), left, 0.5 * (before + after), after, after]
+
+
+@pytest.mark.serial
+def test_a_table_has_its_own_values_at_its_times():
+    times, values = (0.0, 0.3, 0.7, 1.1), (0.1, 0.3, 0.2, 0.7)
+    assert [TimeTable(times, values)(t) for t in times] == list(values)
+
+
+@pytest.mark.serial
 @pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 11))
 def test_the_steps_together_give_the_integral(offset):
     """Halves at both ends of a stage: the trapezoid's sum over a step function is its integral wherever it jumps."""

@@ -127,6 +127,12 @@ def test_scene_travels_between_ranks(make):
     assert pickle.loads(pickle.dumps(scene)).mesh_path == scene.mesh_path
 
 
+def test_dump_with_the_key_of_a_stepper_loads_again(make):
+    """It has the defaults of all steppers."""
+    scene = make("method.stepper=hht", "method.hht_alpha=-0.2")
+    assert "newmark_beta" in scene.dump_toml() and make(text=scene.dump_toml()) == scene
+
+
 def test_dump_for_another_folder(make, tmp_path):
     scene = make()
     (tmp_path / "run").mkdir()

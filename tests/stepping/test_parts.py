@@ -6,6 +6,7 @@ import pytest
 
 from fracflow.errors import NotConverged
 from fracflow.run_parts import Attempted, Place, Rules, in_parts
+from fracflow.state import StepReport
 
 pytestmark = pytest.mark.serial
 
@@ -103,3 +104,12 @@ def test_calm_parts_make_the_next_one_longer():
 def test_hard_work_makes_the_next_part_shorter():
     assert taken(reaching(newton=25), Rules(6, order=2))[-1][2].level == 1
     assert taken(reaching(newton=25), Rules(6))[-1][2].level == 0
+
+
+@pytest.mark.serial
+def test_two_solves_of_a_step_cost_what_both_do():
+    """Costs add up; what is left of the balances is what the second leaves, and what happened in the first stays known."""
+    first = StepReport(3, 40, 2, 5, 1e-9, 1e-8, handed_over="why", round_off=1e-13, located=2)
+    second = StepReport(1, 10, 7, 1, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, "", 1e-14, 1)
+    right = StepReport(4, 50, 7, 6, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, "why", 1e-13, 3)
+    assert second.after(first) == right and second.after(StepReport()) == second

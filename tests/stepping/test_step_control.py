@@ -47,6 +47,21 @@ def test_error_follows_what_is_asked_for_and_steps_are_powers_of_two(shared_tmp)
     assert np.polyfit(np.log(asked), np.log(counts), 1)[0] == pytest.approx(-1 / 3, abs=0.1), counts
 
 
+@pytest.mark.parametrize("beta, gamma, order", [(1 / 6, 0.5, 2), (0.36, 0.7, 1)])
+def test_error_follows_what_is_asked_for_whatever_beta_and_gamma(beta, gamma, order, shared_tmp):
+    """A rule of order p has errors, and time steps, that fall with the power p/(p + 1), and 1/(p + 1), of what is asked."""
+    asked, found, counts = (1e-2, 1e-3, 1e-4), [], []
+    for wanted in asked:
+        rule = (f"method.newmark_beta={beta}", f"method.newmark_gamma={gamma}")
+        limits = (f"accuracy.step_error={wanted}", "accuracy.max_halvings=12")
+        time, moved, _ = _ran(shared_tmp / str(wanted), *rule, *limits)
+        found.append(np.abs(moved - _exact(time)).max() / np.abs(_exact(np.linspace(0, END, 500))).max())
+        counts.append(len(time))
+        assert found[-1] < counts[-1] * wanted, found  # errors add up
+    assert np.polyfit(np.log(asked), np.log(counts), 1)[0] == pytest.approx(-1 / (order + 1), abs=0.1), counts
+    assert np.polyfit(np.log(asked), np.log(found), 1)[0] == pytest.approx(order / (order + 1), abs=0.15), found
+
+
 def test_an_error_that_is_never_reached_changes_nothing(shared_tmp):
     plain, free = _ran(shared_tmp / "plain"), _ran(shared_tmp / "free", "accuracy.step_error=0.999999")
     assert np.array_equal(plain[0], free[0]) and np.array_equal(plain[1], free[1])

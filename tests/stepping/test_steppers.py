@@ -13,6 +13,7 @@ from fracflow.stepping import (
     HHT,
     STEPPERS,
     Alphas,
+    Explicit,
     GeneralisedAlpha,
     ImplicitEuler,
     Newmark,
@@ -57,6 +58,55 @@ def test_order_on_the_oscillator(name, damping):
             motion = advance(stepper, motion, end / steps, 1.0, damping, 1.0)
         errors.append(abs(motion.displacement - exact))
     assert order_of(errors) == pytest.approx(stepper.order, abs=0.05)
+
+
+FAMILY = {
+    "trapezoid": Newmark(),
+    "linear acceleration": Newmark(1 / 6, 0.5),
+    "damped": Newmark(0.36, 0.7),
+    "implicit Euler": ImplicitEuler(),
+}
+
+
+@pytest.mark.parametrize("name", FAMILY)
+def test_local_error_is_that_of_a_step_and_of_its_order(name):
+    """From exact cos t at any phase, to within a factor of two where it is largest, of (u, v/omega)."""
+    stepper, told = FAMILY[name], []
+    phase = np.linspace(0.0, np.pi, 200)
+    old = Motion(np.cos(phase), -np.sin(phase), -np.cos(phase))
+    for dt in (0.2, 0.1, 0.05, 0.025):
+        new = advance(stepper, old, dt, 1.0, 0.0, 1.0)
+        wrong = np.hypot(new.displacement - np.cos(phase + dt), new.velocity + np.sin(phase + dt)).max()
+        told.append(np.abs(stepper.local_error(dt, old, new)).max())
+        assert 0.5 < told[-1] / wrong < 2.0
+    assert order_of(told) == pytest.approx(stepper.order + 1, abs=0.1)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 4])
+def test_local_error_of_central_differences_is_that_of_all_parts_of_a_step(parts):
+    """Of cos t; what is told by the length of a part and the ends of the step is what its parts add."""
+    phase, told = np.linspace(0.0, np.pi, 200), []
+    for step in (0.2, 0.1, 0.05):
+        dt = step / parts
+        old = now = Motion(np.cos(phase), -np.sin(phase), -np.cos(phase))
+        for _ in range(parts):
+            u = now.displacement + dt * now.velocity + dt**2 / 2 * now.acceleration
+            now = Motion(u, now.velocity + dt / 2 * (now.acceleration - u), -u)
+        wrong = np.hypot(now.displacement - np.cos(phase + step), now.velocity + np.sin(phase + step)).max()
+        told.append(np.abs(Explicit().local_error(dt, old, now)).max())
+        assert 0.8 < told[-1] / wrong < 1.3
+    assert order_of(told) == pytest.approx(3, abs=0.1)
+
+
+@pytest.mark.parametrize("gamma, order", [(0.5, 2), (0.51, 1), (0.7, 1)])
+def test_newmark_is_of_second_order_for_one_gamma_only(gamma, order):
+    errors, stepper = [], Newmark(0.36, gamma)
+    for steps in (1000, 2000, 4000):
+        motion = Motion(1.0, 0.0, -1.0)
+        for _ in range(steps):
+            motion = advance(stepper, motion, 3.0 / steps, 1.0, 0.0, 1.0)
+        errors.append(abs(motion.displacement - np.cos(3.0)) + abs(motion.velocity + np.sin(3.0)))
+    assert stepper.order == order and order_of(errors) == pytest.approx(order, abs=0.05)
 
 
 FILM = [n for n, s in STEPPERS.items() if s.storage and not s.inertia]
