@@ -42,9 +42,16 @@ class Network:
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
         self._told: np.ndarray | None = None
+        self._told_digits = False
         self._parts: tuple[Part, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
+
+    def tell_digits(self, line: str) -> None:
+        """Write down that the flow has few digits, the first time only."""
+        if not self._told_digits:
+            self.log(line)
+        self._told_digits = True
 
     def close(self, loads: Loads, stores: bool) -> Loads:
         """The same loads with the parts closed that nothing drains, where nothing is stored. Collective.

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
-from fracflow.run_accuracy import step_error
+from fracflow.run_accuracy import largest_displacement, step_error
 from fracflow.run_events import to_first_event
 from fracflow.run_parts import (
     Attempted,
@@ -147,6 +147,7 @@ def run_stage(
         0 if accuracy.step_error is None else stepper.order,
         accuracy.max_events if locates else 0,
     )
+    farthest = progress.get("farthest", 0.0)  # that a node has been
     # supports that move are sampled by their means all along: their tables may have a kink in every step
     splits = bool(rules.events) and not model.scene.moves_supports
     jumps = model.scene.jump_times if splits else ()
@@ -176,10 +177,13 @@ def run_stage(
         error = 0.0
         if accuracy.step_error is not None:
             part = stepping.explicit.part(stepper, share * whole)
-            error = step_error(model.operators, stepper, part, state, new) / accuracy.step_error
+            error = step_error(model.operators, stepper, part, state, new, farthest) / accuracy.step_error
         if share == 1.0 and jump is not None and not (n == count and end == 1.0):
-            old, new = new, stepping.enter(new, stepper, stage.time_step)
-            old.destroy()
+            left = new
+            try:
+                new = stepping.enter(left, stepper, stage.time_step)
+            finally:
+                left.destroy()
         return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin), error)
 
     while count is None or n < count:
@@ -193,9 +197,12 @@ def run_stage(
                 held = True
                 controls[control] = state.controls[control]
                 log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
+            if accuracy.step_error is not None:
+                farthest = max(farthest, largest_displacement(model.operators, state))
             ends = stage.until == "incipient" and failed
             place = part.place.next_step() if part.is_last else part.place
             there: Progress = {"n": n if part.is_last else n - 1, "start": start, "base": base, "held": float(held)}
+            there["farthest"] = farthest
             there = {**there, **place.as_progress()}
             yield Step(state, number, stage.time_step * (part.end - part.start), part.report, DONE if ends else there)
             if ends:

@@ -178,7 +178,8 @@ class Stepping:
                 report = (explicit or self._coupling(closed)).solve(problem)
                 new = accept(problem, state.energy)
                 self._refuse_jumps(state, new)
-                report = replace(report, digits=check_digits(problem, new, self.model.scene.accuracy.digits))
+                asked = self.model.scene.accuracy.digits
+                report = replace(report, digits=check_digits(problem, new, asked, self.network.tell_digits))
                 same = self._is_closed(problem, limited, rule.storage)
                 trial = None if same else problem.hand_on()
                 try:

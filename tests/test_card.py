@@ -176,6 +176,17 @@ def test_lengths_of_a_fault_that_weakens_with_slip():
     assert "fault" in card["cohesive zone"].where
 
 
+def test_between_rigid_blocks_slip_that_weakens_has_no_length():
+    """mu* D_c/dtau is infinite: no mesh could resolve it badly."""
+    weakens = (
+        "{law='slip-weakening', normal_stiffness=1, shear_stiffness=0.5, aperture=1, initial_normal_traction=-1,"
+        " friction_coefficient=0.6, dynamic_friction_coefficient=0.5, slip_weakening_distance=1.5}"
+    )
+    card = card_of("meshes/report_5_2/scene.toml", f"fracture.default={weakens}")
+    for name in ("nucleation length", "cohesive zone"):
+        assert card[name].value is None and not card[name].out_of_range and card[name].note == "rigid rock"
+
+
 def test_a_network_that_nothing_drains_has_no_fixed_point(tmp_path):
     found = card_of("meshes/crossings/scene.toml")["coupling, transient"]
     assert found.value == np.inf and not found.out_of_range

@@ -91,7 +91,8 @@ def nucleation(view: View) -> Number:
     if not view.weakens.any():
         return Number(name, formula, note="no drop of strength")
     ratio, joint, where = view.worst(joints.length[:, None] / _lengths(view, UNSTABLE, np.pi))
-    assert ratio is not None
+    if not ratio:  # rigid rock: slip has no length at all
+        return Number(name, formula, note="rigid rock")
     length, limit = float(joints.length[joint]) / ratio, PATCH * float(joints.length[joint])
     if length >= limit:
         return Number(name, formula, length, limit, False, where, note="5 h")
@@ -104,7 +105,8 @@ def cohesive_zone(view: View) -> Number:
     if not view.weakens.any():
         return Number(name, formula, note="no weakening")
     inverse, joint, where = view.worst(joints.length[:, None] / _lengths(view, COHESIVE, 1.0))
-    assert inverse is not None
+    if not inverse:
+        return Number(name, formula, note="rigid rock")
     value = 1.0 / inverse
     if value >= ZONE:
         return Number(name, formula, value, ZONE, False, where)

@@ -1,23 +1,28 @@
 """How many digits of the flow pressures leave that are given on both sides of it, and the stop where they are too few.
 
 In a wide fracture in a row with a narrow one, pressures differ by less than they are rounded off; the flow there, and what a
-well with a pressure draws, is nothing but that. A flow rate that is given needs no such difference.
+well with a pressure draws, is nothing but that. A flow rate that is given needs no such difference: in a part that one
+feeds few digits are told but refused nowhere, for they may be those of a flow that has hardly begun.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.assembly.components import conducting, find_parts
 from fracflow.assembly.flow import Conduction
+from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.digits import MOST_DIGITS, digits_of, noise_of_pressure, refuse_few
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.state import State
+from fracflow.tables import TimeTable
 
 BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
 INSIDE = 3.0  # times the round-off at a well: nodes further in a wide fracture leave as much
@@ -91,6 +96,24 @@ def digits_of_flow(operators: Operators, conduction: Conduction, given: Ints, po
     return FlowDigits(min(MOST_DIGITS, float(-np.log10(total / power))), wide, conductance, narrow, aperture)
 
 
+def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: float) -> np.ndarray:
+    """Which flow nodes (q,) of this rank are in a part that a well feeds with a flow rate, now or later. Collective."""
+    layout = operators.layout
+    pumped = np.zeros(layout.flow_count, dtype=bool)
+    for well in loads.wells:
+        ahead = isinstance(well.value, TimeTable) and np.any(
+            np.array(well.value.values)[np.array(well.value.times) > time]
+        )
+        if ahead or well.value(time) != 0.0:
+            pumped |= well.vector.getArray(readonly=True) != 0.0
+    everywhere = np.concatenate(layout.comm.allgather(pumped))
+    fed = np.zeros(len(everywhere), dtype=bool)
+    for part in find_parts(operators, conducting(operators, conduction.conductance)) if everywhere.any() else ():
+        fed[part.nodes] = everywhere[part.nodes].any()
+    first = int(layout.flow_starts[layout.comm.rank])
+    return fed[first : first + layout.flow_count]
+
+
 def refuse_few_of_flow(found: FlowDigits, limit: int, time: float) -> None:
     """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
     if limit == 0 or found.digits >= limit:
@@ -105,17 +128,27 @@ def refuse_few_of_flow(found: FlowDigits, limit: int, time: float) -> None:
     )
 
 
-def check_digits(problem: StepProblem, new: State, limit: int) -> float:
+def check_digits(problem: StepProblem, new: State, limit: int, tell: Callable[[str], None]) -> float:
     """Digits of the worst tractions of the state that a solved problem leads to.
 
-    Raises SolveError, on every rank, where fewer than ``limit`` are left, or of the flow; it frees the state. Collective.
+    Raises SolveError, on every rank, where fewer than ``limit`` are left, or of the flow in a part that nothing but given
+    pressures drives; it frees the state. Digits of flow that are as few elsewhere it tells. Collective.
     """
     found, operators = digits_of(problem.operators, new), problem.operators
     try:
         refuse_few(found, limit, new.time)
-        if problem.conduction is not None:
-            flow = digits_of_flow(operators, problem.conduction, problem.loads.given_pressures, new.power)
-            refuse_few_of_flow(flow, limit, new.time)
+        if problem.conduction is not None and limit > 0:
+            given = problem.loads.given_pressures
+            flow = digits_of_flow(operators, problem.conduction, given, new.power)
+            if flow.digits < limit:
+                fed = nodes_fed(operators, problem.conduction, problem.loads, new.time)
+                unfed = digits_of_flow(operators, problem.conduction, given[~fed[given]], new.power)
+                refuse_few_of_flow(unfed, limit, new.time)
+                left = max(flow.digits, 0.0)
+                tell(
+                    f"time {new.time:.6g}: what wells with a pressure draw keeps {left:.1f} digits so far, in {flow.wide};"
+                    " a well with a flow rate feeds it"
+                )
     except SolveError:
         new.destroy()
         raise

@@ -65,7 +65,8 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
         parting.destroy()
         for part in problem.loads.pressures:
             change = (part.value(problem.time + dt) - part.value(problem.time)) / dt
-            rate.getArray()[part.numbers] = (given.getArray() + weight.getArray() * change)[part.numbers]
+            walls, fluid = given.getArray()[part.numbers], weight.getArray()[part.numbers]
+            rate.getArray()[part.numbers] = walls + fluid * change
     weight.destroy()
     given.destroy()
     return rate

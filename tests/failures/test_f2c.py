@@ -132,6 +132,68 @@ def test_pressures_on_both_sides_of_a_wide_fracture_and_a_narrow_one(shared_tmp,
     assert found["energy/viscous"][-1] == pytest.approx(power, rel=1e-6)
 
 
+def test_of_a_part_that_a_flow_rate_feeds_few_digits_are_told_and_not_refused(shared_tmp):
+    """Pumped from nothing the first step moves next to nothing."""
+    comm = MPI.COMM_WORLD
+    if comm.rank == 0:
+        (shared_tmp / "scene.toml").write_text(RAMPED)
+    comm.barrier()
+    run(load(shared_tmp / "scene.toml"), shared_tmp / "fed")
+    comm.barrier()
+    told = [line for line in (shared_tmp / "fed" / "log.txt").read_text().splitlines() if "digits so far" in line]
+    assert len(told) == 1 and "time 2.5e-05" in told[0] and "in wide" in told[0]
+
+
+@pytest.mark.parametrize("end, rate, refused", [("apart", 1e-12, True), ("thin", 1e-12, False), ("thin", 0, True)])
+def test_a_flow_rate_speaks_for_the_part_that_it_feeds(shared_tmp, end, rate, refused):
+    """Two given pressures in a row as above; a third well feeds a fracture apart, or the row, or is shut."""
+    comm = MPI.COMM_WORLD
+    text = IN_A_ROW.replace("flow_rate = 1e-12", "pressure = 8e5").replace("20 mm", "100 mm").replace("2.5 um", "1 um")
+    text = text.replace("[[3, 1], [5, 1]]}", '[[3, 1], [5, 1]]}, {name = "apart", points = [[2, 3], [4, 3]]}')
+    third = f'{{name = "third", at = {{fracture = "{end}", end = "start"}}, flow_rate = {rate}}}'
+    outlet = '{name = "fourth", at = {fracture = "apart", end = "end"}, pressure = 0}'
+    text = text.replace("well = [", f"well = [\n  {third},\n  {outlet},") + 'apart.aperture = "1 mm"\n'
+    if comm.rank == 0:
+        (shared_tmp / "scene.toml").write_text('stage = [{kind = "steady", time_step = 1, steps = 1}]\n' + text)
+    comm.barrier()
+    if refused:
+        with pytest.raises(SolveError, match=r"keeps 0\.0 digits, accuracy\.digits asks for 6: in wide.* for thin"):
+            run(load(shared_tmp / "scene.toml"), shared_tmp / "run")
+    else:
+        run(load(shared_tmp / "scene.toml"), shared_tmp / "run")
+
+
+RAMPED = """
+output.pictures = false
+rock.rock = {youngs_modulus = 30e9, poissons_ratio = 0.22, density = 2600}
+initial_stress = {xx = -10e6, yy = -12e6, xy = 0}
+fluid = {viscosity = 1e-3, initial_pressure = 1e6, compressibility = 1e-8, flow_depth = 3}
+absorbing = [{on = ["west", "south", "east", "north"]}]
+stage = [{kind = "dynamic", time_step = 2.5e-5, steps = 4}]
+[[well]]
+name = "in"
+at = {fracture = "thin", end = "end"}
+flow_rate = [[0, 0], [2e-3, 2e-2]]
+[[well]]
+name = "out"
+at = {fracture = "wide", end = "start"}
+pressure = "initial"
+[geometry]
+domain = [0, 0, 100, 80]
+size = 12
+size_at_fractures = 6
+[[geometry.fracture]]
+name = "wide"
+points = [[15, 40], [50, 40]]
+[[geometry.fracture]]
+name = "thin"
+points = [[50, 40], [85, 40]]
+[fracture]
+default = {law = "linear", normal_stiffness = 50e9, shear_stiffness = 20e9}
+wide.aperture = "1 mm"
+thin.aperture = "0.3 mm"
+"""
+
 IN_A_ROW = """
 output.pictures = false
 rock.rock.rigid = true
