@@ -202,8 +202,7 @@ def run_stage(
             ends = stage.until == "incipient" and failed
             place = part.place.next_step() if part.is_last else part.place
             there: Progress = {"n": n if part.is_last else n - 1, "start": start, "base": base, "held": float(held)}
-            there["farthest"] = farthest
-            there = {**there, **place.as_progress()}
+            there = {**there, **place.as_progress(), "farthest": farthest}
             yield Step(state, number, stage.time_step * (part.end - part.start), part.report, DONE if ends else there)
             if ends:
                 return
