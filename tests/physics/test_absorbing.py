@@ -153,6 +153,49 @@ def test_all_that_came_in_leaves(run_scene, column):
     assert found.closes()
 
 
+OBLIQUE = """
+[output]
+pictures = false
+[rock.rock]
+youngs_modulus = 10e9
+poissons_ratio = 0.25
+density = 2500
+[geometry]
+domain = [0, 0, 100, 100]
+cells = "quads"
+"""
+
+
+@pytest.mark.parametrize("kind, limit", [("s", 0.03), ("p", 0.01)])
+def test_a_wave_comes_in_at_an_angle(run_scene, kind, limit):
+    """At 31 degrees through two sides it passes (30, 40) as sin^2(pi T/20 ms), T = t - x d/c, along d or across it.
+
+    Of second order in the size of cells; delays by the speed of the other wave would leave about as much as came.
+    """
+    shear = 10e9 / 2.5
+    speed, length = np.sqrt(shear * (3.0 if kind == "p" else 1.0) / 2500), 0.02
+    d = np.array([np.cos(np.radians(31.0)), np.sin(np.radians(31.0))])
+    table = [[float(t), float(np.sin(np.pi * t / length) ** 2)] for t in np.linspace(0, length, 201)]
+    delay = np.array([30.0, 40.0]) @ d / speed
+    errors = []
+    for size in (2.5, 1.25):
+        step = 8e-5 * size
+        found = run_scene(
+            OBLIQUE + f"size = {size}\n",
+            f"absorbing=[{{on=['west', 'south'], wave={{kind='{kind}', velocity={table}, direction={d.tolist()}}}}},"
+            " {on=['east', 'north']}]",
+            "probe=[{name='inside', at=[30, 40], quantities=['velocity']}]",
+            f"stage=[{{kind='dynamic', time_step={step}, steps={int((delay + 1.1 * length) / step)}}}]",
+            "method.stepper=explicit",
+        )
+        since = found.history["time"] - delay
+        right = np.where((since > 0) & (since < length), np.sin(np.pi * since / length) ** 2, 0.0)[:, None]
+        way = d if kind == "p" else np.array([-d[1], d[0]])
+        errors.append(np.linalg.norm(found.probe("inside", "velocity") - right * way) / np.linalg.norm(right))
+        assert found.closes(1e-9)
+    assert np.log2(errors[0] / errors[1]) > 1.7 and errors[1] < limit, errors
+
+
 @pytest.mark.serial
 @pytest.mark.parametrize(
     "angle, kind, back",
