@@ -68,7 +68,9 @@ def slowest(view: View, film: FilmStage) -> Floats:
         return np.asarray((total / np.where(length > 0.0, length, 1.0))[joints.component])
 
     conducting, held = 1.0 / mean((1.0 / joints.conducting).mean(axis=1)), mean(_held(view))
-    return np.where(moves, coupling_factor(film.alpha_1, conducting, kappa, 1.0 / mean(1.0 / stiff), held), 0.0)
+    with np.errstate(divide="ignore"):  # walls that cannot give way are infinitely stiff
+        stiffness = 1.0 / mean(1.0 / stiff)
+        return np.where(moves, coupling_factor(film.alpha_1, conducting, kappa, stiffness, held), 0.0)
 
 
 def _held(view: View) -> Floats:
@@ -158,7 +160,8 @@ def ringing(view: View) -> Number:
     def worst(film: FilmStage) -> tuple[float, str]:
         stiff = wall_stiffness(joints.normal.max(axis=1), soft, kappa, film, joints.impedance, joints.mass)
         conducting, yields = joints.conducting.max(axis=1), 1.0 / stiff + _held(view)
-        value, _, where = view.worst(conducting * kappa**2 * film.time_step / (2.0 * yields))
+        with np.errstate(divide="ignore"):  # as long as walls cannot give way, and the fluid neither
+            value, _, where = view.worst(conducting * kappa**2 * film.time_step / (2.0 * yields))
         return value or 0.0, where
 
     film = max(films, key=lambda each: worst(each)[0])
