@@ -46,7 +46,8 @@ def enter(model: Model, network: Network, loads: Loads, state: State, stepper: S
     was, around = state.sections, (0.0, dt)
     begun = replace(state, motion=motion, uptake=None, energy=energy, around=around)
     start = _first_instant(model, network, loads, begun, was.past, dt)
-    sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record)
+    # nothing moved in an instant: no section came nearer to a choice
+    sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record, margin=was.margin)
     start = replace(start, sections=sections)
     if start.uptake is None:
         return start
@@ -64,7 +65,7 @@ def change(model: Model, network: Network, loads: Loads, state: State, leaving: 
     motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
     new = _first_instant(model, network, loads, replace(state, motion=motion), branch)
     # they stand at their threshold because they were brought there, not by chance
-    settled = replace(new.sections, margin=np.where(leaving, np.inf, new.sections.margin))
+    settled = replace(new.sections, margin=np.where(leaving, np.inf, state.sections.margin))
     new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
     new = replace(new, friction=dissipated(state, new))
     return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
