@@ -132,7 +132,7 @@ def test_signals_save_and_stop(tmp_path, whole, number):
     lines = [line for line in complaint.splitlines() if line.startswith("fracflow: ")]
     assert len(lines) == 1 and f"fracflow resume {folder}" in lines[0]
     stopped = len(read_history(folder / "history.h5")["time"])
-    assert 12 <= stopped < 64
+    assert 12 <= stopped < len(read_history(whole / "history.h5")["time"])
     go_on(folder)
     same(folder, whole)
 
@@ -148,9 +148,13 @@ def test_on_another_number_of_ranks(tmp_path, whole, before, after):
     assert 25 <= len(read_history(folder / "history.h5")["time"])
     go_on(folder, ranks=after)
     one, other = read_history(folder / "history.h5"), read_history(undisturbed / "history.h5")
-    assert len(one["time"]) == len(other["time"]) == 64
-    slips = [[(e["kind"], e["node"], e["start"]) for e in read_events(f / "events.csv")] for f in (folder, undisturbed)]
-    assert slips[0] == slips[1]
+    assert len(one["time"]) == len(other["time"]) > 60
+    logs = [read_events(f / "events.csv") for f in (folder, undisturbed)]
+    slips, starts = (
+        [[(e["kind"], e["node"]) for e in log] for log in logs],
+        [[e["start"] for e in log] for log in logs],
+    )
+    assert slips[0] == slips[1] and starts[0] == pytest.approx(starts[1], rel=1e-10)
     energy = max(np.abs(v).max() for k, v in other.items() if k.startswith("energy/"))
     natural = {"traction": 1.7e5, "pressure": 3e4, "opening": 1.7e-3, "slip": 1.7e-3, "displacement": 1.7e-3}
     for key in one:
@@ -175,7 +179,7 @@ def test_a_failed_solve_leaves_its_last_good_state(tmp_path):
 
 def test_a_finished_run_stays_as_it_is(whole):
     before = (whole / "history.h5").stat().st_mtime_ns
-    assert resume(whole).steps == 64
+    assert resume(whole).steps == len(read_history(whole / "history.h5")["time"])
     assert (whole / "history.h5").stat().st_mtime_ns == before
 
 
