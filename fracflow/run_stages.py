@@ -148,8 +148,8 @@ def run_stage(
         accuracy.max_events if locates else 0,
     )
     farthest = progress.get("farthest", 0.0)  # that a node has been
-    # supports that move are sampled by their means all along: their tables may have a kink in every step
-    splits = bool(rules.events) and not model.scene.moves_supports
+    # what may jump in any step is sampled by means, as all is where events are not located
+    splits = bool(rules.events) and not model.scene.jumps_anywhere
     jumps = model.scene.jump_times if splits else ()
 
     def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:

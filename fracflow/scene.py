@@ -158,9 +158,14 @@ class Scene(Part):
         return tuple(sorted({float(time) for table in _tables(self) for time in table.jumps[0]}))
 
     @property
-    def moves_supports(self) -> bool:
-        """Whether a support is moved in the course of time."""
-        return any(len(table.times) > 1 for support in self.support for table in _tables(support))
+    def jumps_anywhere(self) -> bool:
+        """Whether something prescribed may jump at other instants than ``jump_times``.
+
+        A support that is moved has kinks in its table; a wave that jumps arrives later at nodes further on.
+        """
+        moved = any(len(table.times) > 1 for support in self.support for table in _tables(support))
+        waves = (each.wave.velocity for each in self.absorbing if each.wave is not None)
+        return moved or any(len(velocity.jumps[0]) > 0 for velocity in waves)
 
     @property
     def carries_unbalanced(self) -> bool:

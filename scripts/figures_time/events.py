@@ -31,16 +31,18 @@ class Push:
     ratio: float
 
 
-PUSHES = (
-    Push(
-        "half sine of 2.64 for 3.4 s, 0.8",
-        lambda t: 2.64 * np.sin(np.pi * t / 3.4) if t < 3.4 else 0.0,
-        (3.4,),
-        20.0,
-        0.8,
-    ),
-    Push("1.2 sin 0.8 t, 0.9", lambda t: 1.2 * np.sin(0.8 * t), (), 60.0, 0.9),
-)
+def half_sine(ratio: float, end: float) -> Push:
+    """2.64 at most, for 3.4 s."""
+    name = f"half sine of 2.64 for 3.4 s, {ratio:g}"
+    return Push(name, lambda t: 2.64 * np.sin(np.pi * t / 3.4) if t < 3.4 else 0.0, (3.4,), end, ratio)
+
+
+def harmonic(ratio: float, end: float) -> Push:
+    """1.2 sin 0.8 t."""
+    return Push(f"1.2 sin 0.8 t, {ratio:g}", lambda t: 1.2 * np.sin(0.8 * t), (), end, ratio)
+
+
+PUSHES = (half_sine(0.8, 20.0), harmonic(0.9, 60.0))
 
 
 def exact(samples: Floats, push: Push) -> Floats:
