@@ -192,7 +192,12 @@ class Newton:
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
             raise SingularMatrix
-        check_step(self.snes.getKSP(), step, self.balance, problem, self.prefix)
+        try:
+            check_step(self.snes.getKSP(), step, self.balance, problem, self.prefix)
+        except NotConverged:
+            if self._floats(problem):
+                self._refuse_floating(problem)
+            raise
         change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
         change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
         self._step = change.norm()
