@@ -1,12 +1,11 @@
 """F8: between unlike rocks a sliding fault makes waves grow: as the dispersion relation says, capped by k_n; the card warns."""
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from figures_stability.s7 import Waves
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
@@ -16,9 +15,6 @@ from fracflow.run_start import rest, settle
 from fracflow.run_steps import Stepping
 from fracflow.scene import load
 from fracflow.stepping import Newmark
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from figures_stability.s7 import Waves
 
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f8_dissimilar/scene.toml"

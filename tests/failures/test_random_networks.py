@@ -1,12 +1,7 @@
 """Networks with apertures over four decades under injection: each ends right, or named. 200 of them: scripts/benches."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benches"))
 import random_networks
 
 from fracflow._petsc import MPI

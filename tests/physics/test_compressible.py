@@ -1,18 +1,13 @@
 """A compressible fluid, of density exp(c_f (p - p0)): what it stores and keeps, how fast pressure spreads, orders and books."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import winkler
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
 from fracflow.output import list_steps, read_step
 from fracflow.scene import load
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import winkler
 
 FILM = {"backward-euler": 1, "bdf2": 2, "trapezoid": 2}
 SOFT = winkler.SCENE.replace("viscosity = 1", "viscosity = 1\ncompressibility = 0.1")

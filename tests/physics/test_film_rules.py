@@ -1,15 +1,10 @@
 """Rules of the film without inertia: their order, and the books of energy in every pair of matrices."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import winkler
 
 from fracflow.assembly.flow import STORAGE, is_transposed
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import winkler
 
 RULES = {"backward-euler": 1, "bdf2": 2, "trapezoid": 2}
 DRAINED = """

@@ -1,10 +1,8 @@
 """Films on springs and cracks in rock, run through the public interface; the similarity solution they share."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import winkler
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -12,9 +10,6 @@ from fracflow._petsc import MPI
 from fracflow.output import read_history
 from fracflow.run import run
 from fracflow.scene import load
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import winkler
 
 FAR = 8.0
 

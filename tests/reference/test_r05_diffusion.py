@@ -4,16 +4,11 @@ With a conductance of its own the film is linear at any pressure (Carslaw and Ja
 and 3.4); with the cubic law D grows with the opening, and the profile is a similarity solution (Wijesinghe 1986).
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import winkler
 from scipy.integrate import trapezoid
 from scipy.special import erfc
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import winkler
 
 LU = "method.coupling=whole-lu"
 ORDER = {"backward-euler": 1, "bdf2": 2, "trapezoid": 2}

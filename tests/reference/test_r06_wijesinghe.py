@@ -4,13 +4,8 @@ Fracture, fluid and stress of the public benchmark "single_fracture" of OpenGeoS
 60 GPa bends and adds some 8 % to k_n, so here the rock is of 1 Pa: each node of the film opens by itself.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 import winkler
 
 APERTURE, STIFFNESS, VISCOSITY, AT_REST, PUMPED = 1e-5, 1e11, 1e-3, 11e6, 11.9e6

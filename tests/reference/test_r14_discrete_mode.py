@@ -6,19 +6,16 @@ mesh cos(qx) is a mode of all of them; with e = (2 + cos qh)/3, e_F = (1 + cos q
 In space-time a rule multiplies the mode by what its formula says of s_h dt, from which s_h is had back without error.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import winkler
 
 from fracflow._petsc import MPI
 from fracflow.output import read_history
 from fracflow.run import run
 from fracflow.scene import load
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import winkler
 
 PAIRS = {
     "lumped": ("lumped", "lumped"),

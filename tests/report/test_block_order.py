@@ -1,12 +1,7 @@
 """R02: the block of 5.2 pushed until it slips: second order in the step, with a strength drop where events are located."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from figures_time.events import exact, half_sine, harmonic
 
 STEPS = (0.2, 0.1, 0.05, 0.025)

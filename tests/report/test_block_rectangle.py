@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from test_block_order import Push, exact
+from figures_time.events import Push, exact
 
 PUSH, LASTS, END = 2.25, 3.4, 12.0
-RECTANGLE = Push(lambda t: PUSH if t < LASTS - 1e-12 else 0.0, (LASTS,), END)
+RECTANGLE = Push("rectangle", lambda t: PUSH if t < LASTS - 1e-12 else 0.0, (LASTS,), END, 1.0)
 STEPS = np.array([0.1, 0.05, 0.025])
 STEP_TABLE = f'{{time = [0, {LASTS}], value = [{PUSH}, 0], interpolation = "step"}}'
 TWO_ROWS = f"[[0, 0], [0, {PUSH}], [{LASTS}, {PUSH}], [{LASTS}, 0]]"
@@ -14,7 +14,7 @@ TWO_ROWS = f"[[0, 0], [0, {PUSH}], [{LASTS}, {PUSH}], [{LASTS}, 0]]"
 def _error(ran, dt, table, *overrides):
     history = ran("report_5_2", f"load.0.traction=[{table}, 0]", f"stage.0.time_step={dt}", *overrides).history
     seen = history["time"] < END
-    right = exact(history["time"][seen], RECTANGLE, 1.0)
+    right = exact(history["time"][seen], RECTANGLE)
     largest = max(np.abs(v).max() for k, v in history.items() if k.startswith("energy/"))
     assert np.abs(history["energy/residual"]).max() <= 1e-10 * largest
     return np.abs(history["probe/block/displacement"][seen, 0] - right).max() / np.abs(right).max()
@@ -45,6 +45,6 @@ def test_a_stage_that_ends_at_the_jump_changes_nothing_of_the_order(ran):
     for dt in STEPS:
         table = f"load.0.traction=[{STEP_TABLE}, 0]"
         history = ran("report_5_2", table, stages.replace("DT", str(dt))).history
-        right = exact(history["time"], RECTANGLE, 1.0)
+        right = exact(history["time"], RECTANGLE)
         errors.append(np.abs(history["probe/block/displacement"][:, 0] - right).max() / np.abs(right).max())
     assert _order(errors) > 1.8 and errors[0] < 2.8e-3, errors

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from fracflow.run import resume, run
 from fracflow.scene import load
 
 MESHES = Path(__file__).parents[2] / "meshes"
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from physics.test_absorbing import STILL, STRESSED  # noqa: E402
 from physics.test_along_fractures import RIGID  # noqa: E402
 from physics.test_books import CRACK, DYNAMIC, QUASI  # noqa: E402

@@ -1,12 +1,7 @@
 """The small map of the energy that contact makes, with its bars."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from figures_stability import s2
 
 pytestmark = pytest.mark.serial

@@ -1,12 +1,7 @@
 """The small map of pressure overshoot, with its bars."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from figures_stability import s3
 
 pytestmark = pytest.mark.serial

@@ -1,12 +1,7 @@
 """The small map of Newton on one joint, with its bars; and the closed forms it is judged by."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from figures_stability import s4
 
 pytestmark = pytest.mark.serial

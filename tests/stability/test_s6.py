@@ -1,12 +1,7 @@
 """The small map of rupture along a bar, with its bars, and the published thresholds."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from figures_stability import s6
 
 pytestmark = pytest.mark.serial
