@@ -50,6 +50,7 @@ class Rupture:
     residual: float
     steps: int
     seconds: float
+    seconds_of_a_rank: float
 
 
 def time_step_of(stepper: str, side: float) -> float:
@@ -110,9 +111,10 @@ def measure(stepper: str, side: float, ranks: int, out: Path) -> tuple[Rupture, 
     given |= {"method.contact": "lumped"}  # as explicit steps have it; no wall leaves the other
     for key, value in given.items():
         command += ["--set", f"{key}={value}"]
-    began = time.perf_counter()
+    began, spent = time.perf_counter(), os.times()
     subprocess.run(command, check=True, env=clean, stdout=subprocess.DEVNULL)
-    seconds = time.perf_counter() - began
+    seconds, after = time.perf_counter() - began, os.times()
+    each = (after.children_user + after.children_system - spent.children_user - spent.children_system) / ranks
     found = fracflow.open(folder / "run")
     history, where = found.history, np.arange(-15.0 + EVERY, 15.0, EVERY)
     slips = {x: np.ravel(history[f"probe/x{x:g}/slip"]) for x in where}
@@ -126,7 +128,7 @@ def measure(stepper: str, side: float, ranks: int, out: Path) -> tuple[Rupture, 
     rupture = Rupture(
         stepper, side, ranks, dt, tuple(curve[x] for x in PLACES), float(final.max()),
         float(max(np.abs(rate).max() for rate in rates.values())), float(SHEAR_MODULUS * final.sum() * EVERY * 1e3),
-        float(np.abs(history["energy/residual"]).max() / books), len(history["time"]) - 1, seconds,
+        float(np.abs(history["energy/residual"]).max() / books), len(history["time"]) - 1, seconds, each,
     )  # fmt: skip
     return rupture, {
         "middle": middle,
@@ -174,7 +176,10 @@ def main() -> None:
     found, wrong = [], False
     names = [f"t({x:g} km) [s]" for x in PLACES]
     print(
-        "stepper, side [m], dt [ms], " + ", ".join(names) + ", slip [m], slip rate [m/s], moment/m [N], books, steps, s"
+        "stepper, side [m], dt [ms], "
+        + ", ".join(names)
+        + ", slip [m], slip rate [m/s], moment/m [N], books, steps, s,"
+        " CPU s a rank"
     )
     for stepper in given.steppers:
         before: Rupture | None = None
@@ -185,7 +190,7 @@ def main() -> None:
             print(
                 f"{stepper}, {side:g}, {1e3 * rupture.time_step:.3g}, {', '.join(row)}, {rupture.largest_slip:.4g},"
                 f" {rupture.largest_rate:.4g}, {rupture.moment:.5g}, {rupture.residual:.1e}, {rupture.steps},"
-                f" {rupture.seconds:.0f}", flush=True,
+                f" {rupture.seconds:.0f}, {rupture.seconds_of_a_rank:.0f}", flush=True,
             )  # fmt: skip
             change = np.inf if before is None else differ(rupture, before)
             before = rupture
