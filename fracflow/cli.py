@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fracflow.run_totals import Totals
     from fracflow.scene import Scene
 
+WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
 USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
@@ -54,7 +55,7 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
     given = load(scene, set_ or [])
     folder = output or Path("runs") / given.name
     on_root(comm, lambda: check_folder(folder))
-    console = Console(quiet=comm.rank > 0, highlight=False)
+    console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True)
     if (folder / "history.h5").exists():
@@ -80,7 +81,7 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     comm = MPI.COMM_WORLD
     on_root(comm, lambda: check_folder(folder, resume=True))
     on_root(comm, lambda: require_run(folder))
-    console = Console(quiet=comm.rank > 0, highlight=False)
+    console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True)
     watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))
@@ -91,7 +92,7 @@ def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: C
     total, start = 0, 0.0
     for stage in scene.stage:
         count = stage.step_count(start) or 0
-        total, start = total + count, start + count * (stage.time_step or 0.0)
+        total, start = total + count, stage.finish(start)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -161,7 +162,7 @@ def check(
         typer.echo(f"{decision.part}: {verb} ({decision.criterion}: {decision.value})")
     for note in notes:
         typer.echo(f"note: {note}")
-    tell_card(card_records(numbers), Console(highlight=False))
+    tell_card(card_records(numbers), Console(highlight=False, width=WIDTH))
 
 
 @app.command("mesh")
@@ -229,7 +230,7 @@ def schema(as_json: Annotated[bool, typer.Option("--json", help="as JSON schema"
     table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
     for row in rows(Scene.json_schema()):
         table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
-    Console(highlight=False, width=None if sys.stdout.isatty() else 200).print(table)
+    Console(highlight=False, width=WIDTH).print(table)
 
 
 def petsc_options(petsc: object, words: list[str]) -> None:

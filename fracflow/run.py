@@ -143,7 +143,7 @@ def _steps(
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
-                    entered = stepping.enter(state, stepper_of(scene, stage), stage.time_step or 0.0)
+                    entered = stepping.enter(state, stepper_of(scene, stage), stage.step_length(state.time))
                     state.destroy()
                     state, going_on = entered, {}
                 steps = equilibrate if stage.kind == "equilibrate" else run_stage

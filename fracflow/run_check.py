@@ -23,7 +23,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number]]:
     layout, start, steps = model.operators.layout, 0.0, 0
     for stage in scene.stage:
         count = stage.step_count(start) or 0
-        steps, start = steps + count, start + count * (stage.time_step or 0.0)
+        steps, start = steps + count, stage.finish(start)
     found = {
         **summary(model.mesh),
         "displacement unknowns": int(layout.solid_starts[-1]) - len(model.operators.blocks.solid.unused),

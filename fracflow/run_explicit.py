@@ -43,16 +43,17 @@ class ExplicitSteps:
     def may_locate(self, stepper: Stepper, dt: float) -> bool:
         """Whether steps of length ``dt`` may end at events; what an explicit rule makes of them goes to the log. Collective.
 
-        Parts of a step end where they end; and with a fluid a change of the step lets the trapezoidal film ring.
+        Where rock deforms they may not: central differences with parts of all lengths feed energy into the walls' modes.
         """
         if not isinstance(stepper, Explicit):
             return True
-        count, critical, is_dry = self.count(dt), self.coupling.critical, self.model.operators.flow is None
+        count, critical = self.count(dt), self.coupling.critical
+        locates = math.isinf(critical) and self.model.operators.flow is None
         limit = f"critical time step of the rock {critical:.6g}" if math.isfinite(critical) else "no rock deforms"
         cut = f"; time_step {dt:.6g} is taken in {count} parts of {dt / count:.6g}" if count > 1 else ""
-        ends = "" if count == 1 and is_dry else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
+        ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
         self.log(f"explicit: {limit}, whatever the stiffness of joints{cut}{ends}")
-        return count == 1 and is_dry
+        return locates
 
     def in_parts(
         self,

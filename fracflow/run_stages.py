@@ -134,14 +134,14 @@ def run_stage(
     if stage.takes_no_time:
         yield from search_incipient(stepping, state, number, log, progress)
         return
-    assert stage.time_step is not None
     controls, control = dict(state.controls), stage.control or ""
     start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
-    count = stage.step_count(start)
+    count, whole_step = stage.step_count(start), stage.time_step or 0.0
+    dt = whole_step
     place = Place.of(progress)
     method, accuracy = model.scene.method, model.scene.accuracy
-    locates = stepping.explicit.may_locate(stepper, stage.time_step) and stepper.inertia and method.events == "located"
+    locates = stepping.explicit.may_locate(stepper, dt) and stepper.inertia and method.events == "located"
     rules = Rules(
         most_halvings(model.scene),
         0 if accuracy.step_error is None else stepper.order,
@@ -153,22 +153,23 @@ def run_stage(
     jumps = model.scene.jump_times if splits else ()
 
     def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
-        assert stage.time_step is not None
-        jump = next_jump(jumps, start + (n - 1) * stage.time_step, stage.time_step, begin, end)
+        jump = next_jump(jumps, start + (n - 1) * whole_step, dt, begin, end)
         end = end if jump is None else jump
-        whole = stage.time_step * (end - begin)
+        whole = dt * (end - begin)
 
         def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
-            assert stage.time_step is not None
             to = end if share == 1.0 else begin + share * (end - begin)
             lacking = 0.0 if stepper.inertia else still_lacking(begin, to)
-            now, time = on_the_way(old.controls, controls, begin, to), start + (n - 1 + to) * stage.time_step
+            now, time = (
+                on_the_way(old.controls, controls, begin, to),
+                start + (n - 1 + to * (dt / whole_step)) * whole_step,
+            )
             if splits:  # parts end at jumps, which are then no matter of means
                 ahead = 0.0
             elif to == 1.0:
-                ahead = 0.0 if n == count else stage.time_step
+                ahead = 0.0 if n == count else stage.step_length(start, n + 1)
             else:
-                ahead = share * whole if share == 1.0 else (1.0 - to) * stage.time_step
+                ahead = share * whole if share == 1.0 else (1.0 - to) * dt
             return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead)
 
         new, report, share = (
@@ -181,13 +182,14 @@ def run_stage(
         if share == 1.0 and jump is not None and not (n == count and end == 1.0):
             left = new
             try:
-                new = stepping.enter(left, stepper, stage.time_step)
+                new = stepping.enter(left, stepper, dt)
             finally:
                 left.destroy()
         return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin), error)
 
     while count is None or n < count:
         n += 1
+        dt = stage.step_length(start, n)
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + n * stage.increment_per_step)
         for part in in_parts(attempt, state, rules, log, place):
@@ -203,6 +205,6 @@ def run_stage(
             place = part.place.next_step() if part.is_last else part.place
             there: Progress = {"n": n if part.is_last else n - 1, "start": start, "base": base, "held": float(held)}
             there = {**there, **place.as_progress(), "farthest": farthest}
-            yield Step(state, number, stage.time_step * (part.end - part.start), part.report, DONE if ends else there)
+            yield Step(state, number, dt * (part.end - part.start), part.report, DONE if ends else there)
             if ends:
                 return

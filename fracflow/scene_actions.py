@@ -273,6 +273,18 @@ class Stage(Part):
         """Whether the stage only searches a steady state, at a standing clock."""
         return self.kind == "equilibrate" or (self.kind == "steady" and self.until is not None)
 
+    def step_length(self, start: float, number: int = 1) -> float:
+        """Length of step ``number`` (from 1) of a stage that begins at ``start``, 0 if it has none; one ends at ``end``."""
+        if self.time_step is None or self.end is None or number != self.step_count(start):
+            return self.time_step or 0.0
+        last = self.end - start - (number - 1) * self.time_step
+        return self.time_step if abs(last - self.time_step) <= 1e-9 * self.time_step else last
+
+    def finish(self, start: float) -> float:
+        """When the stage ends that begins at ``start``, as far as the scene bounds it."""
+        count = self.step_count(start) or 0
+        return start + max(count - 1, 0) * (self.time_step or 0.0) + (self.step_length(start, count) if count else 0.0)
+
     def step_count(self, start: float) -> int | None:
         """Count the steps of a stage that begins at ``start`` until ``end``; None where nothing bounds it."""
         if self.steps is not None or self.end is None or self.time_step is None:

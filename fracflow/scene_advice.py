@@ -1,8 +1,10 @@
-"""Values that are allowed but unusual: a unit may have been forgotten."""
+"""What is allowed but unusual: a unit may have been forgotten, a step may be too long."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from itertools import pairwise
 
 from fracflow.profiles import Profile
 from fracflow.scene import Scene
@@ -27,7 +29,7 @@ USUAL = {
 
 def advice(scene: Scene) -> list[str]:
     """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
-    return [*_idle(scene), *(_unusual(scene) if scene.units != "none" else ())]
+    return [*_idle(scene), *_too_long(scene), *(_unusual(scene) if scene.units != "none" else ())]
 
 
 def _idle(scene: Scene) -> Iterator[str]:
@@ -43,6 +45,26 @@ def _idle(scene: Scene) -> Iterator[str]:
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:
             yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture: it conducts by it from the start"
+
+
+def _too_long(scene: Scene) -> Iterator[str]:
+    """Steps of dynamic stages that lose a wave between two samples, or that the rule is not stable for whatever they are."""
+    longest = max((stage.time_step or 0.0 for stage in scene.stage if stage.kind == "dynamic"), default=0.0)
+    for absorbing in scene.absorbing:
+        times = absorbing.wave.velocity.times if absorbing.wave is not None else ()
+        shortest = min((after - time for time, after in pairwise(times) if after > time), default=math.inf)
+        if longest > shortest:
+            yield (
+                f"absorbing {', '.join(absorbing.on)}: time_step = {longest:g} is longer than {shortest:g}, the shortest"
+                " interval of the wave's table: what happens within a step is lost"
+            )
+    method = scene.method
+    if scene.has_dynamics and method.stepper == "newmark" and 2.0 * method.newmark_beta < method.newmark_gamma:
+        factor = (0.5 * method.newmark_gamma - method.newmark_beta) ** -0.5
+        yield (
+            f"method.newmark_beta = {method.newmark_beta:g} is below newmark_gamma/2: stable only for time_step below"
+            f" {factor:.3g}/omega of the fastest mode, which nothing keeps to; at {method.newmark_gamma / 2:g} any is stable"
+        )
 
 
 def _unusual(scene: Scene) -> Iterator[str]:

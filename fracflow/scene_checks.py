@@ -25,6 +25,7 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
     if not scene.stage:
         yield ("stage",), "missing; a run needs at least one [[stage]]"
     yield from _method(scene)
+    yield from _absorbing(scene)
     yield from _geometry(scene)
     yield from _materials(scene)
     yield from _controls(scene)
@@ -68,6 +69,17 @@ def _method(scene: Scene) -> Iterator[Fault]:
                 ("method", key),
                 f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper',
             )
+
+
+def _absorbing(scene: Scene) -> Iterator[Fault]:
+    held = {name for support in scene.support for name in support.on}
+    for index, absorbing in enumerate(scene.absorbing):
+        for name in absorbing.on if absorbing.wave is not None else ():
+            if name in held:
+                yield (
+                    ("absorbing", index, "on"),
+                    f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one',
+                )
 
 
 def _geometry(scene: Scene) -> Iterator[Fault]:

@@ -67,6 +67,7 @@ def describe(blocks: Blocks, scene: Scene) -> tuple[str, ...]:
     lines = []
     for absorbing in scene.absorbing if scene.has_dynamics else ():
         facets = facets_of(blocks, scene, absorbing)
+        lines += _leaves_by(blocks, absorbing)
         ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
         everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
         for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
@@ -75,6 +76,21 @@ def describe(blocks: Blocks, scene: Scene) -> tuple[str, ...]:
                 f" back (Poisson's ratio {ratio:.4g})"
             )
     return tuple(lines)
+
+
+def _leaves_by(blocks: Blocks, absorbing: Absorbing) -> list[str]:
+    """What the log should tell of sides by which the wave that they bring leaves. Collective."""
+    if absorbing.wave is None or absorbing.wave.direction is None:
+        return []
+    lines = []
+    for name in absorbing.on:
+        towards = outward(blocks, side_facets(blocks, name)) @ np.array(absorbing.wave.direction)
+        if blocks.comm.allreduce(float(towards.min(initial=np.inf)), op=MPI.MIN) > SAME:
+            lines.append(
+                f"absorbing {name}: the wave leaves by this side, which takes its energy off work_incident; to see it as"
+                " radiated give the side an [[absorbing]] of its own, without the wave"
+            )
+    return lines
 
 
 def damping(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat | None:

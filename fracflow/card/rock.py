@@ -31,6 +31,10 @@ def joint_step(view: View) -> Number:
     name, formula, joints = "joint time step", "dt omega = dt sqrt(k_n/m_rel)", view.joints
     if not view.dynamic:
         return Number(name, formula, note="no inertia")
+    method = view.scene.method
+    if method.stepper == "explicit" or method.contact == "redistributed":
+        why = "explicit: joints are solved" if method.stepper == "explicit" else "walls carry no inertia"
+        return Number(name, formula, note=why)
     film = max(view.dynamic, key=lambda each: each.time_step)
     value, _, where = view.worst(film.time_step * np.sqrt(joints.normal / joints.mass[:, None]))
     where = f"{where}, {film.name}"

@@ -35,7 +35,7 @@ def length_scale(view: View) -> Number:
     value, joint, where = view.worst(_slip_scale(view))
     note = _thin(view, joint, joints.shear.max(axis=1, initial=0.0))
     if not view.drops.any():
-        return Number(name, formula, value, None, False, where, note="no drop of strength")
+        return Number(name, formula, value, None, False, where, note="no abrupt drop of strength")
     if value is None or value <= RESOLVED:
         return Number(name, formula, value, RESOLVED, False, where, note=note)
     share = RESOLVED / value
@@ -89,7 +89,7 @@ def nucleation(view: View) -> Number:
         )
         return Number(name, formula, 0.0, None, True, where, remedy, "D_c = 0")
     if not view.weakens.any():
-        return Number(name, formula, note="no drop of strength")
+        return Number(name, formula, note="no abrupt drop of strength")
     ratio, joint, where = view.worst(joints.length[:, None] / _lengths(view, UNSTABLE, np.pi))
     if not ratio:  # rigid rock: slip has no length at all
         return Number(name, formula, note="rigid rock")

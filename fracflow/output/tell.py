@@ -23,6 +23,7 @@ BOOKS = (
 )  # fmt: skip
 MOST_EVENTS = 20
 OPEN = 1e-6  # of the largest entry of the books
+COARSE = 1e-2  # the same, of what closed forms of the stored energies leave
 
 
 def _nearest(folder: Path) -> str:
@@ -56,11 +57,21 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)
-    left, most = (max(np.abs(history[f"energy/{name}"]).max() for name in names) for names in (("residual",), BOOKS))
+    left, closed, most = (
+        max(np.abs(history[f"energy/{name}"]).max() for name in names)
+        for names in (("residual",), ("residual_closed",), BOOKS)
+    )
     if left > OPEN * most:
         console.print(
             f"! energy books: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
             " wrong unit, very wide beside very narrow fractures, or a loose tolerance",
+            soft_wrap=True,
+            markup=False,
+        )
+    if closed > COARSE * most:
+        console.print(
+            f"! energy books: with the closed forms of what joints store {closed / most:.1e} of the largest entry is left over:"
+            " steps are too long for the joints, or unstable; compare with a shorter time_step",
             soft_wrap=True,
             markup=False,
         )
@@ -71,7 +82,8 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
     heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
     slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")
     slips.title = "What slipped and when"
-    for event in events[:MOST_EVENTS]:
+    shown = sorted(events, key=lambda event: -abs(event["slip"]))[:MOST_EVENTS]
+    for event in sorted(shown, key=lambda event: event["start"]):
         end = "" if event["end"] is None else f"{event['end']:.6g}"
         slips.add_row(
             event["kind"],
@@ -84,7 +96,9 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         )
     console.print(slips)
     if len(events) > MOST_EVENTS:
-        console.print(f"and {len(events) - MOST_EVENTS} more in {folder / 'events.csv'}")
+        console.print(
+            f"and {len(events) - MOST_EVENTS} more, of smaller slip, in {folder / 'events.csv'}", soft_wrap=True
+        )
 
 
 def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:

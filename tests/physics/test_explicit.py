@@ -121,7 +121,7 @@ def test_second_order_with_a_joint_at_cfl_1(bar, stiffness):
     for n in (16, 32, 64):
         t = np.arange(3 * n + 1) / n
         rows = np.c_[t, np.where(t < 1.0, np.sin(np.pi * t) ** 2, 0.0)]
-        found = bar(n, rows, 2.4, stiffness)
+        found = bar(n, rows, 39 / 16, stiffness)
         u = found.probe("behind", "displacement")[:, 0]
         errors.append(np.abs(u - transmitted(found.history["time"] - 1.5, stiffness)).max())
         assert found.closes(1e-11)
@@ -258,3 +258,54 @@ def test_a_part_without_outlet_that_no_wall_gives_way_to_is_refused(run_scene):
     with pytest.raises(SolveError, match="needs walls that move"):
         run_scene(CRACK.format(compressibility=0.0).replace('pressure = "initial"', "flow_rate = 0"), "support.0.on=rock",
                   "method.stepper=explicit", "well.in.flow_rate=0")  # fmt: skip
+
+
+RUPTURE = """
+[rock.rock]
+youngs_modulus = 50e9
+poissons_ratio = 0.25
+density = 2700
+[initial_stress]
+xx = -30e6
+yy = -30e6
+xy = 16e6
+unbalanced = "carried"
+[[absorbing]]
+on = ["west", "east", "south", "north"]
+[geometry]
+domain = [0, 0, 2000, 1000]
+size = 80
+size_at_fractures = 40
+[[geometry.fracture]]
+name = "fault"
+points = [[600, 500], [1400, 500]]
+[fracture.fault]
+law = "slip-weakening"
+normal_stiffness = 500e9
+shear_stiffness = 500e9
+aperture = 1e-3
+friction_coefficient = 0.6
+dynamic_friction_coefficient = 0.4
+slip_weakening_distance = 0.01
+[fracture.fault.initial_shear_traction]
+along = [0, 300, 310, 490, 500, 800]
+value = [16e6, 16e6, 19e6, 19e6, 16e6, 16e6]
+[[probe]]
+name = "right"
+at = [1250, 500]
+on = "fault"
+[[stage]]
+kind = "dynamic"
+time_step = 4e-3
+end = 0.25
+"""
+
+
+def test_a_rupture_takes_events_at_the_ends_of_its_steps(run_scene):
+    """Parts of all lengths would feed waves of the walls: closing and opening, though a flat fault keeps its pressure."""
+    found = run_scene(RUPTURE, "method.stepper='explicit'")
+    assert found.probe("right", "normal_traction") == pytest.approx(-30e6, rel=0.15)
+    assert np.abs(found.history["energy/residual_closed"]).max() < 1e-3 * found.history["energy/friction"][-1]
+    assert found.history["time"][-1] == pytest.approx(0.25, rel=1e-12)  # the last step is as long as is left
+    assert np.diff(found.history["time"])[:-1] == pytest.approx(4e-3)
+    assert found.closes()
