@@ -19,7 +19,8 @@ WORLD = MPI.COMM_WORLD.Dup()  # the suite's own messages never meet those of the
 SIZE, RANK = WORLD.size, WORLD.rank
 PATIENCE = float(os.environ.get("FRACFLOW_TEST_PATIENCE", "300"))  # seconds a rank waits for the others
 PATIENCE_AFTER_FAILURE = 30.0
-APPLICATIONS = {"reference", "report", "stability", "bench"}  # tests/parallel compares some of them on three ranks
+APPLICATIONS = {"bench", "failures", "reference", "report", "resume", "stability", "stepping"}
+"""Folders of whole runs: on one and two ranks; tests/parallel and tests/resume compare some of them on three."""
 
 # Ranks must draw the same examples, and a failure must come back on the next run.
 settings.register_profile("fracflow", derandomize=True, deadline=None, database=None)
