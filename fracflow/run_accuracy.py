@@ -1,15 +1,21 @@
-"""How accurate a step is, estimated from its two ends."""
+"""How accurate a step is, estimated from its two ends, and what the scene asks."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.compression import compression_of
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats
+from fracflow.run_setup import Model
+from fracflow.scene_actions import Stage
 from fracflow.state import State
-from fracflow.stepping import Stepper
+from fracflow.stepping import Rates, Stepper, storage_error
 
+FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
 LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
 
 
@@ -42,3 +48,105 @@ def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
     here = float(np.linalg.norm(values, axis=1).max(initial=0.0))
     nodal.destroy()
     return operators.layout.comm.allreduce(here, op=MPI.MAX)
+
+
+class Judge:
+    """Whether the parts of a stage's steps are as accurate as asked, and relative to how much.
+
+    With ``accuracy.step_error`` the error that a part adds is held to that. With ``accuracy.tolerance`` it is held to a
+    share of it: with inertia dt/(length of the stage), for what is wrong stays wrong, and errors add up; without, where
+    only what the fractures store remembers, dt/(time since the stage began), for a film drains, and forgets the earlier
+    errors as it goes on. Neither: nothing is judged.
+    """
+
+    def __init__(
+        self, model: Model, stage: Stage, stepper: Stepper, start: float, progress: Mapping[str, float]
+    ) -> None:
+        """For a stage from ``start`` [time]; ``progress`` is what ``as_progress`` gave."""
+        self.operators, self.loads, self.stepper, self.start = model.operators, model.loads, stepper, start
+        asked = model.scene.accuracy
+        self.by_step, self.tolerance = asked.step_error, asked.tolerance
+        by_sum = self.by_step is None and self.tolerance is not None
+        self.of_film = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
+        self.length = None if stage.step_count(start) is None else stage.finish(start) - start
+        self.largest = progress.get("farthest", 0.0)
+        self.last = progress.get("last", 0.0)  # length of the last part [time]
+        # without inertia and fluid, time has no part in what a step ends with
+        judges = self.by_step is not None or self.of_film or (by_sum and stepper.inertia)
+        self.order = stepper.order if judges else 0
+        self.finest = FINEST if judges and by_sum else 0
+
+    @property
+    def told(self) -> str:
+        """By what, and of what, for the log."""
+        of = "volume stored in fractures" if self.of_film else "displacements"
+        return f"accuracy.tolerance = {self.tolerance:g} of {of}"
+
+    def error(self, dt: float, part: float, old: State, new: State) -> float:
+        """Error of a step over what is allowed; ``part`` is the length of the equal parts of ``dt``. Collective."""
+        if self.order == 0:
+            return 0.0
+        if self.by_step is not None:
+            return step_error(self.operators, self.stepper, part, old, new, self.largest) / self.by_step
+        assert self.tolerance is not None
+        # what was refused shows how far the motion will go
+        self.largest = max(self.largest, self._size(new))
+        if self.of_film:
+            error, span = self._film_error(dt, old, new), new.time - self.start
+        else:
+            error = step_error(self.operators, self.stepper, part, old, new, self.largest) * self.largest
+            span = new.time - self.start if self.length is None else self.length
+        allowed = self.tolerance * self.largest * min(1.0, dt / span)
+        return error / max(allowed, float(np.finfo(float).tiny))
+
+    def follow(self, state: State, dt: float) -> None:
+        """Take over the state that a part of length ``dt`` led to. Collective."""
+        self.last = dt
+        if self.order:
+            self.largest = max(self.largest, self._size(state))
+
+    def as_progress(self) -> dict[str, float]:
+        """What a checkpoint keeps of it."""
+        return {"farthest": self.largest, "last": self.last}
+
+    def _size(self, state: State) -> float:
+        """Largest displacement, or the volume that has gone in or out anywhere."""
+        if not self.of_film:
+            return largest_displacement(self.operators, state)
+        gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
+        if compression is not None and self.operators.flow is not None:
+            held = self.operators.layout.flow_vector()
+            self.operators.flow.taken_up(compression.held, held)
+            gone += held.getArray()
+            held.destroy()
+        return self._sum(gone)
+
+    def _film_error(self, dt: float, old: State, new: State) -> float:
+        """Volume that a part leaves where it does not belong [volume per thickness]. Collective."""
+        before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
+        last, passing, passed = self.last, after, before
+        if self.stepper.memory:
+            last = old.memory.time_step
+            passing = new.memory.velocity, new.memory.uptake
+            passed = (old.memory.velocity, old.memory.uptake) if last > 0.0 else before
+        rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
+        wrong: Floats = storage_error(self.stepper, dt, rates)
+        wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
+        return self._sum(wrong)
+
+    def _rate(self, of: tuple[PETSc.Vec | None, PETSc.Vec | None]) -> Floats:
+        """Rate of storage at this rank's flow nodes: of velocities of walls, and what compression takes up. Collective."""
+        walls, taken = of
+        assert walls is not None
+        return self._room(walls) + (0.0 if taken is None else taken.getArray(readonly=True))
+
+    def _room(self, walls: PETSc.Vec) -> Floats:
+        assert self.operators.flow is not None
+        room = self.operators.layout.flow_vector()
+        self.operators.flow.squeeze.multTranspose(walls, room)
+        found: Floats = room.getArray().copy()
+        room.destroy()
+        return found
+
+    def _sum(self, at_nodes: Floats) -> float:
+        return float(self.operators.layout.comm.allreduce(float(np.abs(at_nodes).sum()), op=MPI.SUM))

@@ -38,11 +38,13 @@ class Rules:
     most     times that it may be halved
     order    order of the local error in its length, 0 where nothing controls it
     events   events in a step that parts end at; later ones are taken as they fall
+    finest   times that it may be halved to be accurate, where that is not ``most``: it is then halved on from there
     """
 
     most: int
     order: int = 0
     events: int = 0
+    finest: int = 0
 
 
 @dataclass(frozen=True)
@@ -116,23 +118,22 @@ def in_parts(
     """
     place = place or Place()
     while place.fraction < 1.0:
-        tries, failed = _sizes(place, rules.most), None
-        for level, size in tries:
+        most = rules.most + (place.level if rules.finest else 0)
+        for level, size in _sizes(place, max(most, rules.finest)):
             start, end = place.fraction, replace(place, part=place.part + size).fraction
             try:
                 found = attempt(state, start, end, place.events < rules.events)
             except NotConverged as error:
-                failed = error
-                log(f"step halved: {str(error).partition(';')[0]}" if level < rules.most else f"step given up: {error}")
-                continue
-            if rules.order and found.error > 1.0 and level < rules.most:
+                log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
+                if level < most:
+                    continue
+                tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
+                raise NotConverged(f"{error}{tried}") from error
+            if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
                 place = replace(place, level=level + 1, calm=0)
                 continue
             break
-        else:
-            tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
-            raise NotConverged(f"{failed}{tried}") from failed
         place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
         yield PartOfStep(found.state, found.report, start, place)
         state = found.state

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 from scipy.optimize import brentq
 
 from fracflow._petsc import MPI
-from fracflow.errors import SolveError
-from fracflow.run_accuracy import largest_displacement, step_error
+from fracflow.errors import NotConverged, SolveError
+from fracflow.run_accuracy import Judge
 from fracflow.run_events import to_first_event
 from fracflow.run_parts import (
     Attempted,
@@ -140,14 +141,16 @@ def run_stage(
     count, whole_step = stage.step_count(start), stage.time_step or 0.0
     dt = whole_step
     place = Place.of(progress)
-    method, accuracy = model.scene.method, model.scene.accuracy
+    method, judge = model.scene.method, Judge(model, stage, stepper, start, progress)
     locates = stepping.explicit.may_locate(stepper, dt) and stepper.inertia and method.events == "located"
+    if judge.finest and not progress:
+        log(f"stage {_name(stage)}: parts of steps by {judge.told}")
     rules = Rules(
         most_halvings(model.scene),
-        0 if accuracy.step_error is None else stepper.order,
-        accuracy.max_events if locates else 0,
+        judge.order,
+        model.scene.accuracy.max_events if locates else 0,
+        judge.finest,
     )
-    farthest = progress.get("farthest", 0.0)  # that a node has been
     # what may jump in any step is sampled by means, as all is where events are not located
     splits = bool(rules.events) and not model.scene.jumps_anywhere
     jumps = model.scene.jump_times if splits else ()
@@ -170,15 +173,15 @@ def run_stage(
                 ahead = 0.0 if n == count else stage.step_length(start, n + 1)
             else:
                 ahead = share * whole if share == 1.0 else (1.0 - to) * dt
+            if judge.of_film and lacking > 0.0:  # a jump is there at once, or as soon as it can be
+                with suppress(NotConverged):
+                    return stepping.step(old, stepper, time, share * whole, now, hold=hold, ahead=ahead)
             return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead)
 
         new, report, share = (
             to_first_event(stepping, state, take, whole) if may_stop else (*take(state, 1.0, False), 1.0)
         )
-        error = 0.0
-        if accuracy.step_error is not None:
-            part = stepping.explicit.part(stepper, share * whole)
-            error = step_error(model.operators, stepper, part, state, new, farthest) / accuracy.step_error
+        error = judge.error(share * whole, stepping.explicit.part(stepper, share * whole), state, new)
         if share == 1.0 and jump is not None and not (n == count and end == 1.0):
             left = new
             try:
@@ -199,12 +202,11 @@ def run_stage(
                 held = True
                 controls[control] = state.controls[control]
                 log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
-            if accuracy.step_error is not None:
-                farthest = max(farthest, largest_displacement(model.operators, state))
+            judge.follow(state, dt * (part.end - part.start))
             ends = stage.until == "incipient" and failed
             place = part.place.next_step() if part.is_last else part.place
             there: Progress = {"n": n if part.is_last else n - 1, "start": start, "base": base, "held": float(held)}
-            there = {**there, **place.as_progress(), "farthest": farthest}
+            there = {**there, **place.as_progress(), **judge.as_progress()}
             yield Step(state, number, dt * (part.end - part.start), part.report, DONE if ends else there)
             if ends:
                 return

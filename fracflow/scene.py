@@ -17,12 +17,12 @@ from pydantic import (
 
 from fracflow import __version__
 from fracflow.errors import InputError
+from fracflow.scene_accuracy import Accuracy
 from fracflow.scene_actions import Absorbing, Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene_checks import check_mesh_names, contradictions
 from fracflow.scene_errors import nearest, one_line
 from fracflow.scene_materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
 from fracflow.scene_tables import (
-    Accuracy,
     Geometry,
     Line,
     Mesh,
@@ -58,7 +58,9 @@ class Scene(Part):
     )
     method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
     petsc: dict[str, Option] = Field(default_factory=dict, description="PETSc options, without the leading dash")
-    accuracy: Accuracy = Field(default_factory=Accuracy, description="when iterations have converged")
+    accuracy: Accuracy = Field(
+        default_factory=Accuracy, description="how accurate results are to be; when iterations have converged"
+    )
     output: Output = Field(default_factory=Output, description="what a run writes")
     geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
     mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")

@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 from .explicit import Explicit
-from .film import BDF2, BackwardEuler, Trapezoid, first
+from .film import BDF2, BackwardEuler, Rates, Trapezoid, first, storage_error
 from .generalised_alpha import GeneralisedAlpha
 from .hht import HHT
 from .implicit_euler import ImplicitEuler
@@ -50,6 +50,7 @@ __all__ = [
     "HasMotion",
     "ImplicitEuler",
     "Newmark",
+    "Rates",
     "Steady",
     "Stepper",
     "Trapezoid",
@@ -58,5 +59,6 @@ __all__ = [
     "first_rate",
     "keys_of",
     "stepper_from",
+    "storage_error",
     "velocity",
 ]

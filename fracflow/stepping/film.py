@@ -15,6 +15,39 @@ from .newmark import Alphas, Balance, HasMotion, Stepper, checked, error_by_rate
 
 
 @dataclass(frozen=True)
+class Rates:
+    """Rates of what is stored, around a step: at its start and its end, and the means of this step and of the last one.
+
+    last  length of the last step, 0 where there was none [time]
+    """
+
+    old: Any
+    new: Any
+    mean: Any
+    mean_last: Any
+    last: float
+
+
+def storage_error(stepper: Stepper, dt: float, rates: Rates) -> Any:
+    """About the error in what is stored that a step of a film rule adds, either sign, of its own order.
+
+    With divided differences for the derivatives: backward Euler leaves dt^2/2 of the second one, the trapezoid dt^3/12
+    of the third, BDF2 dt^2 (dt + last)^2/(6 (2 dt + last)) of it (Hairer, Norsett and Wanner 1993, III.5). Rules with a
+    memory begin by backward Euler.
+    """
+    last = rates.last
+    if last == 0.0:
+        return 0.5 * dt * (rates.new - rates.old)
+    before = 2.0 / last * (rates.old - rates.mean_last)  # the second derivative that the rule itself had
+    if isinstance(stepper, Trapezoid):
+        return dt**3 / 6.0 / (dt + last) * ((rates.new - rates.old) / dt - before)
+    now = 2.0 / (dt + last) * (rates.mean - rates.mean_last)
+    if isinstance(stepper, BDF2):
+        return dt**2 * (dt + last) ** 2 / (2.0 * (2.0 * dt + last) * (dt + 2.0 * last)) * (now - before)
+    return 0.5 * dt**2 * now
+
+
+@dataclass(frozen=True)
 class BackwardEuler:
     """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
 

@@ -113,3 +113,15 @@ def test_two_solves_of_a_step_cost_what_both_do():
     second = StepReport(1, 10, 7, 1, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, "", 1e-14, 1)
     right = StepReport(4, 50, 7, 6, 1e-12, 1e-12, (1.0, 0.1), 9.5, 0.5, 0.6, "why", 1e-13, 3)
     assert second.after(first) == right and second.after(StepReport()) == second
+
+
+def test_a_tolerance_halves_on_where_convergence_gives_up():
+    """1/32 is accurate; from there a part that does not converge is halved again as often as any."""
+    rules = Rules(2, order=2, finest=5)
+    sizes = [end - begin for begin, end, _ in taken(reaching(error=lambda size: (size / 0.04) ** 2), rules)]
+    assert sizes == [1 / 32] * 32
+    wrong = reaching(longest=1 / 128, error=lambda size: (size / 0.04) ** 2)
+    place = Place(level=5)
+    assert taken(wrong, rules, place)[0][:2] == (0.0, 1 / 128)
+    with pytest.raises(NotConverged, match="after 2 halvings"):
+        taken(reaching(longest=1 / 256), rules, place)

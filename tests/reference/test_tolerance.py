@@ -1,0 +1,86 @@
+"""``accuracy.tolerance``: the true error of what time steps made is of its size, and falls with it in proportion."""
+
+import numpy as np
+import pytest
+from test_r05_diffusion import LINEAR, LU, injection
+
+from fracflow import open as opened
+from fracflow import run
+from fracflow.scene import load
+
+TOLERANCES = (1e-2, 1e-3, 1e-4)
+N, END = 8, 0.4  # elements of the film, and the end of its stage, which is one step
+
+
+def proportional(errors, tolerances, most):
+    shares = np.divide(errors, tolerances)
+    assert shares.max() <= most and shares.max() <= 3.0 * shares.min(), shares
+
+
+def modes(pressure, time):
+    """(times, nodes) p = 1 - sum c_j sin(k_j x) exp(-s_j t), as in R05: no error of the mesh is left."""
+    k = (np.arange(N) + 0.5) * np.pi
+    rate = 2 * (1 - np.cos(k / N)) * N**2
+    x = np.linspace(0, 1, N + 1)
+    return pressure * (1 - (np.exp(-np.outer(time, rate)) / (N * np.tan(k / 2 / N))) @ np.sin(np.outer(k, x)))
+
+
+def error_of_film(film, text, pressure, *options):
+    """Largest error in time and along the film, and of the volume that is in a wrong place, of the largest there is."""
+    history, _ = film(np.linspace(0, 1, N + 1), text + injection(pressure, END, 1), *options, LU)
+    found = np.stack([history[f"probe/{i}/pressure"] for i in range(N + 1)], axis=1)
+    wrong = np.abs(found - modes(pressure, history["time"]))[1:] / pressure
+    return wrong.max(), wrong[:, 1:] @ np.array([1.0] * (N - 1) + [0.5]) / N
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "rule, tolerances", [("backward-euler", (1e-1, 1e-2)), ("bdf2", TOLERANCES), ("trapezoid", TOLERANCES)]
+)
+def test_pressure_that_diffuses_from_a_jump(film, rule, tolerances):
+    found = [
+        error_of_film(film, LINEAR, 1.0, f"method.film={rule}", f"accuracy.tolerance={each}") for each in tolerances
+    ]
+    proportional([largest for largest, _ in found], tolerances, 2.0)
+    proportional([volume.max() for _, volume in found], tolerances, 1.0)
+
+
+@pytest.mark.serial
+def test_of_a_fluid_that_is_stored_by_compression_alone(film):
+    """c_f d = 1 in place of 1/k_n = 1."""
+    text = LINEAR.replace("normal_stiffness = 1", "normal_stiffness = 1e7")
+    text = text.replace("viscosity = 1", "viscosity = 1\ncompressibility = 0.1")
+    tolerances, rule = (1e-2, 1e-3), "method.film=bdf2"
+    found = [error_of_film(film, text, 1e-4, rule, f"accuracy.tolerance={each}")[0] for each in tolerances]
+    proportional(found, tolerances, 2.0)
+
+
+def oscillation(folder, *options):
+    """Times and error of the block of R02, u'' + u = 1 from rest, over its largest displacement, 2."""
+    given = ["output.pictures=false", "fracture.default.law=linear", "load.0.traction=[1, 0]", "stage.0.end=4"]
+    found = run(load("meshes/report_5_2/scene.toml", [*given, "stage.0.time_step=1.5", *options]), folder)
+    moved = found.probe("block")["displacement"][:, 0]
+    return found.times, np.abs(moved - (1.0 - np.cos(found.times))).max() / 2.0
+
+
+@pytest.mark.parametrize("stepper, tolerances", [("newmark", TOLERANCES), ("hht", TOLERANCES[:2])])
+def test_oscillation_without_damping(shared_tmp, stepper, tolerances):
+    errors = [
+        oscillation(shared_tmp / str(each), f"accuracy.tolerance={each}", f"method.stepper={stepper}")[1]
+        for each in tolerances
+    ]
+    proportional(errors, tolerances, 1.5)
+
+
+def test_what_a_step_may_add_takes_its_place(shared_tmp):
+    alone, _ = oscillation(shared_tmp / "alone", "accuracy.step_error=1e-3")
+    both, _ = oscillation(shared_tmp / "both", "accuracy.step_error=1e-3", "accuracy.tolerance=1e-6")
+    assert np.array_equal(alone, both)
+
+
+def test_steps_that_hold_nothing_stay_whole(shared_tmp):
+    """Without inertia and fluid time has no error."""
+    given = ["output.pictures=false", "stage.0.kind=quasi-static", "accuracy.tolerance=1e-6", "stage.0.end=2"]
+    given += ["fracture.default.law=linear"]
+    run(load("meshes/report_5_2/scene.toml", given), shared_tmp / "run")
+    assert opened(shared_tmp / "run").times == pytest.approx(np.linspace(0.0, 2.0, 21))
