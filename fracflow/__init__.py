@@ -1,6 +1,7 @@
 """fracflow: fluid flow in systems of deformable fractured rock, after UC SESM 76-5 (Hilber and Taylor, 1976).
 
-From Python: ``load`` a scene, ``run`` it, or ``open`` the folder of a run; what ``run`` and ``open`` give is a ``Run``.
+From Python: ``load`` a scene, ``run`` it, or ``open`` the folder of a run; what ``run`` and ``open`` give is a ``Run``;
+``converge`` runs it on finer meshes and estimates errors.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["InputError", "Interrupted", "Run", "SolveError", "load", "open", "run"]
+__all__ = ["InputError", "Interrupted", "Run", "SolveError", "converge", "load", "open", "run"]
 
 if TYPE_CHECKING:
-    from fracflow.api import Run, load, open, run
+    from fracflow.api import Run, converge, load, open, run
     from fracflow.errors import InputError, Interrupted, SolveError
 
 

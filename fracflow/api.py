@@ -17,9 +17,10 @@ from fracflow.output.export import export_csv
 from fracflow.output.history import read_attributes, read_history
 
 if TYPE_CHECKING:
+    from fracflow.output.convergence import Row
     from fracflow.scene import Scene
 
-__all__ = ["Run", "load", "open", "run"]
+__all__ = ["Run", "converge", "load", "open", "run"]
 
 Arrays = dict[str, NDArray[Any]]
 _EVENT = {"kind": "U8", "node": np.int64, **dict.fromkeys(("x", "y", "start", "end", "slip", "peak_slip_rate"), float)}
@@ -156,6 +157,23 @@ def run(scene: Scene, out: str | Path | None = None) -> Run:
     if failure is not None:
         raise failure
     return Run(folder)
+
+
+def converge(scene: Scene, out: str | Path | None = None, levels: int = 3) -> tuple[Run, list[Row]]:
+    """Run a scene on ``levels`` meshes, each with cells and time steps half as large as the one before, and compare.
+
+    Leaves the runs in level-0, level-1, ... of the folder ``out``, by default runs/<name of the scene>-converge, beside
+    converge.csv, converge.json and converge.png; runs that are complete there are not made again. Gives the finest
+    run, and for each quantity its observed order and estimated error, in the scene's units, with a warning where these are
+    not to be trusted. Under mpirun every rank must call it. Raises as ``run`` does.
+    """
+    from fracflow._petsc import MPI
+    from fracflow.run_converge import converge
+
+    folder = Path("runs") / f"{scene.name}-converge" if out is None else Path(out)
+    comm = MPI.COMM_WORLD
+    rows = comm.bcast(converge(scene, folder, levels, lambda level: level.run(), comm))
+    return Run(folder / f"level-{levels - 1}"), rows
 
 
 def open(folder: str | Path) -> Run:

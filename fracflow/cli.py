@@ -7,23 +7,18 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from fracflow.cli_runs import run_levels, watched
 from fracflow.endings import abort, stop
 from fracflow.errors import InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
-    from fracflow._petsc import MPI
     from fracflow.card import Number
-    from fracflow.run import Progress as Tick
-    from fracflow.run_totals import Totals
-    from fracflow.scene import Scene
 
 WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
 USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
@@ -38,7 +33,19 @@ Output = Annotated[
 
 
 @app.command("run", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
-def run_command(context: typer.Context, scene: SceneFile, output: Output = None, set_: Overrides = None) -> None:
+def run_command(
+    context: typer.Context,
+    scene: SceneFile,
+    output: Output = None,
+    set_: Overrides = None,
+    converge: Annotated[
+        int | None,
+        typer.Option(
+            metavar="[LEVELS]",
+            help="run it on 3 (or so many) meshes, cells and steps halved from one to the next, and estimate errors",
+        ),
+    ] = None,
+) -> None:
     """Run a scene, alone or under mpirun; what follows -- goes to PETSc."""
     from fracflow._petsc import MPI, PETSc
 
@@ -53,11 +60,14 @@ def run_command(context: typer.Context, scene: SceneFile, output: Output = None,
 
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [])
-    folder = output or Path("runs") / given.name
-    on_root(comm, lambda: check_folder(folder))
     console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True)
+    if converge is not None:
+        run_levels(given, output or Path("runs") / f"{given.name}-converge", converge, console, comm)
+        return
+    folder = output or Path("runs") / given.name
+    on_root(comm, lambda: check_folder(folder))
     if (folder / "history.h5").exists():
         console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True)
 
@@ -85,52 +95,6 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True)
     watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))
-
-
-def watched(scene: Scene, folder: Path, console: Console, comm: MPI.Comm, job: Callable[[Tick], Totals]) -> None:
-    """Do a job with its progress in sight, then tell and draw what it left. Raises what the job raises."""
-    total, start = 0, 0.0
-    for stage in scene.stage:
-        count = stage.step_count(start) or 0
-        total, start = total + count, stage.finish(start)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed} steps"),
-        TimeRemainingColumn(),
-    )
-    from fracflow.coupling.defaults import forget
-
-    totals, failure = None, None
-    screen = Console(stderr=True, quiet=comm.rank > 0)
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        task = bar.add_task(scene.title or str(folder), total=total or None)
-        try:
-            totals = job(lambda stage, time, state: bar.advance(task))
-        except SolveError as error:
-            failure = error
-        except Interrupted as error:
-            raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
-        finally:
-            forget()
-    if comm.rank == 0:
-        show(folder, console, scene.output.pictures, failure is not None)
-    comm.barrier()  # all ranks end together, in whichever way
-    if failure is not None:
-        raise SolveError(f"{failure}; what was reached is in {folder}")
-    if totals is not None:
-        counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
-        console.print(counts)
-
-
-def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
-    """Tell what a run folder holds, and draw it."""
-    from fracflow.output.pictures import draw
-    from fracflow.output.tell import tell
-
-    tell(folder, console, failed)
-    for path in draw(folder) if pictures else ():
-        console.print(f"picture: {path}", soft_wrap=True)
 
 
 @app.command()
@@ -248,11 +212,20 @@ def petsc_options(petsc: object, words: list[str]) -> None:
         database.setValue("options_left", "")
 
 
+def with_levels(words: list[str]) -> list[str]:
+    """The words of a command, with the usual number of levels where ``--converge`` names none."""
+    if "--converge" not in words:
+        return words
+    at = words.index("--converge") + 1
+    is_given = at < len(words) and re.fullmatch(r"[-+]?[\d.]+", words[at]) is not None
+    return words if is_given else [*words[:at], "3", *words[at:]]
+
+
 def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
     warnings.formatwarning = lambda message, *_: f"note: {message}\n"
     try:
-        sys.exit(app(standalone_mode=False))
+        sys.exit(app(with_levels(sys.argv[1:]), standalone_mode=False))
     except USAGE as error:
         message = error.format_message() or "no command"  # type: ignore[attr-defined]
         stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)

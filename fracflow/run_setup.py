@@ -22,6 +22,7 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place
 from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh
+from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
 from fracflow.output.probes import refuse_missing
@@ -111,6 +112,8 @@ def _read_split(scene: Scene) -> SplitMesh:
                 snap=geometry.snap,
             )
         )
+    for _ in range(scene.refine):
+        raw = refined(raw)
     mesh = split(raw)
     scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
     return mesh

@@ -139,6 +139,12 @@ class Scene(Part):
         return None if self.mesh is None else (self.folder / self.mesh.file).resolve()
 
     @property
+    def refine(self) -> int:
+        """Times that every cell is cut in four."""
+        table = self.mesh or self.geometry
+        return 0 if table is None else table.refine
+
+    @property
     def unit_system(self) -> UnitSystem:
         """The units of all numbers of the scene."""
         return UnitSystem.parse(self.units)

@@ -34,6 +34,9 @@ Line = Annotated[str, Field(pattern=f"^({PLAIN_TEXT})?$")]
 Fraction = Annotated[float, Quantity(above=0.0, below=1.0)]
 Stress = Annotated[float, Quantity(STRESS)]
 Size = Annotated[float, Quantity(LENGTH, above=0.0)]
+MOST_REFINED = 12
+Refine = Annotated[int, Field(strict=True, ge=0, le=MOST_REFINED)]
+REFINED = "times that every cell of the mesh is cut in four like ones, which leaves its nodes where they are"
 
 
 def _option(value: object) -> object:
@@ -213,12 +216,14 @@ class Geometry(Part):
         " are never smaller [length]; 5 % of size_at_fractures if not given",
     )
     cells: Literal["triangles", "quads"] = Field(default="triangles", description="shape of the cells")
+    refine: Refine = Field(default=0, description=REFINED)
 
 
 class Mesh(Part):
     """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
 
     file: Name = Field(description=".geo or .msh file, relative to the scene")
+    refine: Refine = Field(default=0, description=REFINED)
 
 
 def with_preset(data: dict[str, Any]) -> dict[str, Any]:

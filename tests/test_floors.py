@@ -22,7 +22,7 @@ FLOORS = (
     ({"coupling"},),
     ({"output"},),
     ({"plan*", "card*", "run*"},),
-    ({"cli", "__main__", "endings"}, {"api"}),
+    ({"cli*", "__main__", "endings"}, {"api"}),
 )
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
 PLAIN = {"laws", "elements", "stepping"}  # NumPy only

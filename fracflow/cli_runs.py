@@ -1,0 +1,94 @@
+"""Runs at the command line: their progress in sight, and what they left told and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from fracflow.errors import Interrupted, SolveError
+
+if TYPE_CHECKING:
+    from fracflow._petsc import MPI
+    from fracflow.run import Progress as Tick
+    from fracflow.run_converge import Level
+    from fracflow.run_totals import Totals
+    from fracflow.scene import Scene
+
+
+def watched(
+    scene: Scene,
+    folder: Path,
+    console: Console,
+    comm: MPI.Comm,
+    job: Callable[[Tick], Totals],
+    title: str = "",
+    is_shown: bool = True,
+) -> None:
+    """Do a job with its progress in sight, then tell and draw what it left. Raises what the job raises."""
+    total, start = 0, 0.0
+    for stage in scene.stage:
+        count = stage.step_count(start) or 0
+        total, start = total + count, stage.finish(start)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed} steps"),
+        TimeRemainingColumn(),
+    )
+    from fracflow.coupling.defaults import forget
+
+    totals, failure = None, None
+    screen = Console(stderr=True, quiet=comm.rank > 0)
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
+        task = bar.add_task(title or scene.title or str(folder), total=total or None)
+        try:
+            totals = job(lambda stage, time, state: bar.advance(task))
+        except SolveError as error:
+            failure = error
+        except Interrupted as error:
+            raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
+        finally:
+            forget()
+    if comm.rank == 0 and (is_shown or failure is not None):
+        show(folder, console, scene.output.pictures, failure is not None)
+    comm.barrier()  # all ranks end together, in whichever way
+    if failure is not None:
+        raise SolveError(f"{failure}; what was reached is in {folder}")
+    if totals is not None:
+        counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
+        console.print(counts)
+
+
+def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
+    """Tell what a run folder holds, and draw it."""
+    from fracflow.output.pictures import draw
+    from fracflow.output.tell import tell
+
+    tell(folder, console, failed)
+    for path in draw(folder) if pictures else ():
+        console.print(f"picture: {path}", soft_wrap=True)
+
+
+def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
+    """Run a scene level by level, tell the finest run, and what the levels tell about its errors."""
+    from fracflow.output.convergence_look import tell
+    from fracflow.run_converge import check_levels, converge
+    from fracflow.scene_levels import order_in_time
+
+    def each(level: Level) -> None:
+        is_last, there = level.number == count - 1, {"all": "is there", "a part": "goes on"}.get(level.found, "")
+        console.print(f"level {level.number} of {count - 1}: {level.folder} {there}".rstrip(), soft_wrap=True)
+        name = f"level {level.number} {scene.title}".rstrip()
+        watched(level.scene, level.folder, console, comm, level.run, name, is_last)
+
+    check_levels(count, "command line: --converge")
+    rows = converge(scene, folder, count, each, comm)
+    if comm.rank == 0:
+        tell(rows, console, count, order_in_time(scene))
+        for ending in ("csv", "json", "png"):
+            console.print(f"convergence: {folder / f'converge.{ending}'}", soft_wrap=True)
+    comm.barrier()

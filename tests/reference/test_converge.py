@@ -1,0 +1,108 @@
+"""``fracflow.converge`` and ``--converge``: order and error it tells are those that a closed form shows."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import fracflow
+from fracflow._petsc import MPI
+
+# A bar of E = rho = 1 and nu = 0, so that c = 1, held at one end and pushed at the other.
+BAR = """
+units = "none"
+title = "a bar pushed at its end"
+output.pictures = false
+rock.rock = {{youngs_modulus = 1, poissons_ratio = 0, density = 1}}
+mesh.file = "bar.geo"
+support = [{{on = ["south", "north"], components = ["y"]}}, {{on = "west"}}]
+load = [{{on = "east", traction = [{push}, 0]}}]
+probe = [{{name = "end", at = [1, 0], quantities = ["displacement", "velocity"]}}, {{name = "middle", at = [0.51, 0], quantities = ["stress"]}}]
+stage = [{{kind = "dynamic", time_step = {step}, end = 1.5}}]
+"""
+GEO = """
+n = {cells};
+Point(1) = {{0, 0, 0}}; Point(2) = {{1, 0, 0}}; Point(3) = {{1, 0.1, 0}}; Point(4) = {{0, 0.1, 0}};
+Line(1) = {{1, 2}}; Line(2) = {{2, 3}}; Line(3) = {{3, 4}}; Line(4) = {{4, 1}};
+Curve Loop(1) = {{1, 2, 3, 4}}; Plane Surface(1) = {{1}};
+Transfinite Curve {{1, 3}} = n + 1; Transfinite Curve {{2, 4}} = 2; Transfinite Surface {{1}}; Recombine Surface {{1}};
+Physical Surface("rock") = {{1}};
+Physical Curve("south") = {{1}}; Physical Curve("east") = {{2}}; Physical Curve("north") = {{3}}; Physical Curve("west") = {{4}};
+"""
+
+
+def bar(folder, push, cells=16, step=0.05):
+    if MPI.COMM_WORLD.rank == 0:
+        (folder / "bar.geo").write_text(GEO.format(cells=cells))
+        (folder / "scene.toml").write_text(BAR.format(push=push, step=step))
+    MPI.COMM_WORLD.barrier()
+    return folder / "scene.toml"
+
+
+def smooth(t):
+    """sin^4(pi t) up to t = 1, whose third derivative is continuous."""
+    return np.where(t < 1.0, np.sin(np.pi * np.minimum(t, 1.0)) ** 4, 0.0)
+
+
+def by_name(rows):
+    return {row.name: row for row in rows}
+
+
+def test_smooth_wave_has_order_two_and_its_error_within_a_factor_of_two(shared_tmp):
+    """d'Alembert: a push T(t) on the end of a bar makes it move at T(t); until the echo is back at t = 2."""
+    times = np.linspace(0.0, 1.5, 1201)
+    scene = fracflow.load(bar(shared_tmp, [[float(t), float(smooth(t))] for t in times]))
+    run, rows = fracflow.converge(scene, shared_tmp / "out", 3)
+    found = by_name(rows)
+    coarse = fracflow.open(shared_tmp / "out" / "level-0").times
+    assert run.times[::4] == pytest.approx(coarse, abs=1e-12)
+    speed = run.probe("end")["velocity"][::4, 0]
+    moved = run.probe("end")["displacement"][::4, 0]
+    exact = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(times) * (smooth(times[1:]) + smooth(times[:-1])))])
+    for name, wrong in (
+        ("end velocity", speed - smooth(coarse)),
+        ("end displacement", moved - np.interp(coarse, times, exact)),
+    ):
+        error = np.sqrt((wrong**2).mean())
+        assert found[name].order == pytest.approx(2.0, abs=0.2) and not found[name].warning
+        assert error / 2 <= found[name].error <= 2 * error
+    assert found["kinetic"].order == pytest.approx(2.0, abs=0.3)
+    assert found["middle stress"].order >= 1.0 - 0.3  # on a node of the coarsest mesh, at 0.5
+
+
+def test_a_force_that_jumps_is_told(shared_tmp):
+    """The velocity of the end jumps: of at most first order, and the warning says so."""
+    scene = fracflow.load(bar(shared_tmp, '{time = [0, 0.313], value = [0, 1], interpolation = "step"}'))
+    found = by_name(fracflow.converge(scene, shared_tmp / "out", 3)[1])
+    assert "end velocity" in found and found["end velocity"].warning and not found["end velocity"].order > 1.0
+    for ending in ("csv", "json", "png"):
+        assert (shared_tmp / "out" / f"converge.{ending}").stat().st_size > 100
+
+
+def command(*words):
+    return subprocess.run([sys.executable, "-m", "fracflow", "run", *words], capture_output=True, text=True)
+
+
+@pytest.mark.serial
+def test_at_the_command_line(tmp_path):
+    """Levels that are there are not run again; two show no order; bad numbers are one line and exit code 2."""
+    scene, out = str(bar(tmp_path, "1", 4, 0.25)), tmp_path / "out"
+    done = command(scene, "-o", str(out), "--converge", "2")
+    assert done.returncode == 0, done.stderr
+    assert "two levels show no order" in done.stdout
+    written = (out / "level-1" / "history.h5").stat().st_mtime_ns
+    done = command(scene, "-o", str(out), "--converge")
+    assert done.returncode == 0, done.stderr
+    assert "level-1 is there" in done.stdout and "order (observed)" in done.stdout
+    assert (out / "level-1" / "history.h5").stat().st_mtime_ns == written
+    assert fracflow.open(out / "level-2").times[-1] == pytest.approx(1.5)
+    again = command(scene, "-o", str(out), "--converge", "2", "--set", "stage.0.time_step=0.125")
+    assert again.returncode == 0 and (out / "level-1" / "history.h5").stat().st_mtime_ns > written
+    for words, told in (
+        (("--converge", "0"), "--converge 0: must be a number of levels from 2 to 8"),
+        (("--converge", "2", "--set", "mesh.refine=12"), "cells are cut more than 12 times"),
+    ):
+        bad = command(scene, "-o", str(tmp_path / "bad"), *words)
+        assert bad.returncode == 2 and told in bad.stderr and bad.stderr.count("\n") == 1
+    assert command(scene, "-o", str(out / "level-0"), "--converge").returncode == 2
