@@ -44,6 +44,7 @@ class Row:
     order        observed between the last three levels; of two levels, and where there is nothing to observe, nan
     error        estimated, of the finest level; nan where there is no estimate
     warning      why order and error are not to be trusted; "" where they are
+    is_seen      whether differences are more than round-off
     """
 
     kind: str
@@ -54,6 +55,7 @@ class Row:
     order: float = float("nan")
     error: float = float("nan")
     warning: str = ""
+    is_seen: bool = True
 
     @property
     def relative(self) -> float:
@@ -78,7 +80,7 @@ def judged(row: Row, scale: float) -> Row:
     """The row with order, error and warning from its differences; ``scale`` is the largest of its kind."""
     last = row.differences[-1]
     if max(row.differences) <= ROUND_OFF * scale:
-        return replace(row, error=last)
+        return replace(row, error=last, is_seen=False)
     if len(row.differences) == 1:
         return replace(row, error=last / (2.0**row.least - 1.0))
     before = row.differences[-2]

@@ -13,24 +13,31 @@ from rich.table import Table
 from fracflow.output.convergence import Row
 from fracflow.output.look import COLOURS, INK, PALE, STYLE, fonts, one_note_on_letters
 
+KINDS = ("event", "control", "probe", "energy")
 MOST_ROWS = 40
 MOST_LINES = 7
+FILE_WIDTH = 120
 
 
 def tell(rows: Sequence[Row], console: Console, levels: int, order: int) -> None:
     """Print the rows as a table, and how many of them are not to be trusted."""
     observed = "observed" if levels > 2 else "assumed"
-    table = Table("", "quantity", "size", "last difference", f"order ({observed})", "error", "relative", box=None)
-    table.title, table.title_style = f"Convergence over {levels} levels; errors are estimates for the last", "bold"
-    for row in rows[:MOST_ROWS]:
+    table = Table(box=None, pad_edge=False, title=f"Convergence over {levels} levels, errors of the last as estimated")
+    for head in ("", "quantity", "size", "last difference", f"order ({observed})", "error", "relative"):
+        table.add_column(head, no_wrap=True)
+    seen = sorted((row for row in rows if row.is_seen), key=lambda row: KINDS.index(row.kind))
+    for row in seen[:MOST_ROWS]:
         moved = f"{row.differences[-1]:.2e}" if row.differences else "-"
-        seen = row.order if levels > 2 else row.least
-        cells = (row.kind, row.name, _short(row.size), moved, _short(seen, ".2f"), _short(row.error, ".2e"))
+        order_of = row.order if levels > 2 else row.least
+        cells = (row.kind, row.name, _short(row.size), moved, _short(order_of, ".2f"), _short(row.error, ".2e"))
         mark = "!" if row.warning else ""
         table.add_row(*map(escape, cells), f"{_short(row.relative, '.1e')} {mark}", style="bold" if mark else "")
-    console.print(table)
-    if len(rows) > MOST_ROWS:
-        console.print(f"and {len(rows) - MOST_ROWS} more in converge.csv")
+    wide = console if console.is_terminal else Console(file=console.file, highlight=False, width=FILE_WIDTH)
+    wide.print(table)
+    if len(seen) > MOST_ROWS:
+        console.print(f"and {len(seen) - MOST_ROWS} more in converge.csv")
+    if len(seen) < len(rows):
+        console.print(f"{len(rows) - len(seen)} quantities are the same on all levels, to round-off")
     if levels == 2:
         console.print(f"two levels show no order: errors assume that of the method, {order}", soft_wrap=True)
     for warning in dict.fromkeys(row.warning for row in rows if row.warning):
@@ -44,36 +51,51 @@ def _short(value: float, form: str = ".4g") -> str:
 
 
 def draw(rows: Sequence[Row], folder: Path) -> Path:
-    """Draw ``converge.png``: relative differences of probes, energies and events by level, beside orders 1 and 2."""
+    """Draw ``converge.png``: differences from level to level and the error of the last, relative, beside orders 1 and 2.
+
+    First events and controls, then of each quantity the probe that is worst, and energies in grey.
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
+    shown = [row for row in rows if row.is_seen and row.differences and row.size > 0.0 and min(row.differences) > 0.0]
     with matplotlib.rc_context({**STYLE, "font.family": fonts()}), one_note_on_letters():
-        figure = Figure(figsize=(6.4, 4.8), layout="constrained")
+        figure = Figure(figsize=(8.0, 4.8), layout="constrained")
         axes = figure.subplots()
-        shown = [row for row in rows if row.differences and row.size > 0.0 and min(row.differences) > 0.0]
         for row in (row for row in shown if row.kind == "energy"):
-            axes.loglog(_sizes(row), np.divide(row.differences, row.size), "-", color=PALE, linewidth=0.8)
-        others = [row for row in shown if row.kind != "energy"]
-        for row, colour in zip(others[:MOST_LINES], COLOURS, strict=False):
-            axes.loglog(_sizes(row), np.divide(row.differences, row.size), "o-", color=colour, label=row.name)
+            axes.loglog(*_line(row), "-", color=PALE, linewidth=0.8)
+        for row, colour in zip(_worst(shown)[:MOST_LINES], COLOURS, strict=False):
+            axes.loglog(*_line(row), "o-", color=colour, label=row.name)
+            if np.isfinite(row.error) and row.error > 0.0:
+                axes.loglog(0.5 ** len(row.differences), row.error / row.size, "o", color=colour, fillstyle="none")
         if shown:
-            sizes = _sizes(shown[0])
-            top = max(row.differences[0] / row.size for row in shown)
+            sizes = 0.5 ** np.arange(len(shown[0].differences) + 1)
+            top = 2.0 * max(row.differences[0] / row.size for row in shown)
             for order, style in ((1, ":"), (2, "--")):
-                axes.loglog(sizes, 2.0 * top * sizes**order, style, color=INK, linewidth=0.9, label=f"order {order}")
-            axes.set_xticks(sizes, [f"{level} to {level + 1}" for level in range(len(sizes))])
+                axes.loglog(sizes, top * sizes**order, style, color=INK, linewidth=0.9, label=f"order {order}")
+            axes.set_xticks(sizes, [str(level) for level in range(len(sizes))])
             axes.set_xticks([], minor=True)
-            axes.legend(fontsize=7)
-        axes.set_xlabel("from level to level")
-        axes.set_ylabel("difference, relative")
-        axes.set_title("Convergence (energies in grey)")
+            axes.invert_xaxis()
+            figure.legend(loc="outside right upper", fontsize=7)
+        axes.set_xlabel("level")
+        axes.set_ylabel("difference to the next level; hollow: estimated error")
+        axes.set_title("Convergence, relative to each quantity; energies in grey")
         part = folder / "converge.png.part"
         figure.savefig(part, format="png")
     part.replace(folder / "converge.png")
     return folder / "converge.png"
 
 
-def _sizes(row: Row) -> np.ndarray:
-    """Mesh size of the coarser of two levels, over that of the first."""
-    return np.asarray(0.5 ** np.arange(len(row.differences)))
+def _line(row: Row) -> tuple[np.ndarray, np.ndarray]:
+    """Mesh size of the coarser of two levels over that of the first, and the relative difference of the two."""
+    return 0.5 ** np.arange(len(row.differences)), np.divide(row.differences, row.size)
+
+
+def _worst(rows: Sequence[Row]) -> list[Row]:
+    """Events and controls, and of each quantity of probes the row with the largest last difference."""
+    worst: dict[str, Row] = {}
+    for row in (row for row in rows if row.kind == "probe"):
+        known = worst.setdefault(row.name.rpartition(" ")[2], row)
+        if row.differences[-1] / row.size > known.differences[-1] / known.size:
+            worst[row.name.rpartition(" ")[2]] = row
+    return [row for row in rows if row.kind in ("event", "control")] + list(worst.values())

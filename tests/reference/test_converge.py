@@ -18,7 +18,10 @@ rock.rock = {{youngs_modulus = 1, poissons_ratio = 0, density = 1}}
 mesh.file = "bar.geo"
 support = [{{on = ["south", "north"], components = ["y"]}}, {{on = "west"}}]
 load = [{{on = "east", traction = [{push}, 0]}}]
-probe = [{{name = "end", at = [1, 0], quantities = ["displacement", "velocity"]}}, {{name = "middle", at = [0.51, 0], quantities = ["stress"]}}]
+probe = [
+  {{name = "end", at = [1, 0], quantities = ["displacement", "velocity"]}},
+  {{name = "middle", at = [0.51, 0], quantities = ["stress"]}},
+]
 stage = [{{kind = "dynamic", time_step = {step}, end = 1.5}}]
 """
 GEO = """
@@ -28,7 +31,8 @@ Line(1) = {{1, 2}}; Line(2) = {{2, 3}}; Line(3) = {{3, 4}}; Line(4) = {{4, 1}};
 Curve Loop(1) = {{1, 2, 3, 4}}; Plane Surface(1) = {{1}};
 Transfinite Curve {{1, 3}} = n + 1; Transfinite Curve {{2, 4}} = 2; Transfinite Surface {{1}}; Recombine Surface {{1}};
 Physical Surface("rock") = {{1}};
-Physical Curve("south") = {{1}}; Physical Curve("east") = {{2}}; Physical Curve("north") = {{3}}; Physical Curve("west") = {{4}};
+Physical Curve("south") = {{1}}; Physical Curve("east") = {{2}};
+Physical Curve("north") = {{3}}; Physical Curve("west") = {{4}};
 """
 
 
