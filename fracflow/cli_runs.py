@@ -83,7 +83,12 @@ def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: M
         is_last, there = level.number == count - 1, {"all": "is there", "a part": "goes on"}.get(level.found, "")
         console.print(f"level {level.number} of {count - 1}: {level.folder} {there}".rstrip(), soft_wrap=True)
         name = f"level {level.number} {scene.title}".rstrip()
-        watched(level.scene, level.folder, console, comm, level.run, name, is_last)
+        try:
+            watched(level.scene, level.folder, console, comm, level.run, name, is_last)
+        except Interrupted as error:
+            raise Interrupted(
+                f"{str(error).partition(';')[0]} of level {level.number}; go on with the same command"
+            ) from error
 
     check_levels(count, "command line: --converge")
     rows = converge(scene, folder, count, each, comm)

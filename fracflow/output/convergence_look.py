@@ -22,9 +22,10 @@ FILE_WIDTH = 120
 def tell(rows: Sequence[Row], console: Console, levels: int, order: int) -> None:
     """Print the rows as a table, and how many of them are not to be trusted."""
     observed = "observed" if levels > 2 else "assumed"
-    table = Table(box=None, pad_edge=False, title=f"Convergence over {levels} levels, errors of the last as estimated")
-    for head in ("", "quantity", "size", "last difference", f"order ({observed})", "error", "relative"):
-        table.add_column(head, no_wrap=True)
+    title = f"Convergence over {levels} levels, orders as {observed}, errors of the last as estimated"
+    table = Table(box=None, pad_edge=False, title=title, title_style="bold")
+    for head in ("", "quantity", "size", "change", "order", "error", "relative"):
+        table.add_column(head, no_wrap=True, min_width=None if head == "quantity" else len(head))
     seen = sorted((row for row in rows if row.is_seen), key=lambda row: KINDS.index(row.kind))
     for row in seen[:MOST_ROWS]:
         moved = f"{row.differences[-1]:.2e}" if row.differences else "-"

@@ -98,7 +98,7 @@ def test_at_the_command_line(tmp_path):
     written = (out / "level-1" / "history.h5").stat().st_mtime_ns
     done = command(scene, "-o", str(out), "--converge")
     assert done.returncode == 0, done.stderr
-    assert "level-1 is there" in done.stdout and "order (observed)" in done.stdout
+    assert "level-1 is there" in done.stdout and "orders as observed" in done.stdout
     assert (out / "level-1" / "history.h5").stat().st_mtime_ns == written
     assert fracflow.open(out / "level-2").times[-1] == pytest.approx(1.5)
     again = command(scene, "-o", str(out), "--converge", "2", "--set", "stage.0.time_step=0.125")
