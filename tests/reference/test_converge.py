@@ -8,6 +8,7 @@ import pytest
 
 import fracflow
 from fracflow._petsc import MPI
+from fracflow.cli import app, with_levels
 
 # A bar of E = rho = 1 and nu = 0, so that c = 1, held at one end and pushed at the other.
 BAR = """
@@ -84,29 +85,72 @@ def test_a_force_that_jumps_is_told(shared_tmp):
         assert (shared_tmp / "out" / f"converge.{ending}").stat().st_size > 100
 
 
-def command(*words):
-    return subprocess.run([sys.executable, "-m", "fracflow", "run", *words], capture_output=True, text=True)
+@pytest.mark.serial
+def test_at_the_command_line(tmp_path, capsys):
+    """Levels that are there are not run again; two show no order; bad numbers are one line and exit code 2."""
+    scene, out = str(bar(tmp_path, "1", 4, 0.25)), tmp_path / "out"
+    words = ["run", scene, "-o", str(out), "--converge"]
+    app([*words, "2"], standalone_mode=False)
+    assert "two levels show no order" in capsys.readouterr().out
+    written = (out / "level-1" / "history.h5").stat().st_mtime_ns
+    app(with_levels(words), standalone_mode=False)
+    told = capsys.readouterr().out
+    assert "is there" in told and "Convergence over 3 levels, orders as observed" in told
+    assert (out / "level-1" / "history.h5").stat().st_mtime_ns == written
+    bad = subprocess.run([sys.executable, "-m", "fracflow", *words, "0"], capture_output=True, text=True)
+    told = "fracflow: command line: --converge 0: must be a number of levels from 2 to 8\n"
+    assert (bad.returncode, bad.stderr) == (2, told)
 
 
 @pytest.mark.serial
-def test_at_the_command_line(tmp_path):
-    """Levels that are there are not run again; two show no order; bad numbers are one line and exit code 2."""
-    scene, out = str(bar(tmp_path, "1", 4, 0.25)), tmp_path / "out"
-    done = command(scene, "-o", str(out), "--converge", "2")
-    assert done.returncode == 0, done.stderr
-    assert "two levels show no order" in done.stdout
-    written = (out / "level-1" / "history.h5").stat().st_mtime_ns
-    done = command(scene, "-o", str(out), "--converge")
-    assert done.returncode == 0, done.stderr
-    assert "level-1 is there" in done.stdout and "orders as observed" in done.stdout
-    assert (out / "level-1" / "history.h5").stat().st_mtime_ns == written
-    assert fracflow.open(out / "level-2").times[-1] == pytest.approx(1.5)
-    again = command(scene, "-o", str(out), "--converge", "2", "--set", "stage.0.time_step=0.125")
-    assert again.returncode == 0 and (out / "level-1" / "history.h5").stat().st_mtime_ns > written
-    for words, told in (
-        (("--converge", "0"), "--converge 0: must be a number of levels from 2 to 8"),
-        (("--converge", "2", "--set", "mesh.refine=12"), "cells are cut more than 12 times"),
+def test_another_scene_in_its_folder_is_run_anew(tmp_path):
+    file = bar(tmp_path, "1", 4, 0.25)
+    fracflow.converge(fracflow.load(file), tmp_path / "out", 2)
+    run, _ = fracflow.converge(fracflow.load(file, ["stage.0.time_step=0.125"]), tmp_path / "out", 2)
+    assert run.steps["dt"][-1] == 0.0625
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("keep me")
+    for options, out, told in (
+        (["mesh.refine=11"], "new", "cut more than 12 times"),
+        ([], "out/level-0", "holds a single run"),
+        ([], "mine", "no run's"),
     ):
-        bad = command(scene, "-o", str(tmp_path / "bad"), *words)
-        assert bad.returncode == 2 and told in bad.stderr and bad.stderr.count("\n") == 1
-    assert command(scene, "-o", str(out / "level-0"), "--converge").returncode == 2
+        with pytest.raises(fracflow.InputError, match=told):
+            fracflow.converge(fracflow.load(file, options), tmp_path / out)
+
+
+CRACK = """
+units = "none"
+output.pictures = false
+rock.rock = {youngs_modulus = 1, poissons_ratio = 0.25, density = 1}
+support = [{on = ["south", "north", "east", "west"]}]
+geometry = {domain = [-4, -4, 4, 4], size = 2, size_at_fractures = 0.5, fracture = [{name = "c", points = [[-1, 0], [1, 0]]}]}
+fracture.c = {law = "linear", normal_stiffness = 1e-9, shear_stiffness = 1e-9, aperture = 1e-3, pressure = 1}
+fluid = {viscosity = 1}
+probe = [{name = "middle", at = [0.05, 0], quantities = ["opening"]}, {name = "rock", at = [0.6, 0.7]}]
+stage = [{kind = "steady", time_step = 1, steps = 1}]
+"""
+
+
+def test_a_crack_tip_leaves_order_one_and_is_told(shared_tmp):
+    """K_I^2 h/a of the energy: Strang and Fix. Probes stay on the node that the coarsest mesh had for them."""
+    if MPI.COMM_WORLD.rank == 0:
+        (shared_tmp / "scene.toml").write_text(CRACK)
+    MPI.COMM_WORLD.barrier()
+    run, rows = fracflow.converge(fracflow.load(shared_tmp / "scene.toml"), shared_tmp / "out", 4)
+    found = by_name(rows)
+    assert found["rock_strain"].order == pytest.approx(1.0, abs=0.1)
+    for name in ("rock_strain", "middle opening", "rock displacement"):
+        assert "order below 2" in found[name].warning
+    places = [fracflow.load(shared_tmp / "out" / f"level-{k}" / "scene.toml").probe for k in (1, 3)]
+    assert [probe.at for probe in places[0]] == [probe.at for probe in places[1]]
+    assert places[0][1].on == "rock" and run.scene.geometry.refine == 3
+
+
+def test_an_event_has_order_two_and_its_error(shared_tmp):
+    """The block of R02, u = 2 (1 - cos t), slips when u = 2: at pi/2."""
+    given = ["output.pictures=false", "load.0.traction=[2, 0]", "stage.0.end=2"]
+    run, rows = fracflow.converge(fracflow.load("meshes/report_5_2/scene.toml", given), shared_tmp / "out")
+    found, wrong = by_name(rows)["lower slips first"], abs(run.events["start"].min() - np.pi / 2)
+    assert found.order == pytest.approx(2.0, abs=0.15) and not found.warning
+    assert wrong / 2 <= found.error <= 2 * wrong
