@@ -16,7 +16,6 @@ from fracflow.output.look import COLOURS, INK, PALE, STYLE, fonts, one_note_on_l
 KINDS = ("event", "control", "probe", "energy")
 MOST_ROWS = 40
 MOST_LINES = 7
-FILE_WIDTH = 120
 
 
 def tell(rows: Sequence[Row], console: Console, levels: int, order: int) -> None:
@@ -33,8 +32,7 @@ def tell(rows: Sequence[Row], console: Console, levels: int, order: int) -> None
         cells = (row.kind, row.name, _short(row.size), moved, _short(order_of, ".2f"), _short(row.error, ".2e"))
         mark = "!" if row.warning else ""
         table.add_row(*map(escape, cells), f"{_short(row.relative, '.1e')} {mark}", style="bold" if mark else "")
-    wide = console if console.is_terminal else Console(file=console.file, highlight=False, width=FILE_WIDTH)
-    wide.print(table)
+    console.print(table)
     if len(seen) > MOST_ROWS:
         console.print(f"and {len(seen) - MOST_ROWS} more in converge.csv")
     if len(seen) < len(rows):
