@@ -1,0 +1,1 @@
+"""The program held against closed forms: cases, their table and their figure."""

@@ -1,0 +1,68 @@
+"""What a case is: runs of several sizes held against a closed form, and the bars on their errors and orders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class Bar(NamedTuple):
+    """Largest error of an observable at the smallest size of its case, and least order; without one, of no order."""
+
+    observable: str
+    most: float
+    order: float | None = None
+
+
+@dataclass(frozen=True)
+class Case:
+    """A reference and how it is run.
+
+    errors  relative errors, one a bar, at a size: of cells (``by`` = "h") or time steps ("dt"), in the case's own unit
+    sizes   falling; ``quick`` are those of the tests
+    """
+
+    name: str
+    bars: tuple[Bar, ...]
+    errors: Callable[[float], Sequence[float]]
+    sizes: tuple[float, ...]
+    quick: tuple[float, ...]
+    by: str = "h"
+
+
+class Outcome(NamedTuple):
+    """Errors of one observable by size, their order between the last two sizes (None with one), and the bars."""
+
+    case: str
+    observable: str
+    by: str
+    sizes: Floats
+    errors: Floats
+    order: float | None
+    most: float
+    least: float | None
+
+    @property
+    def ok(self) -> bool:
+        """Whether error and order are within their bars."""
+        slow = self.least is not None and (self.order is None or self.order < self.least)
+        return bool(self.errors[-1] <= self.most) and not slow
+
+
+def measure(case: Case, quick: bool = False) -> list[Outcome]:
+    """Run a case; an error of an order may be as much larger as a quick size is larger than the smallest one."""
+    sizes = np.array(case.quick if quick else case.sizes)
+    errors = np.array([case.errors(float(size)) for size in sizes])
+    found = []
+    for bar, values in zip(case.bars, errors.T, strict=True):
+        ratio = sizes[-2:] if len(sizes) > 1 and values[-1] > 0 else None
+        order = None if ratio is None else float(np.log(values[-2] / values[-1]) / np.log(ratio[0] / ratio[1]))
+        most = bar.most * (sizes[-1] / case.sizes[-1]) ** (bar.order or 0.0)
+        found.append(Outcome(case.name, bar.observable, case.by, sizes, values, order, most, bar.order))
+    return found
