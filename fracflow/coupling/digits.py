@@ -89,7 +89,7 @@ def noise_of_rock(operators: Operators, displacement: float) -> float:
 def digits_of(operators: Operators, state: State) -> Digits:
     """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
 
-    Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
+    A joint much softer than the rock as a whole takes as much less of what the rock rounds off. Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
     """
     sections, displacement = state.sections, state.motion.displacement
     blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
@@ -99,9 +99,9 @@ def digits_of(operators: Operators, state: State) -> Digits:
     beside = operators.scales.stiffness / (joints.points * joints.weights)
     rock = ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
-    is_closed = stiff > 0.0
+    taken = stiff / (stiff + operators.scales.stiffness / operators.scales.length)
     largest = np.zeros((5, count))
-    for row, values in enumerate((error, rock * is_closed, sections.record, stiff, beside)):
+    for row, values in enumerate((error, rock * taken, sections.record, stiff, beside)):
         np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     error, rock, size, stiff, beside = largest
