@@ -25,7 +25,7 @@ class Case:
     """A reference and how it is run.
 
     errors  relative errors, one a bar, at a size: of cells (``by`` = "h") or time steps ("dt"), in the case's own unit
-    sizes   falling; ``quick`` are those of the tests
+    sizes   falling; ``quick`` are those of the tests, none where another case does as well
     """
 
     name: str
@@ -37,7 +37,7 @@ class Case:
 
 
 class Outcome(NamedTuple):
-    """Errors of one observable by size, their order between the last two sizes (None with one), and the bars."""
+    """Errors of one observable by size, their order between the last two sizes (None where none is asked for), and the bars."""
 
     case: str
     observable: str
@@ -56,13 +56,13 @@ class Outcome(NamedTuple):
 
 
 def measure(case: Case, quick: bool = False) -> list[Outcome]:
-    """Run a case; an error of an order may be as much larger as a quick size is larger than the smallest one."""
+    """Run a case; at quick sizes an error of an order may be larger as its order, the whole number above its bar, has it."""
     sizes = np.array(case.quick if quick else case.sizes)
     errors = np.array([case.errors(float(size)) for size in sizes])
     found = []
     for bar, values in zip(case.bars, errors.T, strict=True):
-        ratio = sizes[-2:] if len(sizes) > 1 and values[-1] > 0 else None
+        ratio = sizes[-2:] if bar.order is not None and len(sizes) > 1 and values[-1] > 0 else None
         order = None if ratio is None else float(np.log(values[-2] / values[-1]) / np.log(ratio[0] / ratio[1]))
-        most = bar.most * (sizes[-1] / case.sizes[-1]) ** (bar.order or 0.0)
+        most = bar.most * (sizes[-1] / case.sizes[-1]) ** np.ceil(bar.order or 0.0)
         found.append(Outcome(case.name, bar.observable, case.by, sizes, values, order, most, bar.order))
     return found

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from figures_verification.cases.r04 import VISCOSITY, kirchhoff
 
 from fracflow.elements.flow import conductivity
 from fracflow.laws.cubic_flow import MEANS, conductance
@@ -13,8 +14,6 @@ from fracflow.output import read_history
 from fracflow.output.history import read_attributes
 from fracflow.run import run
 from fracflow.scene import load
-
-VISCOSITY = 1.0 / 12.0  # so that a conductance is mean(d^3)/L
 
 # Branches: from, to, aperture at each end, length. Heads 10 at node 0 and 0 at node 5, inflow 1/10 at node 1.
 NETWORK = [
@@ -44,28 +43,7 @@ def _solve(matrix, fixed, inflow):
     return heads
 
 
-def _kirchhoff():
-    """Heads in rational arithmetic: a branch of linear aperture resists by the integral of 1/d^3."""
-    count = 6
-    rows = [[Fraction(0)] * (count + 1) for _ in range(count)]
-    rows[1][count] = Fraction(1, 10)
-    for i, j, first, last, length in NETWORK:
-        a, b, over = Fraction(first), Fraction(last), Fraction(length)
-        # int dx/d^3 = L/(b - a) (1/a^2 - 1/b^2)/2
-        resistance = over / a**3 if a == b else over / (b - a) * (1 / a**2 - 1 / b**2) / 2
-        for p, q in ((i, j), (j, i)):
-            rows[p][p] += 1 / resistance
-            rows[p][q] -= 1 / resistance
-    for node, head in ((0, 10), (5, 0)):
-        rows[node] = [Fraction(int(k == node)) for k in range(count)] + [Fraction(head)]
-    for c in range(count):
-        pivot = next(r for r in range(c, count) if rows[r][c])
-        rows[c], rows[pivot] = rows[pivot], rows[c]
-        rows[c] = [x / rows[c][c] for x in rows[c]]
-        for r in range(count):
-            if r != c:
-                rows[r] = [x - rows[r][c] * y for x, y in zip(rows[r], rows[c], strict=True)]
-    return np.array([float(row[count]) for row in rows])
+EXACT = kirchhoff(NETWORK, {0: 10, 5: 0}, {1: "1/10"})
 
 
 def _divided(pieces):
@@ -84,12 +62,12 @@ def _divided(pieces):
 @pytest.mark.parametrize("pieces", [1, 3])
 def test_network_of_tapered_branches_is_exact(pieces):
     heads = _solve(_chain(*_divided(pieces), "exact"), {0: 10.0, 5: 0.0}, {1: 0.1})
-    assert heads[:6] == pytest.approx(_kirchhoff(), rel=1e-13, abs=1e-13)
+    assert heads[:6] == pytest.approx(EXACT, rel=1e-13, abs=1e-13)
 
 
 def test_network_with_the_reports_mean_converges():
     found = [_solve(_chain(*_divided(n), "report"), {0: 10.0, 5: 0.0}, {1: 0.1})[:6] for n in (8, 16, 32)]
-    errors = [np.abs(heads - _kirchhoff()).max() for heads in found]
+    errors = [np.abs(heads - EXACT).max() for heads in found]
     assert np.log2(errors[0] / errors[1]) > 1.8 and np.log2(errors[1] / errors[2]) > 1.9
 
 

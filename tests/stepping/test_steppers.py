@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from figures_verification.cases.r12 import chung_hulbert, euler, hht, newmark
 
 from fracflow.errors import InputError
 from fracflow.stepping import (
@@ -147,34 +148,6 @@ def test_spectrum_of_the_rules_for_the_film(x):
     n = np.arange(9)
     assert found["bdf2"] == pytest.approx((c1 * one**n + c2 * two**n).real, rel=1e-9, abs=1e-14)
     assert max(abs(one), abs(two)) < 1.0 and (abs(one.imag) > 0) == (x > 0.5)
-
-
-def newmark(beta, gamma, m=0.0, f=0.0):
-    """(u, dt v, dt^2 a) -> the next, of u'' + 2 xi w u' + w^2 u = 0: (4.1a) with (1-m) a_new + m a + (1-f) S_new + f S = 0."""
-
-    def matrix(x, xi):
-        new = [[1, 0, -beta], [0, 1, -gamma], [(1 - f) * x**2, (1 - f) * 2 * xi * x, 1 - m]]
-        old = [[1, 1, 0.5 - beta], [0, 1, 1 - gamma], [-f * x**2, -f * 2 * xi * x, -m]]
-        return np.linalg.solve(np.array(new, dtype=float), np.array(old, dtype=float))
-
-    return matrix
-
-
-def hht(alpha):
-    """Hilber, Hughes and Taylor (1977): a_new + (1 + alpha) S_new - alpha S = 0."""
-    return newmark((1 - alpha) ** 2 / 4, 0.5 - alpha, f=-alpha)
-
-
-def chung_hulbert(rho):
-    """Chung and Hulbert (1993)."""
-    m, f = (2 * rho - 1) / (1 + rho), rho / (1 + rho)
-    return newmark((1 - m + f) ** 2 / 4, 0.5 - m + f, m, f)
-
-
-def euler(x, xi):
-    """u_new = u + v_new, v_new = v + a_new, a_new + 2 xi x v_new + x^2 u_new = 0."""
-    new = np.array([[1, -1, 0], [0, 1, -1], [x**2, 2 * xi * x, 1]], dtype=float)
-    return np.linalg.solve(new, np.array([[1, 0, 0], [0, 1, 0], [0, 0, 0]], dtype=float))
 
 
 SCHEMES = [

@@ -108,28 +108,22 @@ def errors(kind: str, stiffness: float, *settings: str) -> Callable[[float], tup
     return at
 
 
-def carried(kind: str) -> Callable[[float], tuple[float, ...]]:
-    """Of the displacement at 4 m, against that at 0 m when it was there; explicit, no joint."""
-    speed = CP if kind == "p" else CS
-
-    def at(size: float) -> tuple[float, ...]:
-        late = round(4.0 / size)
-        found = passed(kind, round(5.0 / size), 0.0, 3 * late, "method.stepper=explicit")
-        here, there = (found.probe(name, "displacement")[:, 0 if kind == "p" else 1] for name in ("west", "inside"))
-        return (float(np.abs(there[late:] - here[:-late]).max() / np.abs(here).max()),)
-
-    return at
+def carried(size: float) -> tuple[float, ...]:
+    """Of the displacement at 4 m in a P pulse, against that at 0 m when it was there; explicit, no joint."""
+    late = round(4.0 / size)
+    found = passed("p", round(5.0 / size), 0.0, 3 * late, EXPLICIT)
+    here, there = (found.probe(name, "displacement")[:, 0] for name in ("west", "inside"))
+    return (float(np.abs(there[late:] - here[:-late]).max() / np.abs(here).max()),)
 
 
 EXPLICIT = "method.stepper=explicit"
 CASES = (
-    *(Case(f"R03 P through {k / 1e9:g} GPa/m", (Bar("opening", most, 1.8),), errors("p", k), (0.2, 0.1), (0.2, 0.1), "dt")
+    *(Case(f"R03 P through {k / 1e9:g} GPa/m", (Bar("opening", most, 1.8),), errors("p", k), (0.2, 0.1), (0.2, 0.1) if k == 1.35e11 else (), "dt")
       for k, most in ((1.35e9, 1.4e-3), (1.35e10, 3.3e-3), (1.35e11, 9e-3))),
-    *(Case(f"R03 S through {k / 1e9:g} GPa/m", (Bar("slip", most, 1.8),), errors("s", k), (0.1, 0.05), (0.1, 0.05), "dt")
+    *(Case(f"R03 S through {k / 1e9:g} GPa/m", (Bar("slip", most, 1.8),), errors("s", k), (0.1, 0.05), (0.2, 0.1) if k == 1.35e9 else (), "dt")
       for k, most in ((1.35e9, 1.9e-3), (1.35e10, 5.6e-3))),
     *(Case(f"R03 {kind.upper()} through {k / 1e9:g} GPa/m, explicit", (Bar(what, most, 1.8),), errors(kind, k, EXPLICIT),
            (0.2, 0.1), (0.2, 0.1), "dt")
       for kind, what, k, most in (("p", "opening", 1.35e9, 3e-4), ("p", "opening", 1.35e11, 2.2e-3), ("s", "slip", 1.35e10, 5.6e-3))),
-    *(Case(f"R03 {kind.upper()} node to node, explicit", (Bar("displacement", 1e-10),), carried(kind), (0.2, 0.1), (0.2,))
-      for kind in "ps"),
+    Case("R03 P from node to node, explicit", (Bar("displacement", 1e-10),), carried, (0.5, 0.2), (0.5,)),
 )  # fmt: skip
