@@ -89,7 +89,8 @@ def noise_of_rock(operators: Operators, displacement: float) -> float:
 def digits_of(operators: Operators, state: State) -> Digits:
     """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
 
-    A joint much softer than the rock as a whole takes as much less of what the rock rounds off. Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
+    A joint much softer than the rock as a whole takes as much less of what the rock rounds off. Counted from the largest
+    traction that a fracture has carried: one that lets go comes down to nothing but round-off.
     """
     sections, displacement = state.sections, state.motion.displacement
     blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints

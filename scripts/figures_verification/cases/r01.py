@@ -85,7 +85,10 @@ def errors(alpha: float, cells: str, structured: bool) -> Callable[[float], tupl
         settled = ~np.isclose(time, 20.0) | (alpha == 1)
         names = ("normal_traction", "shear_traction", "opening", "slip", "plastic_slip")
         pairs = [(found.probe("joint", name), values) for name, values in zip(names, right, strict=True)]
-        pairs += [(-(pairs[0][0] + CONFINEMENT * SIN**2) / COS**2, sigma), (CONFINEMENT - pairs[1][0] / SIN / COS, sigma)]
+        pairs += [
+            (-(pairs[0][0] + CONFINEMENT * SIN**2) / COS**2, sigma),
+            (CONFINEMENT - pairs[1][0] / SIN / COS, sigma),
+        ]
         return (max(float(np.abs(got - wanted)[settled].max() / np.abs(wanted).max()) for got, wanted in pairs),)
 
     return at

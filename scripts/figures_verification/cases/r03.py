@@ -117,13 +117,18 @@ def carried(size: float) -> tuple[float, ...]:
 
 
 EXPLICIT = "method.stepper=explicit"
+COARSE, FINE = (0.2, 0.1), (0.1, 0.05)
+JUMP = {"p": "opening", "s": "slip"}
+IMPLICIT_BARS = (
+    ("p", 1.35e9, 1.4e-3, COARSE, ()), ("p", 1.35e10, 3.3e-3, COARSE, ()), ("p", 1.35e11, 9e-3, COARSE, COARSE),
+    ("s", 1.35e9, 1.9e-3, FINE, COARSE), ("s", 1.35e10, 5.6e-3, FINE, ()),
+)  # fmt: skip
+EXPLICIT_BARS = (("p", 1.35e9, 3e-4), ("p", 1.35e11, 2.2e-3), ("s", 1.35e10, 5.6e-3))
 CASES = (
-    *(Case(f"R03 P through {k / 1e9:g} GPa/m", (Bar("opening", most, 1.8),), errors("p", k), (0.2, 0.1), (0.2, 0.1) if k == 1.35e11 else (), "dt")
-      for k, most in ((1.35e9, 1.4e-3), (1.35e10, 3.3e-3), (1.35e11, 9e-3))),
-    *(Case(f"R03 S through {k / 1e9:g} GPa/m", (Bar("slip", most, 1.8),), errors("s", k), (0.1, 0.05), (0.2, 0.1) if k == 1.35e9 else (), "dt")
-      for k, most in ((1.35e9, 1.9e-3), (1.35e10, 5.6e-3))),
-    *(Case(f"R03 {kind.upper()} through {k / 1e9:g} GPa/m, explicit", (Bar(what, most, 1.8),), errors(kind, k, EXPLICIT),
-           (0.2, 0.1), (0.2, 0.1), "dt")
-      for kind, what, k, most in (("p", "opening", 1.35e9, 3e-4), ("p", "opening", 1.35e11, 2.2e-3), ("s", "slip", 1.35e10, 5.6e-3))),
+    *(Case(f"R03 {kind.upper()} through {k / 1e9:g} GPa/m", (Bar(JUMP[kind], most, 1.8),), errors(kind, k), sizes, quick, "dt")
+      for kind, k, most, sizes, quick in IMPLICIT_BARS),
+    *(Case(f"R03 {kind.upper()} through {k / 1e9:g} GPa/m, explicit", (Bar(JUMP[kind], most, 1.8),),
+           errors(kind, k, EXPLICIT), COARSE, COARSE, "dt")
+      for kind, k, most in EXPLICIT_BARS),
     Case("R03 P from node to node, explicit", (Bar("displacement", 1e-10),), carried, (0.5, 0.2), (0.5,)),
 )  # fmt: skip

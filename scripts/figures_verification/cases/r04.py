@@ -70,7 +70,9 @@ def taper(mean: str) -> Callable[[float], tuple[float, ...]]:
     """Of the flow through a taper 5 to 1 of length 1 in pieces of that length."""
 
     def at(size: float) -> tuple[float, ...]:
-        scene = HEAD + FRACTURE.format(name="slot", along=[0, 1], value=[1.0, 0.2]) + ENDS.format(name="slot", pressure=1)
+        scene = (
+            HEAD + FRACTURE.format(name="slot", along=[0, 1], value=[1.0, 0.2]) + ENDS.format(name="slot", pressure=1)
+        )
         mesh = tensor(np.linspace(0, 1, round(1 / size) + 1), np.array([-1.0, 0.0, 1.0]), {"slot": (0.0, 0.0, 1.0)})
         flow = solve(scene, f"method.conductance={mean}", mesh=mesh).fractures[-1].point["flow_rate"]
         return (float(np.abs(flow / (2 * 0.2**2 / 1.2) - 1).max()),)
@@ -115,9 +117,10 @@ def network(cells: str) -> Callable[[float], tuple[float, ...]]:
     return at
 
 
+FINE = (1 / 16, 1 / 32, 1 / 64)
 CASES = (
-    Case("R04 taper 5:1, exact mean", (Bar("flow", 1e-12),), taper("exact"), (1.0, 1 / 4, 1 / 16), (1.0, 1 / 4)),
-    Case("R04 taper 5:1, mean (3.14f)", (Bar("flow", 1.6e-3, 1.9),), taper("report"), (1 / 16, 1 / 32, 1 / 64), (1 / 16, 1 / 32)),
+    Case("R04 taper 5:1, exact mean", (Bar("flow", 1e-12),), taper("exact"), (1, 1 / 4, 1 / 16), (1, 1 / 4)),
+    Case("R04 taper 5:1, mean (3.14f)", (Bar("flow", 1.6e-3, 1.9),), taper("report"), FINE, FINE[:2]),
     *(Case(f"R04 network in rationals, {cells}", (Bar("pressures", 1e-12),), network(cells), (0.5, 0.25), (0.5,))
       for cells in ("quads", "triangles")),
 )  # fmt: skip

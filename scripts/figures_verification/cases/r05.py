@@ -43,7 +43,9 @@ def similarity(start: float) -> tuple[Callable[[Floats], Floats], float]:
     pinched.terminal = True  # type: ignore[attr-defined]
 
     def shoot(flux: float, dense: bool = False):  # type: ignore[no-untyped-def]
-        return solve_ivp(slopes, (0, FAR), [start, flux], "DOP853", rtol=1e-12, atol=1e-14, events=pinched, dense_output=dense)
+        return solve_ivp(
+            slopes, (0, FAR), [start, flux], "DOP853", rtol=1e-12, atol=1e-14, events=pinched, dense_output=dense
+        )
 
     guess = (start - 1) * start**1.5
     flux = float(brentq(lambda f: shoot(f).y[0, -1] - 1, 0.1 * guess, 10 * guess, xtol=1e-14 * guess))
@@ -74,7 +76,7 @@ def film(x: Floats, scene: str, rule: str) -> tuple[Found, Floats, Floats]:
 
 
 def half_line(rule: str) -> Callable[[float], tuple[float, ...]]:
-    """p = erfc(x/sqrt(4t)) at t = 1, cells of ``size`` and steps of a sixth of that; the energy that the springs keep."""
+    """Of p = erfc(x/sqrt(4t)) at t = 1, cells of ``size`` and steps of a sixth of that; the energy that the springs keep."""
 
     def at(size: float) -> tuple[float, ...]:
         x = np.linspace(0, 12, round(12 / size) + 1)
@@ -87,7 +89,7 @@ def half_line(rule: str) -> Callable[[float], tuple[float, ...]]:
 
 
 def pumped(size: float) -> tuple[float, ...]:
-    """p = sqrt(4t) ierfc(x/sqrt(4t)), a rate of 1 at x = 0, over the pressure at x = 0."""
+    """Of p = sqrt(4t) ierfc(x/sqrt(4t)), a rate of 1 at x = 0, over the pressure at x = 0."""
     x = np.linspace(0, 12, round(12 / size) + 1)
     _, pressure, _ = film(x, LINEAR + injection("flow_rate = 1", 1.0, round(6 / size)), "bdf2")
     z = x / 2
@@ -120,7 +122,7 @@ def modes_in_space(size: float) -> tuple[float, ...]:
 
 
 def cubic(rule: str) -> Callable[[float], tuple[float, ...]]:
-    """d = w(x/sqrt(4t)), w(0) = 1.5, at t = 1; what has flowed in, all of it in the opening, is F0 sqrt(t)."""
+    """Of d = w(x/sqrt(4t)), w(0) = 1.5, at t = 1; what has flowed in, all of it in the opening, is F0 sqrt(t)."""
     profile, flux = similarity(1.5)
 
     def at(size: float) -> tuple[float, ...]:
@@ -142,13 +144,14 @@ def bar(what: str, rule: str, first: float, second: float, slack: float = 0.1) -
 
 COARSE = (0.5, 0.25)
 FINE = (*COARSE, 0.125)
+PARTS = (1 / 8, 1 / 16, 1 / 32)
 CASES = (
     *(Case(f"R05 half line, {rule}", (bar("pressure", rule, 3.2e-3, 2.2e-4), Bar("kept of the work", 1e-2), BOOKS),
            half_line(rule), FINE, COARSE, "h and dt") for rule in ORDER),
     Case("R05 constant rate, bdf2", (Bar("pressure", 1.2e-3, 1.9),), pumped, FINE, COARSE, "h and dt"),
     *(Case(f"R05 finite length, {rule}", (bar("pressure", rule, 3e-3, 1e-4),), modes_in_time(rule),
            (0.02, 0.01, 0.005), (0.02, 0.01), "dt") for rule in ORDER),
-    Case("R05 finite length in space", (Bar("pressure", 1.3e-4, 1.9),), modes_in_space, (1 / 8, 1 / 16, 1 / 32), (1 / 8, 1 / 16)),
+    Case("R05 finite length in space", (Bar("pressure", 1.3e-4, 1.9),), modes_in_space, PARTS, PARTS[:2]),
     *(Case(f"R05 cubic law, {rule}", (bar("opening", rule, 3e-3, 4e-4, 0.25), Bar("volume", 3e-3), BOOKS), cubic(rule),
            FINE, COARSE, "h and dt") for rule in ORDER),
 )  # fmt: skip

@@ -40,7 +40,7 @@ def extent(stress: float) -> float:
 
 
 def slip(x: Floats, stress: float) -> Floats:
-    """delta mu*/(f dp a) at X = x/a."""
+    """The slip delta mu*/(f dp a) at X = x/a."""
     top = np.sqrt(np.maximum(1 - x**2, 0.0))[:, None]
     v = top * (NODES + 1) / 2
     values = loss(extent(stress) * np.hypot(x[:, None], v)) - stress
@@ -61,7 +61,7 @@ friction_coefficient = {friction}
 
 
 def points(size: float) -> tuple[Floats, Floats]:
-    """x with equal intervals ``size`` a to 1.2 a, then growing to the far sides; y growing from the fault.
+    """Points x with equal intervals ``size`` a to 1.2 a, then growing to the far sides; y growing from the fault.
 
     All of it: half of it would be on rollers at x = 0, where the pressure opens the fault.
     """
@@ -72,7 +72,9 @@ def points(size: float) -> tuple[Floats, Floats]:
     return mirrored(onwards(near, away)), mirrored(graded(first, FAR, growth))
 
 
-def pushed(stress: float, size: float, coupled: bool, triangles: bool = False, stiff: float = 1e4, steps: int = 10) -> Found:
+def pushed(
+    stress: float, size: float, coupled: bool, triangles: bool = False, stiff: float = 1e4, steps: int = 10
+) -> Found:
     """Run it to a = LENGTH on cells ``size`` a."""
     x, y = points(size)
     reach = LENGTH / extent(stress)
@@ -110,9 +112,10 @@ def errors(stress: float, coupled: bool, triangles: bool = False) -> Callable[[f
 
 
 BARS = (Bar("lambda", 0.01), Bar("slip", 0.01))
+LOADS = (0.2, 0.5, 0.8)
 SIZES = (0.1, 0.05, 0.025)
 CASES = (
-    *(Case(f"R08 Viesca, T = {stress}, prescribed p, Q4", BARS, errors(stress, False), SIZES, (0.1,)) for stress in (0.2, 0.5, 0.8)),
+    *(Case(f"R08 Viesca, T = {stress}, prescribed p, Q4", BARS, errors(stress, False), SIZES, (0.1,)) for stress in LOADS),
     Case("R08 Viesca, T = 0.5, prescribed p, T3", BARS, errors(0.5, False, triangles=True), SIZES, (0.025,)),
-    *(Case(f"R08 Viesca, T = {stress}, coupled p, Q4", BARS, errors(stress, True), SIZES[:2], (0.1,)) for stress in (0.2, 0.5, 0.8)),
+    *(Case(f"R08 Viesca, T = {stress}, coupled p, Q4", BARS, errors(stress, True), SIZES[:2], (0.1,)) for stress in LOADS),
 )  # fmt: skip

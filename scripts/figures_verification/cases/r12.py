@@ -75,6 +75,6 @@ def errors(matrix: Matrix, settings: tuple[str, ...]) -> Callable[[float], tuple
 
 
 CASES = tuple(
-    Case(f"R12 {name}", (Bar("displacement", 1e-10),), errors(*given), (2.0, 0.5), (0.5,), "dt")
+    Case(f"R12 stepper, {name}", (Bar("displacement", 1e-10),), errors(*given), (2.0, 0.5), (0.5,), "dt")
     for name, given in STEPPERS.items()
 )
