@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from test_r05_diffusion import LINEAR, LU, injection
+import winkler
+from figures_verification.cases.r05 import LINEAR, injection
+from figures_verification.runs import solve
 
 from fracflow import open as opened
 from fracflow import run
@@ -25,9 +27,12 @@ def modes(pressure, time):
     return pressure * (1 - (np.exp(-np.outer(time, rate)) / (N * np.tan(k / 2 / N))) @ np.sin(np.outer(k, x)))
 
 
-def error_of_film(film, text, pressure, *options):
+def error_of_film(text, pressure, *options):
     """Largest error in time and along the film, and of the volume that is in a wrong place, of the largest there is."""
-    history, _ = film(np.linspace(0, 1, N + 1), text + injection(pressure, END, 1), *options, LU)
+    x = np.linspace(0, 1, N + 1)
+    probes = "".join(f'[[probe]]\nname = "{i}"\nat = [{at!r}, 0]\non = "film"\n' for i, at in enumerate(x.tolist()))
+    scene = text + injection(f"pressure = {pressure}", END, 1) + probes
+    history = solve(scene, *options, "method.coupling=whole-lu", mesh=winkler.mesh(x)).history
     found = np.stack([history[f"probe/{i}/pressure"] for i in range(N + 1)], axis=1)
     wrong = np.abs(found - modes(pressure, history["time"]))[1:] / pressure
     return wrong.max(), wrong[:, 1:] @ np.array([1.0] * (N - 1) + [0.5]) / N
@@ -37,21 +42,19 @@ def error_of_film(film, text, pressure, *options):
 @pytest.mark.parametrize(
     "rule, tolerances", [("backward-euler", (1e-1, 1e-2)), ("bdf2", TOLERANCES), ("trapezoid", TOLERANCES[:2])]
 )
-def test_pressure_that_diffuses_from_a_jump(film, rule, tolerances):
-    found = [
-        error_of_film(film, LINEAR, 1.0, f"method.film={rule}", f"accuracy.tolerance={each}") for each in tolerances
-    ]
+def test_pressure_that_diffuses_from_a_jump(rule, tolerances):
+    found = [error_of_film(LINEAR, 1.0, f"method.film={rule}", f"accuracy.tolerance={each}") for each in tolerances]
     proportional([largest for largest, _ in found], tolerances, 2.0)
     proportional([volume.max() for _, volume in found], tolerances, 1.0)
 
 
 @pytest.mark.serial
-def test_of_a_fluid_that_is_stored_by_compression_alone(film):
+def test_of_a_fluid_that_is_stored_by_compression_alone():
     """c_f d = 1 in place of 1/k_n = 1."""
     text = LINEAR.replace("normal_stiffness = 1", "normal_stiffness = 1e7")
     text = text.replace("viscosity = 1", "viscosity = 1\ncompressibility = 0.1")
     tolerances, rule = (1e-2, 1e-3), "method.film=bdf2"
-    found = [error_of_film(film, text, 1e-4, rule, f"accuracy.tolerance={each}")[0] for each in tolerances]
+    found = [error_of_film(text, 1e-4, rule, f"accuracy.tolerance={each}")[0] for each in tolerances]
     proportional(found, tolerances, 2.0)
 
 
