@@ -76,6 +76,7 @@ def test_smooth_wave_has_order_two_and_its_error_within_a_factor_of_two(shared_t
     assert found["middle stress"].order >= 1.0 - 0.3  # on a node of the coarsest mesh, at 0.5
 
 
+@pytest.mark.serial
 def test_a_force_that_jumps_is_told(shared_tmp):
     """The velocity of the end jumps: of at most first order, and the warning says so."""
     scene = fracflow.load(bar(shared_tmp, '{time = [0, 0.313], value = [0, 1], interpolation = "step"}'))
@@ -147,6 +148,7 @@ def test_a_crack_tip_leaves_order_one_and_is_told(shared_tmp):
     assert places[0][1].on == "rock" and run.scene.geometry.refine == 3
 
 
+@pytest.mark.serial
 def test_an_event_has_order_two_and_its_error(shared_tmp):
     """The block of R02, u = 2 (1 - cos t), slips when u = 2: at pi/2."""
     given = ["output.pictures=false", "load.0.traction=[2, 0]", "stage.0.end=2"]

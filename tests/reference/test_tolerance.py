@@ -10,6 +10,8 @@ from fracflow import open as opened
 from fracflow import run
 from fracflow.scene import load
 
+pytestmark = pytest.mark.serial  # tests/resume has one on ranks
+
 TOLERANCES = (1e-2, 1e-3, 1e-4)
 N, END = 8, 0.4  # elements of the film, and the end of its stage, which is one step
 
@@ -38,7 +40,6 @@ def error_of_film(text, pressure, *options):
     return wrong.max(), wrong[:, 1:] @ np.array([1.0] * (N - 1) + [0.5]) / N
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     "rule, tolerances", [("backward-euler", (1e-1, 1e-2)), ("bdf2", TOLERANCES), ("trapezoid", TOLERANCES[:2])]
 )
@@ -48,7 +49,6 @@ def test_pressure_that_diffuses_from_a_jump(rule, tolerances):
     proportional([volume.max() for _, volume in found], tolerances, 1.0)
 
 
-@pytest.mark.serial
 def test_of_a_fluid_that_is_stored_by_compression_alone():
     """c_f d = 1 in place of 1/k_n = 1."""
     text = LINEAR.replace("normal_stiffness = 1", "normal_stiffness = 1e7")
