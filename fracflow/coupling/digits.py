@@ -23,6 +23,8 @@ MOST_DIGITS = 15.65  # -log10 of the spacing of doubles
 LEAST_SHARE = 1e-6
 """Tractions below this share of the largest in the scene, or of loads, reactions and forces of inertia, have their digits
 counted from there: they may be nothing, as those of a joint that no wave has reached."""
+PRESSURE_SHARE = 1e-3
+"""The same share of the largest pressure above that at rest: effective tractions of a crack that it opens are nothing."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,7 @@ def noise_of_rock(operators: Operators, displacement: float) -> float:
 def digits_of(operators: Operators, state: State) -> Digits:
     """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
 
-    A joint much softer than the rock as a whole takes as much less of what the rock rounds off. Counted from the largest
-    traction that a fracture has carried: one that lets go comes down to nothing but round-off.
+    Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
     """
     sections, displacement = state.sections, state.motion.displacement
     blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
@@ -100,14 +101,15 @@ def digits_of(operators: Operators, state: State) -> Digits:
     beside = operators.scales.stiffness / (joints.points * joints.weights)
     rock = ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
-    taken = stiff / (stiff + operators.scales.stiffness / operators.scales.length)
+    is_closed = stiff > 0.0
     largest = np.zeros((5, count))
-    for row, values in enumerate((error, rock * taken, sections.record, stiff, beside)):
+    for row, values in enumerate((error, rock * is_closed, sections.record, stiff, beside)):
         np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     error, rock, size, stiff, beside = largest
     forces = _largest_force(operators, state)
-    held = np.maximum(size, LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length))
+    least = LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length)
+    held = np.maximum(size, max(least, PRESSURE_SHARE * state.drive))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
     if not lost.any():
         return Digits(MOST_DIGITS, "", 0.0, 0.0, False)

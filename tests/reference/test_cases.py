@@ -4,8 +4,24 @@ import pytest
 from figures_verification.case import measure
 from figures_verification.cases import CASES
 
+ON_RANKS = (
+    "R01 inclined joint, 0.9",
+    "R02-C",
+    "R03 P through 135",
+    "R04 network",
+    "R07 Sneddon, row, unstructured",
+    "R08 Viesca, T = 0.5, coupled",
+)
+"""Beginnings of the names of those that run on more ranks than one too."""
 
-@pytest.mark.parametrize("case", [case for case in CASES if case.quick], ids=lambda case: case.name)
+
+def marked(case):
+    """The case, for one rank only unless it is one of the few."""
+    marks = () if case.name.startswith(ON_RANKS) else pytest.mark.serial
+    return pytest.param(case, marks=marks, id=case.name)
+
+
+@pytest.mark.parametrize("case", [marked(case) for case in CASES if case.quick])
 def test_case(case):
     missed = [outcome for outcome in measure(case, quick=True) if not outcome.ok]
     assert not missed
