@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from scipy.optimize import brentq
-
 from fracflow._petsc import MPI
 from fracflow.errors import NotConverged, SolveError
 from fracflow.run_accuracy import Judge
@@ -64,6 +62,8 @@ class _Search:
     def between(self, low: float, high: float) -> float:
         """The last value in a bracket that was tried and slides nowhere. Collective."""
         if self.excess(low) < 0.0:
+            from scipy.optimize import brentq  # imports much
+
             brentq(self.excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15)
         model = self.stepping.model
         below = {v: u for v, (new, _) in self.tried.items() if (u := utilisation(model, new)) < 1.0}

@@ -7,11 +7,13 @@ import operator
 import re
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pint
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+if TYPE_CHECKING:
+    import pint
 
 STRESS = "force/length**2"
 COMPRESSIBILITY = "length**2/force"
@@ -53,6 +55,8 @@ _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
     """Make the one unit registry; it takes a moment, so only when a string first asks for it."""
+    import pint
+
     return pint.UnitRegistry()
 
 
@@ -92,6 +96,8 @@ class UnitSystem:
 
     def to_si(self, dimension: str) -> float:
         """Factor that brings a number of this system to SI."""
+        if self.name == "SI" and "angle" not in dimension:
+            return 1.0
         return float(_registry().Quantity(1.0, self.unit(dimension)).to_base_units().magnitude)
 
     def convert(self, text: str, dimension: str) -> float:
@@ -105,6 +111,8 @@ class UnitSystem:
         number, unit = float(match[1]), match[2]
         if unit is None:
             raise ValueError(f"a string needs a unit; must be {fits}")
+        import pint
+
         try:
             factor = _registry().Quantity(1.0, _registry().parse_units(unit)).to(self.unit(dimension)).magnitude
         except pint.DimensionalityError:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fracflow.mesh.data import Floats, Ints
 
@@ -73,6 +72,8 @@ def settle(lines: Sketch, snap: float, rounds: int) -> Sketch | None:
 
 def merge(lines: Sketch, snap: float) -> Sketch:
     """Merge points within ``snap``: into corners first, then points of a side, then those where most edges meet."""
+    from scipy.spatial import cKDTree  # imports much
+
     used = np.unique(lines.edges)
     pairs = used[cKDTree(lines.points[used]).query_pairs(snap, output_type="ndarray")].reshape(-1, 2)
     pairs = pairs[np.any(lines.rank[pairs] != CORNER, axis=1)]

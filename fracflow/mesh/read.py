@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import meshio
 import numpy as np
 
 from fracflow.errors import InputError
@@ -180,6 +179,8 @@ def _groups_msh2(path: Path) -> list[tuple[int, int, str]]:
 
 def _read_msh2(path: Path) -> Elements:
     """Version 2 has one physical tag an element; one in two groups stands twice."""
+    import meshio  # imports much
+
     try:
         mesh = meshio.gmsh.read(path)
     except Exception as error:  # meshio raises whatever its parser meets

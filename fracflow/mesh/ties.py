@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Ints, SplitMesh
@@ -24,6 +23,8 @@ def tied_nodes(mesh: SplitMesh, sides: Sequence[str]) -> Ints:
     if len(sides) == 1:
         nodes = np.unique(chosen[0])
         return np.stack([np.full(len(nodes) - 1, nodes[0]), nodes[1:]], axis=1)
+    from scipy.spatial import cKDTree  # imports much
+
     ends = [mesh.points[facets] for facets in chosen]
     low, high = (np.array([part.min(axis=(0, 1)), part.max(axis=(0, 1))]) for part in ends)
     shift, extent = (high - low).mean(axis=0), float(np.ptp(low, axis=0).max())
