@@ -162,7 +162,8 @@ def run_stage(
 
         def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
             to = end if share == 1.0 else begin + share * (end - begin)
-            lacking = 0.0 if stepper.inertia else still_lacking(begin, to)
+            # what jumps while a film fills is there at once: spread over a halved step, it would come half a step late
+            lacking = 0.0 if stepper.inertia or stepper.storage else still_lacking(begin, to)
             now, time = (
                 on_the_way(old.controls, controls, begin, to),
                 start + (n - 1 + to * (dt / whole_step)) * whole_step,
