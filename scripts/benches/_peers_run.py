@@ -55,9 +55,9 @@ def environment(folder: Path) -> Path:
 
 def measured(command: list[str], folder: Path) -> Cost:
     """Run a command alone, on one thread. Raises Failed."""
-    clean = {
-        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
-    }
+    # Python that may not keep what it compiles would compile all of fracflow again in every run
+    unwanted = ("OMPI_COMM", "PMIX", "OMPI_UNIVERSE", "PYTHONDONTWRITEBYTECODE")
+    clean = {key: value for key, value in os.environ.items() if not key.startswith(unwanted)}
     with (folder / "said.txt").open("w", encoding="utf-8") as said:
         child = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT,

@@ -184,11 +184,12 @@ def draw(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
     """peers.png: error against CPU time of H1 and H2, CPU time against nodes of H3."""
     import matplotlib
 
+    cases = [case for case in TITLES if any(row["case"] == case and not row["failure"] for row in rows)]
     with matplotlib.rc_context(STYLE):
         figure, axes = sheet(
             "fracflow and OpenGeoSys 6.5.9",
             "CPU time of the whole process, start included; the same grids; dotted: the errors at which they are compared",
-            [list(TITLES)], (13.0, 5.0),
+            [cases], (1.0 + 4.2 * len(cases), 5.0),
         )  # fmt: skip
         for case, axis in axes.items():
             observable = BARS[case][0] if case in BARS else "nodes"
