@@ -78,7 +78,9 @@ class Stepping:
         if coupling is None:
             if len(self._couplings) == MOST_KEPT:
                 self._couplings.pop(next(iter(self._couplings))).destroy()
-            name = self.model.scene.method.coupling if self.model.operators.flow is not None else "monolithic"
+            name = self.model.scene.method.coupling
+            if self.model.operators.flow is None and name != "condensed":
+                name = "monolithic"
             coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
         self._couplings[loads] = coupling
         return coupling

@@ -55,6 +55,13 @@ def _method(scene: Scene) -> Iterator[Fault]:
                 ("method", key),
                 f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"',
             )
+    condensed = {"overshoot": ("hold",), "newton_test": ("residual", "out-of-balance")}
+    if scene.has_flow:
+        condensed |= {"quadrature": ("nodal",), "storage": ("lumped",)}
+    for key, allowed in condensed.items() if method.coupling == "condensed" else ():
+        if getattr(method, key) not in allowed:
+            names = " or ".join(f'"{value}"' for value in allowed)
+            yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
     if method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
         yield (
             ("method", "contact"),

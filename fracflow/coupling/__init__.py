@@ -4,6 +4,7 @@ from typing import Protocol
 
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
+from fracflow.coupling.condensed import Condensed
 from fracflow.coupling.fixed_point import FixedPoint
 from fracflow.coupling.monolithic import Monolithic, WholeLU
 from fracflow.coupling.step_problem import StepProblem
@@ -23,6 +24,11 @@ class Coupling(Protocol):
         """Free matrices and solvers. Collective."""
 
 
-COUPLINGS: dict[str, type[Coupling]] = {"monolithic": Monolithic, "fixed-point": FixedPoint, "whole-lu": WholeLU}
+COUPLINGS: dict[str, type[Coupling]] = {
+    "monolithic": Monolithic,
+    "fixed-point": FixedPoint,
+    "whole-lu": WholeLU,
+    "condensed": Condensed,
+}
 
 __all__ = ["COUPLINGS", "Coupling"]

@@ -79,7 +79,7 @@ class ExplicitCoupling:
         self.inverse.mult(force, moved)
         problem.move(predicted(old, dt) + joint_share(dt) * moved.getArray())
         free = joints.strain(problem.increment)
-        report = self.sections.solve(problem, free, joint_share(dt))
+        _, report = self.sections.solve(problem, free, joint_share(dt))
         pull = self.sections.pull(problem.sections.traction, problem.pressure)
         pulled = self.sections.pull(state.sections.traction, state.pressure)
         force.set(0.0)

@@ -48,11 +48,17 @@ class _Rows:
 class SectionSolver:
     """Solves for what sections move in a step, and for the pressures."""
 
-    def __init__(self, scene: Scene, operators: Operators, clusters: Clusters) -> None:
-        """Keep what is constant. Collective."""
+    film_kind = ExplicitFilm
+
+    def __init__(
+        self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0
+    ) -> None:
+        """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
         self.scene, self.operators, self.clusters = scene, operators, clusters
-        self.film = ExplicitFilm(operators, clusters) if operators.flow is not None else None
+        self.film = self.film_kind(operators, clusters) if operators.flow is not None else None
         self._weights = clusters.exchange.there(operators.joints.weights[:, None])[:, 0]
+        count, dim = len(operators.joints.weights), operators.joints.dim
+        self.elastic = np.broadcast_to(np.asarray(elastic), (count, dim, dim))
 
     def pull(self, traction: Floats, pressure: PETSc.Vec) -> Floats:
         """Tractions t = f - n p (s, dim) of effective tractions, and of the pressures of the flow nodes. Collective."""
@@ -61,12 +67,21 @@ class SectionSolver:
             result[:, -1] -= network.at_ends(pressure).ravel()
         return result
 
-    def solve(self, problem: StepProblem, free: Floats, share: float) -> SectionReport:
+    def pushed(self, problem: StepProblem, change: Floats) -> Floats:
+        """What sections that moved by ``change`` (s, dim) pull more than before, beyond elastic moduli [stress]. Collective."""
+        before = self.pull(problem.state.sections.traction, problem.state.pressure)
+        now = self.pull(problem.sections.traction, problem.pressure)
+        return now - before - np.einsum("sij,sj->si", self.elastic, change)
+
+    def solve(
+        self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None
+    ) -> tuple[Floats, SectionReport]:
         """Bring sections and pressures of ``problem`` into balance, from what sections move freely (s, dim).
 
-        share  S of ``stepping.explicit``. Raises NotConverged, on every rank. Collective.
+        share  S of ``stepping.explicit``; ``start`` what sections (s, dim) are tried to move at first.
+        Returns what they move. Raises NotConverged, on every rank. Collective.
         """
-        total, change, comm = 0, np.zeros_like(free), self.operators.layout.comm
+        total, change, comm = 0, np.zeros_like(free) if start is None else start, self.operators.layout.comm
         pulled = self.pull(problem.state.sections.traction, problem.state.pressure)
         given = self.film.given(problem) if self.film is not None else None
         try:
@@ -74,10 +89,10 @@ class SectionSolver:
                 change, report = self._with_statuses(problem, free, change, pulled, given, share)
                 total += report.iterations
                 if problem.hold:
-                    return replace(report, iterations=total)
+                    return change, replace(report, iterations=total)
                 changed = problem.change_statuses()
                 if not comm.allreduce(bool(changed.any()), op=MPI.LOR):
-                    return replace(report, iterations=total)
+                    return change, replace(report, iterations=total)
         finally:
             if given is not None:
                 given.destroy()
@@ -105,8 +120,9 @@ class SectionSolver:
             if film is not None and given is not None:
                 flow, slopes = film.balance(problem, change, given)
             pull, moduli = self.pull(answer.traction, problem.pressure), weights[:, :, None] * answer.tangent
-            push = weights * (pull - pulled)
+            push = weights * (pull - pulled - np.einsum("sij,sj->si", self.elastic, change))
             known = np.einsum("sij,sj->si", np.abs(moduli), np.abs(answer.strain)) + weights * np.abs(answer.traction)
+            moduli = moduli - weights[:, :, None] * self.elastic
             rows = self._gather(free, change, push, known + weights * np.abs(pull), moduli, slopes, share)
             beyond = np.abs(rows.left) - ROUND_OFF * rows.size
             here = [float(np.abs(change).max(initial=0.0)), float(beyond.max(initial=0.0))]
@@ -160,12 +176,10 @@ class SectionSolver:
         for batch in self.clusters.batches:
             at, (clusters, members) = batch.sections, batch.sections.shape
             compliance = share * batch.compliance.reshape(clusters, members * dim, members, dim)
-            matrix = np.einsum("cxmi,cmij->cxmj", compliance, rows.moduli[at]).reshape(batch.compliance.shape)
-            matrix += np.eye(members * dim)
             right = rows.left[at].reshape(clusters, -1, 1)
             if self.film is not None:
                 right = np.concatenate([right, compliance[..., -1] * self._weights[at][:, None]], axis=2)
-            answer = np.linalg.solve(matrix, right)
+            answer = self._answer(compliance, rows.moduli[at], right)
             alone[at] = answer[:, :, 0].reshape(clusters, members, dim)
             by_pressure.append(answer[:, :, 1:].reshape(clusters, members, dim, -1))
         if self.film is None:
@@ -177,6 +191,12 @@ class SectionSolver:
         for batch, answer in zip(self.clusters.batches, by_pressure, strict=True):
             alone[batch.sections] += np.einsum("cmip,cp->cmi", answer, there[batch.sections])
         return exchange.back(alone)
+
+    def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
+        """(1 + S G M^-1 G' W D)^-1 of right sides (c, m dim, k); compliance (c, m dim, m, dim), moduli (c, m, dim, dim)."""
+        matrix = np.einsum("cxmi,cmij->cxmj", compliance, moduli).reshape(*right.shape[:2], -1)
+        matrix += np.eye(right.shape[1])
+        return np.asarray(np.linalg.solve(matrix, right))
 
     def _named(self, chosen: np.ndarray) -> str:
         """Fractures that have chosen sections (s,) of any rank. Collective."""

@@ -1,0 +1,171 @@
+"""The whole nonlinear step on the fractures alone, with the rock condensed to their jumps.
+
+e = G u_free - G A^-1 G' q, q = W (t(e, p) - t_old - D_0 de): jumps and pressures answer each other through one dense
+compliance, by Newton's method of ``section_solve``; one more solve with the factors of A recovers the rock. Newton's method
+on all unknowns then sees whether the full balances hold, and does the step itself where they do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.loads import Loads
+from fracflow.assembly.operators import Operators
+from fracflow.coupling.accept import step_report
+from fracflow.coupling.condensed_cost import break_even
+from fracflow.coupling.condensed_rock import Rock
+from fracflow.coupling.explicit_film import ExplicitFilm
+from fracflow.coupling.monolithic import Monolithic
+from fracflow.coupling.section_solve import SectionSolver
+from fracflow.coupling.step_problem import StepProblem
+from fracflow.errors import NotConverged
+from fracflow.mesh.data import Floats
+from fracflow.scene import Scene
+from fracflow.state import StepReport
+from fracflow.stepping import EXPLICIT, Alphas, stepper_from
+
+MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
+MOST_CYCLES = 3  # each takes away what round-off of the one before has left
+MOST_FAILURES = 3  # in a row, of one compliance: it is given up
+Key = tuple[float, float]
+
+
+class CondensedFilm(ExplicitFilm):
+    """The film of an implicit step: its balance holds at the end of the step."""
+
+    def given(self, problem: StepProblem) -> PETSc.Vec:
+        """Sources less what walls squeeze out at the velocity they have without moving on, in a new vector. Collective."""
+        network, speed, result = self.operators.flow, problem.velocity(), problem.source.copy()
+        assert network is not None
+        speed.axpy(-problem.alphas.a1, problem.increment)
+        squeezed = result.duplicate()
+        network.squeeze.multTranspose(speed, squeezed)
+        result.axpy(-1.0, squeezed)
+        speed.destroy()
+        squeezed.destroy()
+        return result
+
+
+class CondensedSections(SectionSolver):
+    """All sections at once; those whose moduli are the elastic ones cost nothing."""
+
+    film_kind = CondensedFilm
+
+    def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
+        compliance, moduli, right = compliance[0], moduli[0], right[0]
+        changed, dim = np.flatnonzero(moduli.any(axis=(1, 2))), moduli.shape[1]
+        rows = (changed[:, None] * dim + np.arange(dim)).ravel()
+        matrix = np.einsum("xmi,mij->xmj", compliance[:, changed], moduli[changed]).reshape(len(right), -1)
+        try:
+            answer = np.linalg.solve(np.eye(len(rows)) + matrix[rows], right[rows])
+        except np.linalg.LinAlgError:
+            answer = np.full((len(rows), right.shape[1]), np.nan)
+        return np.asarray(right - matrix @ answer)[None]
+
+
+Kept = tuple[Rock, CondensedSections]
+
+
+class Condensed:
+    """Steps of the lengths that stages state are condensed, others once there have been enough of them to pay for it."""
+
+    def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
+        """Make matrix and solver of the full balances, kept for the whole run. Collective."""
+        self.scene, self.operators, self.loads = scene, operators, loads
+        self.full = Monolithic(scene, operators, loads)
+        self._planned = {self._key(alphas) for alphas in planned(scene)}
+        self._kept: dict[Key, Kept] = {}  # the one used last comes last
+        self._uses: dict[Key, int] = {}
+        self._failures: dict[Key, int] = {}  # in a row
+        joints, scales = operators.joints, operators.scales
+        self._jumps = operators.layout.comm.allreduce(len(joints.weights)) * joints.dim
+        self._pays = break_even(int(operators.layout.solid_starts[-1]), self._jumps)
+        start = joints.respond(np.zeros((len(joints.weights), joints.dim)), joints.rest()).tangent
+        own, natural = np.diagonal(start, axis1=1, axis2=2), scales.force / (scales.displacement * scales.length)
+        # any moduli do, for the sections put right what they really are; with these nothing that joints hold is loose
+        self._elastic = np.where(own > 0.0, own, natural)[:, :, None] * np.eye(joints.dim)
+
+    def solve(self, problem: StepProblem) -> StepReport:
+        """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
+        key, done = self._key(problem.alphas), (0, 1)
+        start = problem.increment.getArray().copy(), problem.pressure.getArray().copy()
+        is_new = key not in self._kept
+        try:
+            kept = self._condensed(key, problem)
+            if kept is not None:
+                done = self._bring(problem, *kept)
+                self._failures[key] = 0
+        except NotConverged:
+            self._failures[key] = self._failures.get(key, 0) + 1
+            problem.pressure.setArray(start[1])
+            problem.branch = problem.state.sections.past
+            problem.move(start[0])
+        report = self.full.newton.solve(problem)
+        report = replace(report, newton=report.newton + done[0], fills=report.fills + (is_new and key in self._kept))
+        return step_report(report, problem.residual, done[1])
+
+    def _key(self, alphas: Alphas) -> Key:
+        """What of a rule of stepping A depends on."""
+        damps = self.operators.damping is not None and not self.loads.at_rest
+        return float(f"{alphas.mass:.12g}"), float(f"{alphas.a1 * damps:.12g}")
+
+    def _condensed(self, key: Key, problem: StepProblem) -> Kept | None:
+        """Factors for a step, made where it pays; None where all unknowns are better solved for. Collective.
+
+        A part of the network that nothing drains has a closure in place of a balance, which the film does not know.
+        """
+        self._uses[key] = self._uses.get(key, 0) + 1
+        gives_up = self._failures.get(key, 0) >= MOST_FAILURES
+        if gives_up or problem.loads.closures or not self._jumps:
+            return None
+        kept = self._kept.pop(key, None)
+        if kept is None and key not in self._planned and self._uses[key] <= self._pays:
+            return None
+        if kept is None:
+            if len(self._kept) == MOST_KEPT:
+                self._kept.pop(next(iter(self._kept)))[0].destroy()
+            rock = Rock(self.full.matrix, self.loads, problem.alphas, self._elastic)
+            kept = rock, CondensedSections(self.scene, self.operators, rock.clusters, self._elastic)
+        self._kept[key] = kept
+        return kept
+
+    def _bring(self, problem: StepProblem, rock: Rock, sections: CondensedSections) -> tuple[int, int]:
+        """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
+        joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
+        problem.evaluate()
+        for cycle in range(1, MOST_CYCLES + 1):
+            change, force = joints.strain(problem.increment), problem.solid_balance.copy()
+            joints.force(-sections.pushed(problem, change), force)
+            back = rock.solve(force)
+            free = problem.increment.duplicate()
+            free.setArray(problem.increment.getArray(readonly=True) - back)
+            change, report = sections.solve(problem, joints.strain(free), 1.0, change)
+            force.set(0.0)
+            joints.force(sections.pushed(problem, change), force)
+            problem.move(free.getArray() - rock.solve(force))
+            force.destroy()
+            free.destroy()
+            problem.evaluate()
+            iterations += report.iterations
+            if max(problem.residual.solid, problem.residual.flow, problem.residual.at_nodes) <= least:
+                break
+        return iterations, cycle
+
+    def destroy(self) -> None:
+        """Free matrices and solvers. Collective."""
+        for rock, sections in self._kept.values():
+            rock.destroy()
+            sections.destroy()
+        self.full.destroy()
+
+
+def planned(scene: Scene) -> Iterator[Alphas]:
+    """Coefficients of steps of the lengths that stages state."""
+    yield Alphas()
+    for stage in scene.stage:
+        if stage.kind == "dynamic" and stage.time_step is not None and scene.method.stepper not in EXPLICIT:
+            yield stepper_from(scene.method.stepper, scene.method).alphas(stage.time_step)
