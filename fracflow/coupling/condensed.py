@@ -137,7 +137,7 @@ class Condensed:
         """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
         joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
         problem.evaluate()
-        for cycle in range(1, MOST_CYCLES + 1):
+        for cycle in range(1, MOST_CYCLES + 1):  # noqa: B007
             change, force = joints.strain(problem.increment), problem.solid_balance.copy()
             joints.force(-sections.pushed(problem, change), force)
             back = rock.solve(force)

@@ -50,9 +50,7 @@ class SectionSolver:
 
     film_kind = ExplicitFilm
 
-    def __init__(
-        self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0
-    ) -> None:
+    def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
         self.scene, self.operators, self.clusters = scene, operators, clusters
         self.film = self.film_kind(operators, clusters) if operators.flow is not None else None

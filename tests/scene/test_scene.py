@@ -199,7 +199,7 @@ def test_schema_as_a_table_has_every_key_once():
     """Tables, arrays of tables and tables by name, each with dimension or choices, default and meaning."""
     found = {row[0]: row[1:] for row in rows(Scene.json_schema())}
     assert found["rock.NAME.youngs_modulus"][0] == "[force/length**2]"
-    assert found["method.coupling"][:2] == ("monolithic | fixed-point | whole-lu", "monolithic")
+    assert found["method.coupling"][:2] == ("monolithic | fixed-point | whole-lu | condensed", "monolithic")
     assert found["stage[].kind"][1] == "required"
     assert found["initial_stress.gradient.yy"][0] == "[force/length**3]"
     assert found["initial.rock.NAME.velocity"][2]
