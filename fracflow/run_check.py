@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.card import Number, scene_card
+from fracflow.coupling.condensed_cost import break_even
 from fracflow.mesh.split import summary
 from fracflow.run_setup import prepare
 from fracflow.run_start import settle
@@ -30,4 +32,8 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number]]:
         "pressure unknowns": int(layout.flow_starts[-1]),
         "steps": steps,
     }
+    sections = len(model.operators.joints.weights) * model.operators.joints.dim
+    pays = break_even(found["displacement unknowns"], sections) if sections else math.inf
+    if pays < math.inf:
+        found["steps from which a condensed rock pays"] = pays
     return found, [*model.mesh.notes, *model.placed.notes], scene_card(scene, model.mesh, model.placed.wells)
