@@ -30,7 +30,7 @@ from fracflow.stepping import EXPLICIT, Alphas, stepper_from
 
 MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
 MOST_CYCLES = 3  # each takes away what round-off of the one before has left
-MOST_FAILURES = 3  # in a row, of one compliance: it is given up
+MOST_FAILURES = 3  # in a row, of steps of one kind: they are condensed no more
 Key = tuple[float, float]
 
 
@@ -53,7 +53,7 @@ class CondensedFilm(ExplicitFilm):
 class CondensedSections(SectionSolver):
     """All sections at once; those whose moduli are the elastic ones cost nothing."""
 
-    film_kind = CondensedFilm
+    film_kind, most_changes = CondensedFilm, 10  # Newton's method on all unknowns has more means to leave circles
 
     def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
         compliance, moduli, right = compliance[0], moduli[0], right[0]
@@ -120,6 +120,8 @@ class Condensed:
         """
         self._uses[key] = self._uses.get(key, 0) + 1
         gives_up = self._failures.get(key, 0) >= MOST_FAILURES
+        if gives_up:
+            self._free(key)
         if gives_up or problem.loads.closures or not self._jumps:
             return None
         kept = self._kept.pop(key, None)
@@ -127,7 +129,7 @@ class Condensed:
             return None
         if kept is None:
             if len(self._kept) == MOST_KEPT:
-                self._kept.pop(next(iter(self._kept)))[0].destroy()
+                self._free(next(iter(self._kept)))
             rock = Rock(self.full.matrix, self.loads, problem.alphas, self._elastic)
             kept = rock, CondensedSections(self.scene, self.operators, rock.clusters, self._elastic)
         self._kept[key] = kept
@@ -136,30 +138,36 @@ class Condensed:
     def _bring(self, problem: StepProblem, rock: Rock, sections: CondensedSections) -> tuple[int, int]:
         """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
         joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
-        problem.evaluate()
-        for cycle in range(1, MOST_CYCLES + 1):  # noqa: B007
-            change, force = joints.strain(problem.increment), problem.solid_balance.copy()
-            joints.force(-sections.pushed(problem, change), force)
-            back = rock.solve(force)
-            free = problem.increment.duplicate()
-            free.setArray(problem.increment.getArray(readonly=True) - back)
-            change, report = sections.solve(problem, joints.strain(free), 1.0, change)
-            force.set(0.0)
-            joints.force(sections.pushed(problem, change), force)
-            problem.move(free.getArray() - rock.solve(force))
+        force, free = problem.load.duplicate(), problem.load.duplicate()
+        try:
+            problem.evaluate()
+            for cycle in range(1, MOST_CYCLES + 1):  # noqa: B007
+                change = joints.strain(problem.increment)
+                problem.solid_balance.copy(force)
+                joints.force(-sections.pushed(problem, change), force)
+                free.setArray(problem.increment.getArray(readonly=True) - rock.solve(force))
+                change, report = sections.solve(problem, joints.strain(free), 1.0, change)
+                iterations += report.iterations
+                force.set(0.0)
+                joints.force(sections.pushed(problem, change), force)
+                problem.move(free.getArray() - rock.solve(force))
+                problem.evaluate()
+                if max(problem.residual.solid, problem.residual.flow, problem.residual.at_nodes) <= least:
+                    break
+        finally:
             force.destroy()
             free.destroy()
-            problem.evaluate()
-            iterations += report.iterations
-            if max(problem.residual.solid, problem.residual.flow, problem.residual.at_nodes) <= least:
-                break
         return iterations, cycle
+
+    def _free(self, key: Key) -> None:
+        """Free what is kept for steps of one kind, if anything. Collective."""
+        for each in self._kept.pop(key, ()):
+            each.destroy()
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""
-        for rock, sections in self._kept.values():
-            rock.destroy()
-            sections.destroy()
+        for key in list(self._kept):
+            self._free(key)
         self.full.destroy()
 
 

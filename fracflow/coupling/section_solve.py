@@ -48,7 +48,7 @@ class _Rows:
 class SectionSolver:
     """Solves for what sections move in a step, and for the pressures."""
 
-    film_kind = ExplicitFilm
+    film_kind, most_changes = ExplicitFilm, MOST_CHANGES
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
@@ -83,7 +83,7 @@ class SectionSolver:
         pulled = self.pull(problem.state.sections.traction, problem.state.pressure)
         given = self.film.given(problem) if self.film is not None else None
         try:
-            for _ in range(MOST_CHANGES):
+            for _ in range(self.most_changes):
                 change, report = self._with_statuses(problem, free, change, pulled, given, share)
                 total += report.iterations
                 if problem.hold:
