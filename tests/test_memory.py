@@ -20,11 +20,12 @@ MESHES = Path(__file__).parents[1] / "meshes"
     [
         ("crossings", []),
         ("report_5_3", ["method.coupling=fixed-point", "fracture.fault.aperture=0.2 ft", "stage.failure.steps=3"]),
+        ("report_5_3", ["method.coupling=condensed", "stage.failure.steps=20"]),
         ("crossings", ["initial.velocity=[1e-6, 0]", "stage.0={kind = 'equilibrate', steps = 2}"]),
         ("failures/f6a_closing", ["accuracy.max_iterations=6"]),
         ("failures/f2b_no_outlet", ["stage.0={kind = 'dynamic', time_step = 1e-6, steps = 5}"]),
     ],
-    ids=["default", "fixed-point", "equilibrate", "halved", "enclosed"],
+    ids=["default", "fixed-point", "condensed", "equilibrate", "halved", "enclosed"],
 )
 def test_nothing_is_left_to_a_collection(name, overrides, shared_tmp, capfd):
     """petsc4py keeps every object that was not destroyed until the end of the program, a few a step fill the memory."""
