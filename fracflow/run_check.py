@@ -7,7 +7,7 @@ from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.card import Number, scene_card
-from fracflow.coupling.condensed_cost import break_even
+from fracflow.coupling.condensed_cost import break_even, fits
 from fracflow.mesh.split import summary
 from fracflow.run_setup import prepare
 from fracflow.run_start import settle
@@ -33,7 +33,8 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number]]:
         "steps": steps,
     }
     sections = len(model.operators.joints.weights) * model.operators.joints.dim
-    pays = break_even(found["displacement unknowns"], sections) if sections else math.inf
-    if pays < math.inf:
+    unknowns = int(layout.solid_starts[-1])
+    pays = break_even(unknowns, sections)
+    if sections and fits(unknowns, sections) and pays < math.inf:
         found["steps from which a condensed rock pays"] = pays
     return found, [*model.mesh.notes, *model.placed.notes], scene_card(scene, model.mesh, model.placed.wells)

@@ -14,7 +14,9 @@ FACTORS = 1.7  # CHOLMOD's factors of the rock, with their ordering
 COLUMN = 0.01  # a column of the compliance, solved for with others
 SOLVE = 0.06  # a right side alone
 BALANCES = 0.1  # of a condensed step
-DENSE = 0.06  # an iteration on the jumps
+DENSE, ROWS = 0.04, 0.03  # an iteration on the jumps: its dense LU, and what goes by their number squared
+LEAST = 0.02  # an iteration on all unknowns, and a step on the joints, however small the rock is
+ENTRIES = 10.0  # numbers in both factors, of n log2 n
 ITERATIONS = 2  # of Newton's method in a step in which few joints change
 
 
@@ -29,18 +31,23 @@ def _solve(unknowns: int) -> float:
 
 def full_step(unknowns: int, iterations: float = ITERATIONS) -> float:
     """Cost of a step with a factorisation in every iteration [LU of REFERENCE]."""
-    return iterations * (_factor(unknowns) + BESIDES * _solve(unknowns))
+    return iterations * (_factor(unknowns) + BESIDES * _solve(unknowns) + LEAST)
 
 
 def condensed_step(unknowns: int, jumps: int, iterations: float = ITERATIONS) -> float:
     """Cost of a step on the joints, with two solves for the rock [LU of REFERENCE]."""
-    rock = 2.0 * SOLVE * _solve(unknowns) + BALANCES * unknowns / REFERENCE
-    return float(rock + iterations * DENSE * (jumps / JUMPS) ** 3)
+    rock = 2.0 * SOLVE * _solve(unknowns) + BALANCES * unknowns / REFERENCE + LEAST
+    return float(rock + iterations * (DENSE * (jumps / JUMPS) ** 3 + ROWS * (jumps / JUMPS) ** 2))
 
 
 def condensing(unknowns: int, jumps: int) -> float:
     """Cost of factors and compliance [LU of REFERENCE]."""
     return FACTORS * _factor(unknowns) + jumps * COLUMN * _solve(unknowns)
+
+
+def fits(unknowns: int, jumps: int) -> bool:
+    """Whether the compliance has no more numbers than both factors of the rock."""
+    return jumps**2 <= ENTRIES * unknowns * math.log2(max(unknowns, 2))
 
 
 def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.coupling.condensed_cost import break_even, condensed_step, condensing, full_step
+from fracflow.coupling.condensed_cost import break_even, condensed_step, condensing, fits, full_step
 from fracflow.coupling.condensed_rock import Rock
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.errors import InputError, NotConverged
@@ -161,4 +161,5 @@ def test_break_even_is_where_the_costs_meet(unknowns, jumps):
         full, short = full_step(unknowns, iterations), condensed_step(unknowns, jumps, iterations)
         assert steps * full >= condensing(unknowns, jumps) + steps * short
         assert (steps - 1) * full < condensing(unknowns, jumps) + (steps - 1) * short
-    assert break_even(unknowns, 100 * jumps) == np.inf  # a dense matrix larger than all the rock
+    assert fits(unknowns, jumps)
+    assert break_even(unknowns, 100 * jumps) == np.inf and not fits(unknowns, 100 * jumps)
