@@ -30,7 +30,7 @@ def decide(scene: Scene) -> list[Decision]:
     )  # fmt: skip
     kinds = sorted({stage.kind for stage in scene.stage})
     inertia = Decision(
-        "inertia", not scene.has_dynamics, "a dynamic stage in the scene", f"stages {', '.join(kinds)}", "dynamic",
+        "inertia", not scene.has_dynamics, "a dynamic stage in the scene", f"stages {', '.join(kinds)}", "dynamic, auto",
         "slip in stages without inertia is that of a slow process: up to half of the dynamic one",
     )  # fmt: skip
     return [flow, inertia, *_far_field(scene)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from fracflow import __version__
@@ -13,6 +14,7 @@ from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
+from fracflow.run_auto import run_auto
 from fracflow.run_equilibrate import equilibrate
 from fracflow.run_record import Recorder, watches_spurious
 from fracflow.run_setup import Model, on_root, prepare
@@ -146,7 +148,7 @@ def _steps(
                     entered = stepping.enter(state, stepper_of(scene, stage), stage.step_length(state.time))
                     state.destroy()
                     state, going_on = entered, {}
-                steps = equilibrate if stage.kind == "equilibrate" else run_stage
+                steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
                 for step in steps(stepping, state, number, recorder.log, going_on):
                     recorder.record(step)
                     if progress is not None:
@@ -164,7 +166,7 @@ def _steps(
             failure = error if isinstance(error, Interrupted) else of_stage(stage, error)
             recorder.log(f"stopped: {failure}")
     if not isinstance(failure, Interrupted):
-        step = Step(state, step.stage, step.dt, step.report, step.progress)
+        step = replace(step, state=state)
         recorder.last(step)
         recorder.save(step, finished=failure is None)
     return failure

@@ -31,7 +31,7 @@ from fracflow.run_totals import Totals
 from fracflow.scene import Scene
 from fracflow.state import State
 
-KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3}
+KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
 TOLD_FROM = 0.1  # smaller factors are all the same
 
@@ -229,7 +229,7 @@ class Files:
             "time": state.time,
             "step/dt": step.dt,
             "step/stage": step.stage,
-            "step/kind": KINDS[self.scene.stage[step.stage].kind],
+            "step/kind": KINDS[step.regime or self.scene.stage[step.stage].kind],
             "step/newton": report.newton,
             "step/krylov": report.krylov,
             "step/coupling": report.cycles,

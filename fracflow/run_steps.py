@@ -43,6 +43,7 @@ class Step:
     """A state worth recording, the stage it belongs to, and what it cost.
 
     progress  what the stage needs to go on from here; None where it cannot
+    regime    the kind of step, where the stage chooses it; empty where that is the kind of the stage
     """
 
     state: State
@@ -50,14 +51,15 @@ class Step:
     dt: float
     report: StepReport
     progress: Progress | None = None
+    regime: str = ""
 
 
-def stepper_of(scene: Scene, stage: Stage) -> Stepper:
-    """The rule that a kind of stage steps by."""
-    method = scene.method
-    if stage.kind == "dynamic":
+def stepper_of(scene: Scene, stage: Stage, regime: str = "") -> Stepper:
+    """The rule that a kind of stage, or a regime of it, steps by; a stage auto begins without inertia."""
+    method, kind = scene.method, regime or stage.kind
+    if kind == "dynamic":
         return stepper_from(method.stepper, method)
-    return stepper_from(method.film, method) if stage.kind == "quasi-static" else Steady()
+    return stepper_from(method.film, method) if kind in ("quasi-static", "auto") else Steady()
 
 
 class Stepping:

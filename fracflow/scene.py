@@ -157,8 +157,8 @@ class Scene(Part):
 
     @property
     def has_dynamics(self) -> bool:
-        """Whether a stage has inertia."""
-        return any(stage.kind == "dynamic" for stage in self.stage)
+        """Whether a stage has inertia, or may need it."""
+        return any(stage.kind in ("dynamic", "auto") for stage in self.stage)
 
     @property
     def jump_times(self) -> tuple[float, ...]:

@@ -206,14 +206,28 @@ class Stage(Part):
     """[[stage]] A part of the run."""
 
     name: Name | None = Field(default=None, description="name by which --set and the log call the stage")
-    kind: Literal["equilibrate", "steady", "quasi-static", "dynamic"] = Field(
-        description="equilibrate: from an initial state out of balance to rest, at the initial pressure, in no time;"
-        " steady: no storage, no inertia; quasi-static: no inertia; dynamic: both"
+    kind: Literal["equilibrate", "steady", "quasi-static", "dynamic", "auto"] = Field(
+        description="equilibrate: from an initial state out of balance to rest, at the initial pressure, in no time; steady: no"
+        " storage, no inertia; quasi-static: no inertia; dynamic: both; auto: quasi-static but while slip runs away"
     )
     end: Annotated[float, Quantity(TIME)] | None = Field(
         default=None, description="time at which the stage ends [time]"
     )
-    time_step: Duration | None = Field(default=None, description="time step [time]")
+    time_step: Duration | None = Field(
+        default=None, description="time step; of a stage auto, the longest one without inertia [time]"
+    )
+    dynamic_time_step: Duration | None = Field(
+        default=None,
+        description="of a stage auto: step with inertia, and how well an onset is known; by default what a wave takes through"
+        " the smallest cell, at most a fiftieth of the longest period [time]",
+    )
+    at_rest: Fraction = Field(
+        default=1e-3,
+        description="of a stage auto: an event is over when kinetic energy stays below this share of its peak [1]",
+    )
+    rest_periods: Annotated[float, Quantity(above=0.0)] = Field(
+        default=1.0, description="for so many of the longest periods of vibration; below 1 may cut events short [1]"
+    )
     steps: Count | None = Field(
         default=None, description="number of steps, in place of end; increments of a stage that equilibrates"
     )
@@ -254,6 +268,12 @@ class Stage(Part):
                 if getattr(self, key) is not None:
                     raise fault("contradicts a steady stage until incipient, which takes no time", key=key)
             return
+        if self.kind == "auto":
+            for key in ("steps", "until", "control", "increment_per_step"):
+                if getattr(self, key) is not None:
+                    raise fault('contradicts kind = "auto", which chooses its steps until end', key=key)
+        elif self.dynamic_time_step is not None:
+            raise fault(f'contradicts kind = "{self.kind}"; it belongs to kind = "auto"', key="dynamic_time_step")
         if self.kind == "dynamic" and self.until is not None:
             raise fault('contradicts kind = "dynamic"; allowed kinds: "steady", "quasi-static"', key="until")
         if self.time_step is None:

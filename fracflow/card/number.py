@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,15 +52,16 @@ WEIGHT = {"backward-euler": 1.0, "bdf2": 1.5, "trapezoid": 2.0}
 """alpha_1 dt of the rules for the film in stages without inertia."""
 
 
-def film_stage(scene: Scene, stage: Stage) -> FilmStage | None:
-    """How a stage steps the film; None where it does not."""
-    dt, method, name = stage.time_step, scene.method, stage.name or stage.kind
-    if dt is None or stage.kind not in ("dynamic", "quasi-static"):
-        return None
-    if stage.kind == "dynamic":
-        alphas = stepper_from(method.stepper, method).alphas(dt)
-        return FilmStage(name, dt, alphas.a1, alphas.mass, alphas.a4 != 0.0)
-    return FilmStage(name, dt, WEIGHT[method.film] / dt, 0.0, method.film == "trapezoid")
+def film_stages(scene: Scene, stage: Stage) -> Iterator[FilmStage]:
+    """How a stage steps the film, of a stage auto with and without inertia; nothing where it does not."""
+    method, name = scene.method, stage.name or stage.kind
+    waves = {"dynamic": stage.time_step, "auto": stage.dynamic_time_step}.get(stage.kind)
+    if waves is not None:
+        alphas = stepper_from(method.stepper, method).alphas(waves)
+        yield FilmStage(name, waves, alphas.a1, alphas.mass, alphas.a4 != 0.0)
+    if stage.time_step is not None and stage.kind in ("quasi-static", "auto"):
+        dt = stage.time_step
+        yield FilmStage(name, dt, WEIGHT[method.film] / dt, 0.0, method.film == "trapezoid")
 
 
 class View:
@@ -68,7 +70,7 @@ class View:
     def __init__(self, scene: Scene, joints: CardJoints) -> None:
         """Sort the stages."""
         self.scene, self.joints = scene, joints
-        self.stages = [film for stage in scene.stage if (film := film_stage(scene, stage)) is not None]
+        self.stages = [film for stage in scene.stage for film in film_stages(scene, stage)]
         self.dynamic = [film for film in self.stages if film.alpha_0 > 0.0]
         self.flows = scene.has_flow and len(joints.length) > 0
         self.drops = joints.distance == 0.0

@@ -44,6 +44,7 @@ OPTIONS: dict[str, dict[str, Value]] = {
     # MUMPS took 99 s to order a diagonal of 200 000 rows; a lumped mass is solved for in one iteration.
     "mass": {"ksp_type": "cg", "pc_type": "jacobi", "ksp_rtol": 1e-14, "ksp_max_it": 1000},
     "condensed": {"ksp_type": "preonly", "pc_type": "cholesky"},  # the rock with elastic joints is positive definite
+    "period": DIRECT,
     "explicit": {"ksp_type": "preonly", "pc_type": "lu"},  # the pressures of an explicit step
 }
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""

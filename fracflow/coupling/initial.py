@@ -118,7 +118,7 @@ def first_levels(
 
 def _mass(operators: Operators, problem: StepProblem) -> tuple[PETSc.Mat, PETSc.KSP]:
     """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
-    matrix, solver = _with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
+    matrix, solver = with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
     if operators.inward is not None:
         _bind(matrix, operators.inward)
     start = matrix.getOwnershipRange()[0]
@@ -144,7 +144,7 @@ def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
         thing.destroy()
 
 
-def _with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:
+def with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:
     """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none."""
     zeros = PETSc.Mat().createAIJ(matrix.getSizes(), nnz=1, comm=matrix.getComm())
     first, last = zeros.getOwnershipRange()

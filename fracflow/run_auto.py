@@ -1,0 +1,158 @@
+"""The stage auto: large steps without inertia, wave steps while something moves, and back, any number of times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from fracflow.coupling.period import longest_period
+from fracflow.errors import NotConverged
+from fracflow.run_accuracy import step_error
+from fracflow.run_events import to_first_event
+from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.run_steps import Progress, Step, Stepping, stepper_of
+from fracflow.run_unrest import Course, begin, may_rest, runs_away
+from fracflow.state import State, StepReport
+
+NEAR = 1e-9  # of a step: times so near are one
+REST, WAVES = "quasi-static", "dynamic"
+Log = Callable[[str], None]
+
+
+def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
+    """All steps of a stage auto, or those after the one with ``progress``. The caller owns the states. Collective.
+
+    A change of regime is a step of no length: where inertia comes in, the state is in balance but for what no state at rest
+    balances, which alone starts the motion; where it goes, kinetic energy is dropped, and booked.
+    """
+    model, stage = stepping.model, stepping.model.scene.stage[number]
+    course, place = (Course.of(progress), Place.of(progress)) if progress else (begin(model, state, stage), Place())
+    regimes = _Regimes(stepping, number, log, course.least)
+    if not progress:
+        log(
+            f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
+            f" without at most {stage.time_step:.6g}"
+        )
+    assert stage.end is not None
+    while stage.end - state.time > NEAR * course.least:
+        if not course.moves:
+            found, report, course = regimes.slow_step(state, course)
+            if found is None:
+                entered = stepping.enter(state, regimes.waves, course.least)
+                course = course.onset(entered, longest_period(model.operators, model.loads, state.sections))
+                yield Step(entered, number, 0.0, StepReport(), course.as_progress(), WAVES)
+                state = entered
+                continue
+            dt, state = found.time - state.time, found
+            yield Step(state, number, dt, report, course.as_progress(), REST)
+            continue
+        for part, dt in regimes.wave_step(state, course, place):
+            state, place = part.state, part.place.next_step() if part.is_last else part.place
+            course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
+            yield Step(state, number, dt, part.report, course.as_progress(place), WAVES)
+        if course.is_quiet(state, stage):
+            entered, course = regimes.rest(state, course)
+            if entered is not None:
+                state, place = entered, Place()
+                yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
+
+
+class _Regimes:
+    """Steps of both regimes of one stage."""
+
+    def __init__(self, stepping: Stepping, number: int, log: Log, least: float) -> None:
+        scene = stepping.model.scene
+        self.stepping, self.model, self.log, self.scene, self.stage = (
+            stepping,
+            stepping.model,
+            log,
+            scene,
+            scene.stage[number],
+        )
+        self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
+        locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events == "located"
+        self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
+
+    def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
+        """The longest step without inertia that may be taken; no state where none may be. Collective."""
+        assert self.stage.time_step is not None
+        while True:
+            time, jumps = self._target(state.time, course.step)
+            dt = time - state.time
+            tried = self._attempt(state, time)
+            if not isinstance(tried, str):
+                break
+            if dt <= course.least * (1.0 + NEAR):
+                self.log(f"time {state.time:.9g}: an event begins: {tried}")
+                return None, StepReport(), course
+            course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
+        new, report = tried
+        course = replace(course, calm=course.calm + 1.0)
+        if report.newton > EFFORT:
+            course = replace(course, step=max(0.5 * course.step, course.least), calm=0.0)
+        elif course.calm > CALM:
+            course = replace(course, step=min(2.0 * course.step, max(self.stage.time_step, course.least)), calm=0.0)
+        if jumps:
+            after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
+            course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
+        return new, report, course
+
+    def _target(self, time: float, step: float) -> tuple[float, bool]:
+        """Where a step ends: just before the next jump of what is prescribed, or with the stage; and whether at a jump."""
+        assert self.stage.end is not None
+        for jump in self.scene.jump_times:
+            slack = max(NEAR * step, 1e-11 * abs(jump))  # tables are sampled from the left there
+            if time < jump - 2.0 * slack and time + step > jump - 2.0 * slack:
+                return jump - slack, True
+        return (self.stage.end, False) if time + step > self.stage.end - NEAR * step else (time + step, False)
+
+    def _attempt(self, state: State, time: float) -> tuple[State, StepReport] | str:
+        """A step without inertia, or why there is none of its length."""
+        dt, allowed = time - state.time, self.scene.accuracy.step_error
+        try:
+            new, report = self.stepping.step(state, self.still, time, dt, state.controls)
+        except NotConverged as failure:
+            return str(failure).partition(";")[0]
+        why = runs_away(self.model, state, new, dt)
+        if not why and allowed is not None and state.motion.velocity.norm() > 0.0:
+            error = step_error(self.model.operators, self.still, dt, state, new)
+            why = f"an error of {error:.3g}" if error > allowed else ""
+        if not why:
+            return new, report
+        new.destroy()
+        return why
+
+    def wave_step(self, state: State, course: Course, place: Place) -> Iterator[tuple]:
+        """The parts of a step with inertia, from a place in it, and their lengths. Collective."""
+        assert self.stage.end is not None
+        start = course.begun + course.count * course.least
+        whole = min(course.least, self.stage.end - start)
+
+        def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
+            def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
+                to = end if share == 1.0 else begin + share * (end - begin)
+                dt, ahead = share * (end - begin) * whole, whole * (1.0 - to if to < 1.0 else 1.0)
+                return self.stepping.step(old, self.waves, start + to * whole, dt, old.controls, hold=hold, ahead=ahead)
+
+            length = (end - begin) * whole
+            found = to_first_event(self.stepping, state, take, length) if may_stop else (*take(state, 1.0, False), 1.0)
+            new, report, share = found
+            return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin))
+
+        for part in in_parts(attempt, state, self.rules, self.log, place):
+            yield part, whole * (part.end - part.start)
+
+    def rest(self, state: State, course: Course) -> tuple[State | None, Course]:
+        """The state as it is taken over without inertia, if a step without it keeps what slips as it is. Collective."""
+        if not may_rest(self.model, state):
+            return None, course
+        entered, still = self.stepping.enter(state, self.still), course.at_rest()
+        tried = self._attempt(entered, self._target(entered.time, still.step)[0])
+        if isinstance(tried, str):
+            entered.destroy()
+            self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {tried}")
+            return None, replace(course, loud=state.time)
+        tried[0].destroy()
+        lasted = state.time - course.begun
+        self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
+        return entered, still
