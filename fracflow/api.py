@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError, Interrupted, SolveError
-from fracflow.output.events import read_events
+from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
 from fracflow.output.history import read_attributes, read_history
 
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 __all__ = ["Run", "converge", "load", "open", "run"]
 
 Arrays = dict[str, NDArray[Any]]
-_EVENT = {"kind": "U8", "node": np.int64, **dict.fromkeys(("x", "y", "start", "end", "slip", "peak_slip_rate"), float)}
+_TEXTS = ("fracture", "probe")
+_EVENT = {
+    name: "U8" if name == "kind" else np.int64 if name == "node" else float for name in COLUMNS if name not in _TEXTS
+}
 
 
 @dataclass(frozen=True)
@@ -82,10 +85,16 @@ class Run:
         """What slipped or opened: a structured array (events,).
 
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
-        way), slip [length], peak_slip_rate [length/time]. Raises InputError if there is no events.csv.
+        way), slip [length], peak_slip_rate [length/time].
+        Of a stage auto also kind "event", from the first section that slides to the last that sticks: place of the first,
+        largest slip, and, nan in other rows: sections, length, mean_slip [length], stress_drop, its mean along the slip [stress],
+        moment G slip length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides,
+        dissipated by friction, dropped at the return to rest [force length / length], share of them by which the books
+        do not close (unclosed); injected, the net volume by wells of given rates before it [length**3].
+        Raises InputError if there is no events.csv.
         """
         rows = read_events(self.folder / "events.csv")
-        longest = {key: max([1, *(len(row[key]) for row in rows)]) for key in ("fracture", "probe")}
+        longest = {key: max([1, *(len(row[key]) for row in rows)]) for key in _TEXTS}
         dtype = np.dtype([*_EVENT.items(), *((key, f"U{size}") for key, size in longest.items())])
         values = [tuple(np.nan if row[key] is None else row[key] for key in dtype.names or ()) for row in rows]
         return np.array(values, dtype=dtype)

@@ -51,9 +51,9 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
             yield Step(state, number, dt, part.report, course.as_progress(place), WAVES)
         if course.is_quiet(state, stage):
-            entered, course = regimes.rest(state, course)
-            if entered is not None:
-                state, place = entered, Place()
+            settled, course = regimes.rest(state, course)
+            if settled is not None:
+                state, place = settled, Place()
                 yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
 
 

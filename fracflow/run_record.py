@@ -25,6 +25,7 @@ from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
 from fracflow.plan import Decision, as_records, decide, factorisations
+from fracflow.run_catalogue import brought, catalogue_of, instant
 from fracflow.run_setup import Model, on_root
 from fracflow.run_steps import Step
 from fracflow.run_totals import Totals
@@ -34,7 +35,6 @@ from fracflow.state import State
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
 TOLD_FROM = 0.1  # smaller factors are all the same
-
 
 SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
 
@@ -62,11 +62,12 @@ class Recorder:
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
         snapshot = sampling.take(self.sampler, step.state)
+        self.totals.injected += brought(self.model, step.state, step.dt)
         if self.files is not None and snapshot is not None:
             margin = float(snapshot.column("margin").min(initial=np.inf))
             if margin < self.totals.narrowest:
                 self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
-            self.files.append(step, snapshot, margin)
+            self.files.append(step, snapshot, margin, self.totals.injected)
             self.totals.least = max(self.totals.least, snapshot.least[0])
             self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
         self._watch_spurious(step)
@@ -194,6 +195,7 @@ class Files:
             ),
         )
         self.chatter = Chatter(self.events.nodes.fracture)
+        self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
         if notes is not None:
             self.events.remember(notes["events"])
         self.count = len(flow)
@@ -220,9 +222,10 @@ class Files:
         notes |= {"drive": state.drive, "power": state.power}
         notes |= {"incident": state.forces.incident, "around": list(state.around)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
+        memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
 
-    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
+    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float, injected: float) -> None:
         """One row of history and the events up to it."""
         state, report = step.state, step.report
         record: dict[str, Any] = {
@@ -270,6 +273,10 @@ class Files:
             brought("plastic_slip"),
             brought("slip_rate"),
         )
+
+        moves = step.regime == "dynamic"
+        if self.catalogue and (event := self.catalogue.update(instant(state, snapshot, injected), moves)):
+            self.events.add(event)
 
     def _advice(self) -> str:
         if self.scene.method.contact == "lumped" and not self.scene.has_flow:

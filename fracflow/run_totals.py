@@ -12,7 +12,7 @@ NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not
 
 @dataclass
 class Totals:
-    """Counts over the run."""
+    """Counts over the run; ``injected`` is the net volume that wells of given rates have brought [length^3]."""
 
     steps: int = 0
     newton: int = 0
@@ -25,6 +25,7 @@ class Totals:
     spurious_time: float = np.nan
     handed_over: int = 0
     told_factor: float = np.nan
+    injected: float = 0.0
 
     def last_words(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
         """What the log ends with, after so many ``seconds``."""

@@ -17,7 +17,7 @@ def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
     """Limits that wells were kept at when a state was accepted; of two of one well the one its pressure is nearer to."""
     found: dict[str, tuple[float, Limit]] = {}
     for limit in loads.limits:
-        away = abs(_at(limit, state.pressure) - limit.pressure)
+        away = abs(at_node(limit, state.pressure) - limit.pressure)
         if limit.well in state.limited and away <= found.get(limit.well, (math.inf, limit))[0]:
             found[limit.well] = (away, limit)
     return frozenset(limit for _, limit in found.values())
@@ -30,9 +30,9 @@ def reached_after(loads: Loads, reached: frozenset[Limit], trial: State, depth: 
     """
     now = set(reached)
     for limit in loads.limits:
-        pressure = _at(limit, trial.pressure)
+        pressure = at_node(limit, trial.pressure)
         if limit in reached:
-            through = _at(limit, trial.forces.source) * depth
+            through = at_node(limit, trial.forces.source) * depth
             asked = loads.demanded(limit.well, trial.time, trial.controls)
             if limit.sign * (through - asked) > CLOSE * abs(asked):
                 now.discard(limit)
@@ -50,6 +50,7 @@ def refuse_cycle(reached: frozenset[Limit], time: float) -> NoReturn:
     )
 
 
-def _at(limit: Limit, vector: PETSc.Vec) -> float:
+def at_node(limit: Limit, vector: PETSc.Vec) -> float:
+    """The value of a vector of the flow at the node of a limit. Collective."""
     here = float(vector.getArray(readonly=True)[limit.local].sum())
     return float(vector.getComm().tompi4py().allreduce(here, op=MPI.SUM))

@@ -177,6 +177,9 @@ class Output(Part):
     checkpoint_seconds: Annotated[float, Quantity(above=0.0)] = Field(
         default=60.0, description="save the state when so many seconds of wall clock have passed [s]"
     )
+    event_length: Size | None = Field(
+        default=None, description="width of events of a stage auto across the plane, for magnitudes [length]"
+    )
     pictures: StrictBool = Field(default=True, description="draw pictures for the report page")
 
 

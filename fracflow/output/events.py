@@ -1,4 +1,4 @@
-"""events.csv: when and where fractures slipped or opened."""
+"""events.csv: when and where fractures slipped or opened; of stages auto also what each event came to as a whole."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ from numpy.typing import NDArray
 from fracflow.errors import InputError
 from fracflow.output.folder import write_atomic
 
-COLUMNS = ("kind", "fracture", "node", "probe", "x", "y", "start", "end", "slip", "peak_slip_rate")
-_KINDS = ("open", "slip")
+OF_EVENTS = (
+    "sections", "length", "mean_slip", "stress_drop", "moment", "magnitude", "radiated", "dissipated", "dropped",
+    "unclosed", "injected",
+)  # fmt: skip
+"""Columns that only rows of kind "event" have; their place is where the first section slid, their slip the largest."""
 _NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
+COLUMNS = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)
+_KINDS = ("open", "slip")
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -93,6 +98,13 @@ class EventLog:
             self._write()
         return changed or bool(starts)
 
+    def add(self, event: Mapping[str, Any]) -> None:
+        """A row of kind "event", of what ``Catalogue`` gives: ``place`` is the row of a node in the table of nodes."""
+        self.rows.append(
+            {"kind": "event", **self._place(event["place"])} | {k: v for k, v in event.items() if k != "place"}
+        )
+        self._write()
+
     def close(self) -> None:
         """Write the file with the latest slip of events still under way."""
         self._write()
@@ -115,11 +127,15 @@ class EventLog:
         self._write()
 
     def _start(self, kind: str, i: int, time: float) -> None:
-        nodes, running = self.nodes, self._running[kind]
+        running = self._running[kind]
         running.row[i], running.slip_before[i] = len(self.rows), self._plastic_slip[i]
-        place = {"fracture": nodes.fracture[i], "node": int(nodes.node[i]), "probe": nodes.probe[i]}
-        where = {"x": float(nodes.x[i]), "y": float(nodes.y[i]), "start": float(time), "end": None}
-        self.rows.append({"kind": kind, **place, **where, "slip": 0.0, "peak_slip_rate": 0.0})
+        since = {"start": float(time), "end": None, "slip": 0.0, "peak_slip_rate": 0.0}
+        self.rows.append({"kind": kind, **self._place(i), **since})
+
+    def _place(self, i: int) -> dict[str, Any]:
+        nodes = self.nodes
+        at = {"fracture": nodes.fracture[i], "node": int(nodes.node[i]), "probe": nodes.probe[i]}
+        return {**at, "x": float(nodes.x[i]), "y": float(nodes.y[i])}
 
     def _measure(self, kind: str, i: int, plastic_slip: Floats) -> None:
         running = self._running[kind]
@@ -139,7 +155,7 @@ class EventLog:
 
 
 def read_events(path: str | Path) -> list[dict[str, Any]]:
-    """Read events.csv: one dict an event, numbers as numbers, ``end`` None while it is under way.
+    """Read events.csv: one dict an event, numbers as numbers, None for ``end`` while it is under way and where there is none.
 
     Raises InputError if the file is missing or has other columns.
     """
@@ -155,5 +171,5 @@ def read_events(path: str | Path) -> list[dict[str, Any]]:
 
 
 def _typed(row: dict[str, str]) -> dict[str, Any]:
-    numbers = {key: float(row[key]) if row[key] else None for key in _NUMBERS}
+    numbers = {key: float(row[key]) if row[key] else None for key in (*_NUMBERS, *OF_EVENTS)}
     return {**row, **numbers, "node": int(row["node"])}

@@ -20,7 +20,7 @@ COLUMNS = (
     "utilisation", "margin", "stored_energy", "friction_energy", "aperture", "pressure", "flow_rate",
 )  # fmt: skip
 """What there is at each joint end, in 2-D; the energies are per area of the fracture, since the start."""
-EVERY_STEP = ("sliding", "open", "margin", "plastic_slip", "slip_rate")
+EVERY_STEP = ("sliding", "open", "margin", "plastic_slip", "slip_rate", "shear_traction")
 """What events and counts need of all joint ends at every step."""
 FLOW = {"aperture", "pressure", "flow_rate"}
 

@@ -1,0 +1,126 @@
+"""Events of a stage auto as a catalogue: what slipped between its onset and the return to rest, and what that released."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+SLIPPED = 1e-9  # of the largest slip of an event: what is less is none
+RELEASED = ("friction", "radiated", "dropped", "scheme")
+"""Entries of the energy books in which the energy that an event sets free ends, but for what the fluid takes."""
+
+
+@dataclass(frozen=True)
+class FaultEnds:
+    """The joint ends (n,) of all fractures: whose they are, and what a unit of slip there is worth.
+
+    place    row of each end in the table of fracture nodes
+    length   that an end stands for; 0 at tips, which have no slip [length]
+    modulus  shear modulus of the rock beside, two rocks in series; inf where both are rigid [stress]
+    depth    to which an event reaches, for its magnitude; None leaves it out [length]
+    to_si    what brings a moment in the units of the scene to N m; None where they have none
+    """
+
+    place: NDArray[np.int64]
+    length: Floats
+    modulus: Floats
+    depth: float | None = None
+    to_si: float | None = None
+
+    def magnitude(self, moment: float) -> float | None:
+        """(Hanks and Kanamori 1979) 2/3 (log10 M_0 - 9.05) of a moment per thickness [force length/length]."""
+        if self.depth is None or self.to_si is None or not 0.0 < moment < math.inf:
+            return None
+        return 2.0 / 3.0 * (math.log10(moment * self.depth * self.to_si) - 9.05)
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What the catalogue looks at of a recorded state: plastic slip, shear traction, slip rate (n,) and who slides.
+
+    energy    the books
+    injected  volume that wells of given rates have brought since the start of the run [length^3]
+    """
+
+    time: float
+    slip: Floats
+    traction: Floats
+    rate: Floats
+    sliding: NDArray[np.bool_]
+    energy: Mapping[str, float]
+    injected: float
+
+
+class Catalogue:
+    """Makes a row of each event, from its last state without inertia before it to the first one after it."""
+
+    def __init__(self, ends: FaultEnds) -> None:
+        """Begin where nothing is under way."""
+        self.ends, self.is_moving = ends, False
+        self.before: dict[str, Any] = {}
+        self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros(len(ends.length))
+
+    def update(self, now: Instant, moves: bool) -> dict[str, Any] | None:
+        """Look at a state, reached with inertia if it ``moves``; gives the row of the event that it ends, without its place."""
+        row = self.row(now) if self.is_moving and not moves and self.first >= 0 else None
+        if moves:
+            sliding = np.flatnonzero(now.sliding & (self.ends.length > 0.0))
+            if len(sliding):
+                self.end = math.nan
+                if self.first < 0:
+                    self.first, self.start = int(sliding[0]), now.time
+            elif math.isnan(self.end):
+                self.end = now.time
+            self.peak = np.fmax(self.peak, np.abs(now.rate))
+        else:
+            self.before = {"slip": now.slip.tolist(), "traction": now.traction.tolist()}
+            self.before |= {"energy": dict(now.energy), "injected": now.injected}
+            self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros_like(self.peak)
+        self.is_moving = moves
+        return row
+
+    def row(self, now: Instant) -> dict[str, Any]:
+        """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where the first slid."""
+        length, before = self.ends.length, self.before
+        change = np.where(length > 0.0, now.slip - np.array(before["slip"]), 0.0)
+        size = np.abs(change)
+        slipped = size > SLIPPED * size.max(initial=0.0)
+        whole = float(length[slipped].sum())
+        drop = (np.array(before["traction"]) - now.traction) * np.sign(change) * slipped
+        moment = float((length * np.where(slipped, self.ends.modulus * size, 0.0)).sum())
+        since = {name: now.energy[name] - value for name, value in before["energy"].items()}
+        released = sum(since[name] for name in RELEASED)
+        return {
+            "place": int(self.ends.place[self.first]),
+            "start": self.start,
+            "end": now.time if math.isnan(self.end) else self.end,
+            "slip": float(change[size.argmax()]),
+            "peak_slip_rate": float(self.peak[slipped].max(initial=0.0)),
+            "sections": int(slipped.sum()),
+            "length": whole,
+            "mean_slip": float((length * size).sum() / whole) if whole > 0.0 else 0.0,
+            "stress_drop": float((length * drop).sum() / whole) if whole > 0.0 else 0.0,
+            "moment": moment if math.isfinite(moment) else None,
+            "magnitude": self.ends.magnitude(moment),
+            "radiated": since["radiated"],
+            "dissipated": since["friction"],
+            "dropped": since["dropped"],
+            "unclosed": abs(since["residual"]) / released if released > 0.0 else None,
+            "injected": before["injected"],
+        }
+
+    def memory(self) -> dict[str, Any]:
+        """All that it knows, as plain numbers and lists."""
+        about = {"is_moving": self.is_moving, "before": self.before, "peak": self.peak.tolist()}
+        return about | {"first": self.first, "start": self.start, "end": self.end}
+
+    def remember(self, memory: Mapping[str, Any]) -> None:
+        """Go on from what ``memory`` gave."""
+        self.is_moving, self.before, self.first = memory["is_moving"], memory["before"], memory["first"]
+        self.start, self.end, self.peak = memory["start"], memory["end"], np.array(memory["peak"])
