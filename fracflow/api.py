@@ -87,10 +87,10 @@ class Run:
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
         way), slip [length], peak_slip_rate [length/time].
         Of a stage auto also kind "event", from the first section that slides to the last that sticks: place of the first,
-        largest slip, and, nan in other rows: sections, length, mean_slip [length], stress_drop, its mean along the slip [stress],
-        moment G slip length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides,
-        dissipated by friction, dropped at the return to rest [force length / length], share of them by which the books
-        do not close (unclosed); injected, the net volume by wells of given rates before it [length**3].
+        largest slip, and, nan in other rows, sections, length, mean_slip [length], mean stress_drop [stress], moment G slip
+        length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides, dissipated by
+        friction, dropped at the return to rest [force length / length], share of them by which the books do not close
+        (unclosed); injected, the net volume that wells of given rates brought before it [length**3].
         Raises InputError if there is no events.csv.
         """
         rows = read_events(self.folder / "events.csv")

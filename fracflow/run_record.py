@@ -274,9 +274,10 @@ class Files:
             brought("slip_rate"),
         )
 
-        moves = step.regime == "dynamic"
-        if self.catalogue and (event := self.catalogue.update(instant(state, snapshot, injected), moves)):
-            self.events.add(event)
+        if self.catalogue is not None:
+            moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
+            if event := self.catalogue.update(instant(state, snapshot, injected), moves):
+                self.events.add(event)
 
     def _advice(self) -> str:
         if self.scene.method.contact == "lumped" and not self.scene.has_flow:

@@ -57,6 +57,11 @@ CASES = {
     "tolerance": (CRACK + QUASI + DYNAMIC, ["method.film=bdf2", "accuracy.tolerance=0.2", *SHORT], (4, 9)),
     "slip weakening": (LAYER, ["stage.0.time_step=0.1"], (6, 9, 12)),
     "explicit": (CRACK + DYNAMIC, ["method.stepper=explicit", "stage.0.time_step=6e-4"], (1, 4)),
+    "auto": (
+        "failures/f11_two_modes",
+        ["stage.push.end=430", "stage.push.dynamic_time_step=0.5", "stage.push.at_rest=0.1"],
+        (12, 30),
+    ),
     "rigid walls": (RIGID, ["fracture.slot.pressure=[[0, 0], [2, 1e4]]"], (1,)),
 }
 

@@ -1,0 +1,50 @@
+"""F11, F12: a slip event with two modes is over when it has been quiet for one longest period; nothing of it is lost."""
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.output import read_events, read_history
+from fracflow.run import run
+from fracflow.scene import load
+
+SCENES = "meshes/failures/"
+EARLY = ("stage.push.at_rest=0.1", "stage.push.end=430")
+FOUND = []  # the run that two tests look at
+
+
+def _ran(scene, folder, *overrides):
+    run(load(f"{SCENES}{scene}/scene.toml", ["output.pictures=false", *overrides]), folder, MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    return read_history(folder / "history.h5"), read_events(folder / "events.csv")
+
+
+@pytest.fixture
+def waited(shared_tmp):
+    if not FOUND:
+        FOUND.append(_ran("f11_two_modes", shared_tmp / "waited", *EARLY))
+    return FOUND[0]
+
+
+def test_is_the_event_that_inertia_all_along_makes(shared_tmp, waited):
+    """Cut short by the energy of an instant it loses 11 %, in the catalogue's own model of it."""
+    (event,) = [row for row in waited[1] if row["kind"] == "event"]
+    history, _ = _ran("f12_all_dynamic", shared_tmp / "all")
+    whole = np.ptp(history["probe/fault/plastic_slip"])
+    assert event["slip"] == pytest.approx(whole, rel=1e-3)
+    assert history["energy/dropped"][-1] == pytest.approx(0.0, abs=1e-6)
+    assert event["dissipated"] == pytest.approx(history["energy/friction"][-1], rel=5e-3)
+    _, rows = _ran("f11_two_modes", shared_tmp / "instant", *EARLY, "stage.push.rest_periods=0.02")
+    (cut,) = [row for row in rows if row["kind"] == "event"]
+    assert cut["slip"] < 0.9 * whole
+
+
+def test_drops_what_it_says_and_closes_its_books(waited):
+    history, rows = waited
+    (event,) = [row for row in rows if row["kind"] == "event"]
+    assert event["unclosed"] <= 1e-6
+    dropped, kinetic = history["energy/dropped"], history["energy/kinetic"]
+    assert 0.0 < dropped[-1] <= 0.1 * kinetic.max()
+    assert event["dropped"] == pytest.approx(dropped[-1], rel=1e-6)
+    kinds = history["step/kind"]
+    assert list(kinds[np.flatnonzero(np.diff(kinds, prepend=-1))]) == [1, 2, 1]  # without, with, without inertia

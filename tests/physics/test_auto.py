@@ -1,0 +1,109 @@
+"""A stage auto: a slider pushed slowly lets go again and again; it goes as far, and as often, as in closed form."""
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.coupling.period import longest_period
+from fracflow.errors import InputError
+from fracflow.output import read_events, read_history
+from fracflow.run import run
+from fracflow.run_setup import prepare
+from fracflow.run_start import rest
+from fracflow.scene import load
+
+STIFF, SPRING, DAMPING, DROP, RATE = 50.0, 1.0, 1.0, 0.6, 1.0 / 4000.0
+SCENE = "meshes/failures/f11_two_modes/scene.toml"
+ONE = (
+    "support.1={on = ['slider', 'mass'], components = ['y']}",
+    "fracture.fault={normal_stiffness = 10, shear_stiffness = 50, aperture = 1, friction_coefficient = 0.5,"
+    " stick_slip_ratio = 0.4}",
+    "rock.slider.youngs_modulus=1e4",  # its vent resists by rho c_p L = 1
+    "rock.mass.youngs_modulus=1e4",
+    "fracture.above.shear_stiffness=1e6",
+    "load.1.force=[[[0, 0], [8000, 2]], 0]",
+    "output.pictures=false",
+    "stage.push.end=6500",
+    "stage.push.time_step=500",
+    "output.event_length=2",
+)
+
+
+def test_a_slider_goes_as_far_and_as_often_as_its_spring_and_dashpot_say(shared_tmp):
+    """m = 1, k, c: a drop D takes it D/k (1 + exp(-pi zeta/sqrt(1 - zeta^2))) in pi/omega_d; its joint unloads by D/k_s."""
+    run(load(SCENE, ONE), shared_tmp, MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    history, rows = read_history(shared_tmp / "history.h5"), read_events(shared_tmp / "events.csv")
+    events = [row for row in rows if row["kind"] == "event"]
+    zeta = 0.5 * DAMPING / np.sqrt(SPRING)
+    swing = np.sqrt(SPRING * (1.0 - zeta**2))
+    slip = DROP / SPRING * (1.0 + np.exp(-np.pi * zeta / np.sqrt(1.0 - zeta**2))) + DROP / STIFF
+    assert [event["slip"] for event in events] == pytest.approx([slip, slip, slip], rel=5e-3)
+    # the strength 1 is reached from 0.9 first, then from where the last event left it
+    first = 0.1 * (SPRING + STIFF) / STIFF / RATE
+    starts = [first + n * SPRING * slip / RATE for n in range(3)]
+    assert [event["start"] for event in events] == pytest.approx(starts, rel=5e-3)
+    for event in events:
+        assert event["end"] - event["start"] == pytest.approx(np.pi / swing, rel=0.01)
+        left = SPRING * slip * STIFF / (SPRING + STIFF)  # statics: what slip s takes from the joint
+        assert event["stress_drop"] == pytest.approx(left, rel=1e-2)
+        assert event["dissipated"] == pytest.approx(0.4 * slip + 0.5 * DROP**2 / STIFF, rel=5e-3)  # it slides at 0.4
+        assert event["length"] == pytest.approx(1.0) and event["moment"] > 0.0 and event["unclosed"] <= 1e-6
+        assert event["magnitude"] is None  # a scene without units
+    assert history["time"][-1] == pytest.approx(6500.0)
+    assert len(history["time"]) < 1000  # steps of 0.05 would be 130 000
+
+
+def test_the_longest_period_is_that_of_two_masses_on_three_springs(comm):
+    model = prepare(load(SCENE, ["rock.slider.youngs_modulus=1e6", "rock.mass.youngs_modulus=1e6"]), comm)
+    state = rest(model)
+    found = longest_period(model.operators, model.loads, state.sections)
+    state.destroy()
+    stiffness, mass = np.array([[51.0, -1.0], [-1.0, 1.3]]), np.diag([1.0, 4.0])
+    assert found == pytest.approx(
+        2.0 * np.pi / np.sqrt(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).min()), rel=1e-3
+    )
+
+
+SLOW = """
+title = "a fault that creeps"
+output.pictures = false
+rock.rock = {youngs_modulus = "10 GPa", poissons_ratio = 0.25, density = 2500}
+initial_stress = {xx = "-2 MPa", yy = "-2 MPa", xy = "0.5 MPa"}
+support = [{on = "south"}, {on = "north", displacement = {x = [[0, 0], [1e6, "1 mm"]], y = 0}}]
+load = [{on = ["west", "east"], traction = "initial-stress"}]
+geometry = {domain = [0, 0, 4, 4], size = 1, fracture = [{name = "fault", points = [[0, 2], [4, 2]]}]}
+stage = [{kind = "auto", time_step = 1e5, end = 1e6}]
+[fracture.fault]
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "1 mm"
+friction_coefficient = 0.5
+"""
+
+
+def test_slow_slip_that_is_stable_stays_without_inertia(shared_tmp):
+    """A strength that does not drop: the far side moves 1 mm, the fault with it, but for what the rock and it hold."""
+    file = shared_tmp / "slow.toml"
+    if MPI.COMM_WORLD.rank == 0:
+        file.write_text(SLOW)
+    MPI.COMM_WORLD.barrier()
+    run(load(file), shared_tmp / "out", MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    history, rows = read_history(shared_tmp / "out/history.h5"), read_events(shared_tmp / "out/events.csv")
+    assert set(history["step/kind"]) == {1} and len(history["time"]) < 20
+    assert history["step/slipping"][-1] > 0 and all(row["kind"] == "slip" for row in rows)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("stage.push.steps=4", "steps"),
+        ("stage.push.control=x", "control"),
+        ("stage.push.kind=dynamic", "dynamic_time_step"),
+    ],
+)
+def test_keys_that_a_stage_auto_does_not_have_are_refused(override, says):
+    with pytest.raises(InputError, match=says):
+        load(SCENE, [override])
