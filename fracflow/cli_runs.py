@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from fracflow._petsc import MPI
     from fracflow.run import Progress as Tick
     from fracflow.run_converge import Level
+    from fracflow.run_steps import Step
     from fracflow.run_totals import Totals
     from fracflow.scene import Scene
 
@@ -44,9 +45,10 @@ def watched(
     totals, failure = None, None
     screen = Console(stderr=True, quiet=comm.rank > 0)
     with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        task = bar.add_task(title or scene.title or str(folder), total=total or None)
+        name = title or scene.title or str(folder)
+        task = bar.add_task(name, total=total or None)
         try:
-            totals = job(lambda stage, time, state: bar.advance(task))
+            totals = job(lambda step: bar.update(task, advance=1, description=f"{name}{told(scene, step)}"))
         except SolveError as error:
             failure = error
         except Interrupted as error:
@@ -61,6 +63,11 @@ def watched(
     if totals is not None:
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts)
+
+
+def told(scene: Scene, step: Step) -> str:
+    """Of a stage that chooses its regime the one it is in, and the time."""
+    return f", {step.regime} at {step.state.time:.6g} {scene.unit_system.time}".rstrip() if step.regime else ""
 
 
 def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:

@@ -25,9 +25,9 @@ from fracflow.run_totals import Totals
 from fracflow.run_watch import Watch, Wish
 from fracflow.scene import Scene, load
 from fracflow.scene_actions import Stage
-from fracflow.state import State, StepReport
+from fracflow.state import StepReport
 
-Progress = Callable[[int, float, State], None]
+Progress = Callable[[Step], None]
 Show = Callable[[list[Number]], None]
 
 
@@ -152,7 +152,7 @@ def _steps(
                 for step in steps(stepping, state, number, recorder.log, going_on):
                     recorder.record(step)
                     if progress is not None:
-                        progress(number, step.state.time, step.state)
+                        progress(step)
                     state.destroy()
                     state = step.state
                     wish = watch.wish(recorder.totals.steps)

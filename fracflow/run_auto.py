@@ -112,7 +112,7 @@ class _Regimes:
         try:
             new, report = self.stepping.step(state, self.still, time, dt, state.controls)
         except NotConverged as failure:
-            return str(failure).partition(";")[0]
+            return str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0]
         why = runs_away(self.model, state, new, dt)
         if not why and allowed is not None and state.motion.velocity.norm() > 0.0:
             error = step_error(self.model.operators, self.still, dt, state, new)
