@@ -17,8 +17,9 @@ from pydantic import (
 
 from fracflow import __version__
 from fracflow.errors import InputError
+from fracflow.scene_absorbing import Absorbing
 from fracflow.scene_accuracy import Accuracy
-from fracflow.scene_actions import Absorbing, Control, Load, Probe, Stage, Support, Tie, Well
+from fracflow.scene_actions import Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene_checks import check_mesh_names, contradictions
 from fracflow.scene_errors import nearest, one_line
 from fracflow.scene_materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
