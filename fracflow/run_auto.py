@@ -99,9 +99,9 @@ class _Regimes:
 
     def _target(self, time: float, step: float) -> tuple[float, bool]:
         """Where a step ends: just before the next jump of what is prescribed, or with the stage; and whether at a jump."""
-        assert self.stage.end is not None
+        assert self.stage.end is not None and self.stage.time_step is not None
         for jump in self.scene.jump_times:
-            slack = max(NEAR * step, 1e-11 * abs(jump))  # tables are sampled from the left there
+            slack = max(NEAR * self.stage.time_step, 1e-11 * abs(jump))  # tables are sampled from the left there
             if time < jump - 2.0 * slack and time + step > jump - 2.0 * slack:
                 return jump - slack, True
         return (self.stage.end, False) if time + step > self.stage.end - NEAR * step else (time + step, False)
