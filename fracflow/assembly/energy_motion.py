@@ -45,17 +45,20 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     Over a step the rock moves by d, and half the sum of S before and after it does the work that the other entries book.
     Where it is free, M w + (1 - f) S_new + f S = 0, w the acceleration that the mass meets; so the scheme dissipates
     d.(M w - M dv/dt) + e.M dv/dt + (1/2 - f) d.(S_new - S), with d = dt (v + v_new)/2 + e and e of the accelerations alone.
-    Where it is held, its inertia takes up what its kinetic energy does. Collective.
+    Where it is held, its inertia takes up what its kinetic energy does. Without inertia the half of S that the last stage
+    left is dropped; M a is not -S there, where a scheme looks back. Collective.
     """
     change = _local(new.motion.displacement) - _local(old.motion.displacement)
     before, after = old.motion.values(), new.motion.values()
     mean = _times(ops, 0.5 * (before.acceleration + after.acceleration), new)
-    if not scheme.inertia:
-        return {"dropped": _total(ops, change @ mean)}  # of a stage before, let go in the first step
-    kinetic = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
-    alphas = scheme.alphas
     is_held = np.zeros(len(change), dtype=bool)
     is_held[scheme.held] = True
+    if not scheme.inertia:  # what was out of balance in a stage before is let go in the first step
+        if old.motion.acceleration.norm() > 0.0:
+            mean = np.where(is_held, mean, -0.5 * _static(ops, old))
+        return {"dropped": _total(ops, change @ mean)}
+    kinetic = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
+    alphas = scheme.alphas
     if alphas is None:
         gained = 0.5 * (before.velocity + after.velocity) * _times(ops, after.velocity - before.velocity, new)
         left = change * mean - gained
