@@ -15,6 +15,7 @@ from fracflow.run_unrest import Course, begin, may_rest, runs_away
 from fracflow.state import State, StepReport
 
 NEAR = 1e-9  # of a step: times so near are one
+ROUND_OFF = 1e-14  # of a time
 REST, WAVES = "quasi-static", "dynamic"
 Log = Callable[[str], None]
 
@@ -34,7 +35,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             f" without at most {stage.time_step:.6g}"
         )
     assert stage.end is not None
-    while stage.end - state.time > NEAR * course.least:
+    while stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
         if not course.moves:
             found, report, course = regimes.slow_step(state, course)
             if found is None:
@@ -82,7 +83,7 @@ class _Regimes:
             tried = self._attempt(state, time)
             if not isinstance(tried, str):
                 break
-            if dt <= course.least * (1.0 + NEAR):
+            if min(dt, course.step) <= course.least * (1.0 + NEAR):
                 self.log(f"time {state.time:.9g}: an event begins: {tried}")
                 return None, StepReport(), course
             course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
