@@ -11,7 +11,7 @@ from fracflow.run_accuracy import step_error
 from fracflow.run_events import to_first_event
 from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
 from fracflow.run_steps import Progress, Step, Stepping, stepper_of
-from fracflow.run_unrest import Course, begin, may_rest, runs_away
+from fracflow.run_unrest import Course, begin, may_rest, runs_away, weak_waves
 from fracflow.state import State, StepReport
 
 NEAR = 1e-9  # of a step: times so near are one
@@ -40,7 +40,8 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             found, report, course = regimes.slow_step(state, course)
             if found is None:
                 entered = stepping.enter(state, regimes.waves, course.least)
-                course = course.onset(entered, longest_period(model.operators, model.loads, state.sections))
+                period = longest_period(model.operators, model.loads, state.sections)
+                course = course.onset(entered, period, weak_waves(model, state, period))
                 yield Step(entered, number, 0.0, StepReport(), course.as_progress(), WAVES)
                 state = entered
                 continue

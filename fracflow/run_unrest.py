@@ -15,6 +15,7 @@ from fracflow.errors import SolveError
 from fracflow.run_parts import Place
 from fracflow.run_setup import Model
 from fracflow.scene_actions import Stage
+from fracflow.scene_materials import Rock
 from fracflow.state import State
 
 SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther
@@ -33,7 +34,7 @@ class Course:
     calm    steps in a row that could have been longer
     begun   onset of the event under way; ``moves`` 1 during one
     count   whole steps with inertia since then
-    creep   kinetic energy at the onset [energy per thickness]
+    creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]
     peak    largest one since
     loud    when it was last above the share of its peak that counts as rest [time]
     """
@@ -58,17 +59,17 @@ class Course:
         """The one that a checkpoint kept."""
         return cls(**{name: progress[name] for name in cls.__dataclass_fields__})
 
-    def onset(self, state: State, period: float) -> Course:
-        """As an event begins from a state whose books have its kinetic energy."""
+    def onset(self, state: State, period: float, weak: float) -> Course:
+        """As an event begins from a state whose books have its kinetic energy; ``weak`` waves have less than that."""
         energy = state.energy["kinetic"]
         begun = replace(self, moves=1.0, begun=state.time, count=0.0, period=period)
-        return replace(begun, creep=energy, peak=energy, loud=state.time)
+        return replace(begun, creep=max(CREEP * energy, weak), peak=energy, loud=state.time)
 
     def moved_to(self, state: State, at_rest: float) -> Course:
         """After a step, or a part of one, with inertia."""
         energy = state.energy["kinetic"]
         peak = max(self.peak, energy)
-        is_loud = energy > max(at_rest * peak, CREEP * self.creep)
+        is_loud = energy > max(at_rest * peak, self.creep)
         return replace(self, peak=peak, loud=state.time if is_loud else self.loud)
 
     def is_quiet(self, state: State, stage: Stage) -> bool:
@@ -124,6 +125,17 @@ def runs_away(model: Model, old: State, new: State, dt: float) -> str:
     return ""
 
 
+def weak_waves(model: Model, state: State, period: float) -> float:
+    """Kinetic energy of waves of a stress ``RADIATED`` times the strength, wherever they come in a period. Collective.
+
+    s^2/(2 mu) per area, on (c_s T)^2; nothing where no rock deforms [energy per thickness].
+    """
+    strength = state.sections.strength
+    here = float(np.max(np.where(np.isfinite(strength), strength, 0.0), initial=0.0))
+    stress = RADIATED * model.operators.layout.comm.allreduce(here, op=MPI.MAX)
+    return max((0.5 * stress**2 * period**2 / rock.density for rock in _deforming(model) if rock.density), default=0.0)
+
+
 def may_rest(model: Model, state: State) -> bool:
     """Whether no section slides that would drop again once it stuck: such slip has to end by itself. Collective."""
     joints, slides = model.operators.joints, False
@@ -137,7 +149,11 @@ def may_rest(model: Model, state: State) -> bool:
 
 def _impedance(model: Model) -> float:
     """Largest rho c_s/2 of the rocks that deform [stress time/length]."""
-    rocks = [rock for rock in model.scene.rock.values() if not rock.rigid and rock.density]
+    rocks = _deforming(model)
     moduli = [(rock.youngs_modulus or 0.0) / (2.0 * (1.0 + (rock.poissons_ratio or 0.0))) for rock in rocks]
     products = (modulus * (rock.density or 0.0) for modulus, rock in zip(moduli, rocks, strict=True))
     return max((0.5 * math.sqrt(product) for product in products), default=0.0)
+
+
+def _deforming(model: Model) -> list[Rock]:
+    return [rock for rock in model.scene.rock.values() if not rock.rigid and rock.density]
