@@ -111,7 +111,7 @@ def test_a_run_cut_anywhere_ends_as_the_whole_one(case, shared_tmp):
     for cut in cuts:
         folder, count = shared_tmp / f"cut{cut}", [0]
 
-        def stop(stage, time, state, at=cut, count=count):
+        def stop(step, at=cut, count=count):
             count[0] += 1
             if count[0] > at:  # the checkpoint of step ``at`` is written, the one of this step is not
                 raise Stop
