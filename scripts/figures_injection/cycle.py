@@ -12,7 +12,7 @@ from fracflow.api import Run
 
 DAY, MPA, MM = 86400.0, 1e6, 1e-3
 CLOSED = 1e-6  # of an event's energy
-LEAST_EVENTS = 3
+LEAST_EVENTS, FELT = 3, 2.0  # so many of that magnitude; what comes to nothing is an event too
 
 
 def draw(folder: Path, found: Path | None = None) -> list[Check]:
@@ -64,11 +64,12 @@ def draw(folder: Path, found: Path | None = None) -> list[Check]:
 
 def _bars(run: Run, events: np.ndarray) -> list[Check]:
     unclosed = float(np.max(events["unclosed"], initial=0.0))
+    large = int((events["magnitude"] > FELT).sum())
     energy = events["radiated"] + events["dissipated"]
     dropped = float(np.max(np.abs(events["dropped"]) / energy, initial=0.0))
     faults = len({*run.events["fracture"][run.events["kind"] == "slip"]})
     return [
-        Check("events", len(events), f">= {LEAST_EVENTS}", len(events) >= LEAST_EVENTS),
+        Check(f"events above magnitude {FELT:g}, of {len(events)}", large, f">= {LEAST_EVENTS}", large >= LEAST_EVENTS),
         Check("faults that slipped", faults, ">= 5", faults >= 5),
         Check("books not closed over an event, of its energy", unclosed, f"<= {CLOSED:g}", unclosed <= CLOSED),
         Check("kinetic energy dropped after an event, of its energy", dropped, "<= 0.001", dropped <= 1e-3),
