@@ -65,7 +65,9 @@ class Newton:
         self.snes.setLineSearchPreCheck(self._pre_check)
         self.snes.setMaxLinearSolveFailures(scene.accuracy.max_iterations)
         self.snes.setFromOptions()
-        set_up(self.snes.getKSP(), matrix)
+        # kept, since a collection of garbage with another handle to it would clear its test (petsc4py's tp_traverse)
+        self.solver = self.snes.getKSP()
+        set_up(self.solver, matrix)
         self.least = 0  # iterations in any case
         self.problem: StepProblem | None = None
         self.floating: Floating | None = None
@@ -188,12 +190,12 @@ class Newton:
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         problem, layout = self.problem, self.matrix.layout
         assert problem is not None
-        self._krylov += self.snes.getKSP().getIterationNumber()
+        self._krylov += self.solver.getIterationNumber()
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
             raise SingularMatrix
         try:
-            check_step(self.snes.getKSP(), step, self.balance, problem, self.prefix)
+            check_step(self.solver, step, self.balance, problem, self.prefix)
         except NotConverged:
             if self._floats(problem):
                 self._refuse_floating(problem)

@@ -1,5 +1,6 @@
 """(4.8) The joint Jacobian against differences of the residual, on a network with a crossing, a T and an arc."""
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -217,3 +218,19 @@ def test_rigid_motion_opens_nothing():
         ops.stiffness.mult(u, force)
         diagonal = ops.stiffness.getDiagonal().max()[1]
         assert force.norm(3) <= 1e-12 * diagonal * 200
+
+
+def test_a_collection_of_garbage_leaves_the_solver_its_test():
+    """Handles in cycles, as tracebacks of failed steps leave them, are no owners of what PETSc calls back."""
+    scene = load("meshes/report_5_5/scene.toml")
+    model = prepare(scene, MPI.COMM_WORLD)
+    matrix = JoinedMatrix(model.operators, model.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    cycle: list = [newton.snes.getKSP(), newton.snes]
+    cycle.append(cycle)
+    del cycle
+    gc.collect()
+    assert newton.snes.getKSP().getAttr("__converged__") is not None
+    assert newton.snes.getAttr("__function__") is not None
+    newton.destroy()
+    matrix.destroy()
