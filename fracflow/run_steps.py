@@ -13,6 +13,7 @@ from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, remember
+from fracflow.coupling.defaults import is_large, is_meant
 from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import check_digits
 from fracflow.coupling.step_problem import StepProblem
@@ -75,15 +76,22 @@ class Stepping:
         self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
         self.explicit = ExplicitSteps(model, lambda line: self.network.log(line))
 
+    def _way(self) -> str:
+        """Name of the coupling: the scene's, or the one that takes less time."""
+        operators, name = self.model.operators, self.model.scene.method.coupling
+        if operators.flow is None and name != "condensed":
+            return "monolithic"
+        if name == "auto":
+            unknowns = int(operators.layout.solid_starts[-1])
+            return "monolithic" if is_large(unknowns) or is_meant("monolithic") else name
+        return name
+
     def _coupling(self, loads: Loads) -> Coupling:
         coupling = self._couplings.pop(loads, None)
         if coupling is None:
             if len(self._couplings) == MOST_KEPT:
                 self._couplings.pop(next(iter(self._couplings))).destroy()
-            name = self.model.scene.method.coupling
-            if self.model.operators.flow is None and name != "condensed":
-                name = "monolithic"
-            coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
+            coupling = COUPLINGS[self._way()](self.model.scene, self.model.operators, loads)
         self._couplings[loads] = coupling
         return coupling
 

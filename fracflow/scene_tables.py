@@ -104,10 +104,12 @@ class Method(StepperKeys):
         " time step does not resolve and are of second order; implicit-euler, of first order, which damps all; explicit,"
         " central differences of the rock with joints and film solved at the end of each step, in parts no longer than stable",
     )
-    coupling: Literal["monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
-        default="monolithic",
-        description="how rock and fluid are solved together: at once, by turns (4.5), one direct solve, or on the fractures"
-        " alone, with the rock condensed to them once for each length of time step",
+    coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
+        default="auto",
+        description="how rock and fluid are solved together: at once, by iterations over both parts (monolithic), by one direct"
+        " solve (whole-lu), or by auto: that, but monolithic from two million displacements on, where options are given to it,"
+        " and where the direct solve does not converge; by turns (4.5); or on the fractures alone, with the rock condensed to"
+        " them once for each length of time step",
     )
     fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = Field(
         default="plain",

@@ -6,7 +6,7 @@ from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.condensed import Condensed
 from fracflow.coupling.fixed_point import FixedPoint
-from fracflow.coupling.monolithic import Monolithic, WholeLU
+from fracflow.coupling.monolithic import Auto, Monolithic, WholeLU
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.scene import Scene
 from fracflow.state import StepReport
@@ -25,6 +25,7 @@ class Coupling(Protocol):
 
 
 COUPLINGS: dict[str, type[Coupling]] = {
+    "auto": Auto,
     "monolithic": Monolithic,
     "fixed-point": FixedPoint,
     "whole-lu": WholeLU,

@@ -17,6 +17,13 @@ from fracflow.coupling.step_problem import StepProblem
 from fracflow.state import Memory, Motion, State, StepReport
 
 
+def start_again(problem: StepProblem) -> None:
+    """Put the trial back to where the step starts. Collective."""
+    problem.state.pressure.copy(problem.pressure)
+    problem.move(np.zeros(problem.operators.layout.solid_count))
+    problem.branch = problem.state.sections.past
+
+
 def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
     motion = Motion(problem.displacement.copy(), problem.velocity(), problem.acceleration())

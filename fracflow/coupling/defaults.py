@@ -63,6 +63,7 @@ MULTIGRID: dict[str, dict[str, Value]] = {
 
 
 _ours: set[str] = set()
+_given: set[str] = set()
 
 
 def forget() -> None:
@@ -71,6 +72,11 @@ def forget() -> None:
     for key in _ours:
         database.delValue(key)
     _ours.clear()
+
+
+def is_meant(prefix: str) -> bool:
+    """Whether the scene or the command line gives options to the solver of that prefix."""
+    return any(name.startswith(f"{prefix}_") for name in _given)
 
 
 def is_large(unknowns: int) -> bool:
@@ -86,6 +92,8 @@ def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
     """
     database = PETSc.Options()
     forget()
+    _given.clear()
+    _given.update(given, database.getAll())
     tables = [OPTIONS, MULTIGRID] if is_large(unknowns) else [OPTIONS]
     merged = {
         f"{prefix}_{key}": v for table in tables for prefix, options in table.items() for key, v in options.items()

@@ -15,7 +15,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.accept import step_report
+from fracflow.coupling.accept import start_again, step_report
 from fracflow.coupling.contraction import (
     Prediction,
     add_diagonal,
@@ -116,7 +116,7 @@ class FixedPoint:
                 raise _Lost
             report = self._cycle(problem, prediction, changes, MEASURED if is_hopeless else None)
         except _Lost as lost:
-            self._start_again(problem)
+            start_again(problem)
             problem.evaluate()
             why = describe_divergence(self.scene, problem, self.whole_matrix, prediction, changes, lost.left, str(lost))
             if not hands_over:  # a smaller time step may help the solid, where it was the solid that failed
@@ -205,12 +205,6 @@ class FixedPoint:
                 return old.prediction
         self.linearised = replace(now, prediction=predict(self.whole_matrix, problem, self.name == "added-storage"))
         return self.linearised.prediction
-
-    def _start_again(self, problem: StepProblem) -> None:
-        """Put the trial back to where the step starts."""
-        problem.state.pressure.copy(problem.pressure)
-        problem.move(np.zeros(problem.operators.layout.solid_count))
-        problem.branch = problem.state.sections.past
 
     def _hand_over(self, problem: StepProblem) -> StepReport:
         """The step with both balances at once. Collective."""

@@ -296,5 +296,5 @@ class Newton:
 
     def destroy(self) -> None:
         """Free the solver. Collective."""
-        for thing in (self.snes, self.unknowns, self.balance):
+        for thing in (self.snes, self.solver, self.unknowns, self.balance):
             thing.destroy()

@@ -20,8 +20,8 @@ from fracflow._petsc import MPI
 from fracflow.errors import InputError, SolveError
 from fracflow.output import read_history
 from fracflow.run import run
+from fracflow.run_steps import Step
 from fracflow.scene import Scene
-from fracflow.state import State
 
 KINDS = ("quasi-static", "dynamic")
 STEPS = 5
@@ -104,9 +104,9 @@ def end_of(seed: int, folder: Path) -> End:
     data = scene(seed)
     kind, crushed = data["stage"][0]["kind"], 0.0
 
-    def watch(stage: int, time: float, state: State) -> None:
+    def watch(step: Step) -> None:
         nonlocal crushed
-        crushed = max(crushed, float(np.isinf(state.sections.traction).sum()))
+        crushed = max(crushed, float(np.isinf(step.state.sections.traction).sum()))
 
     what, why = "right", ""
     try:

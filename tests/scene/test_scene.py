@@ -107,7 +107,7 @@ def test_report_model_resolves_methods(make):
     assert (default.storage, default.conductance, default.newton_test) == ("lumped", "exact", "residual")
     assert (default.tangent, default.open_strength, default.quadrature) == ("consistent", "none", "nodal")
     assert (report.storage, report.conductance, report.newton_test) == ("report", "report", "out-of-balance")
-    assert (report.tangent, report.open_strength, report.coupling) == ("decoupled", "cohesion", "monolithic")
+    assert (report.tangent, report.open_strength, report.coupling) == ("decoupled", "cohesion", "auto")
     assert make("model=report", "method.tangent=consistent").method.tangent == "consistent"
     assert make("model=full").method == default
     assert None not in default.model_dump().values()
@@ -199,7 +199,7 @@ def test_schema_as_a_table_has_every_key_once():
     """Tables, arrays of tables and tables by name, each with dimension or choices, default and meaning."""
     found = {row[0]: row[1:] for row in rows(Scene.json_schema())}
     assert found["rock.NAME.youngs_modulus"][0] == "[force/length**2]"
-    assert found["method.coupling"][:2] == ("monolithic | fixed-point | whole-lu | condensed", "monolithic")
+    assert found["method.coupling"][:2] == ("auto | monolithic | fixed-point | whole-lu | condensed", "auto")
     assert found["stage[].kind"][1] == "required"
     assert found["initial_stress.gradient.yy"][0] == "[force/length**3]"
     assert found["initial.rock.NAME.velocity"][2]
