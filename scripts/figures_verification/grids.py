@@ -32,8 +32,13 @@ def mirrored(points: Floats) -> Floats:
     return np.concatenate([-points[:0:-1], points])
 
 
-def tensor(x: Floats, y: Floats, fractures: Mapping[str, tuple[float, float, float]], triangles: bool = False) -> str:
-    """Text of a mesh of the points x, y: one rock, "rock", its four sides by name, fractures by y and the ends in x."""
+def tensor(
+    x: Floats, y: Floats, fractures: Mapping[str, tuple[float, float, float]], triangles: bool = False, below: str = ""
+) -> str:
+    """Text of a mesh of the points x, y: one rock, "rock", its four sides by name, fractures by y and the ends in x.
+
+    Of quads, what is under y = 0 may be a rock of another name, ``below``.
+    """
     n, m = len(x), len(y)
     node = np.arange(n * m).reshape(m, n)
     quads = np.stack([node[:-1, :-1], node[:-1, 1:], node[1:, 1:], node[1:, :-1]], axis=-1).reshape(-1, 4)
@@ -42,15 +47,19 @@ def tensor(x: Floats, y: Floats, fractures: Mapping[str, tuple[float, float, flo
         one, other = np.where(fall[:, None], quads[:, [0, 1, 3]], quads[:, [0, 1, 2]]), quads[:, [0, 2, 3]]
         other = np.where(fall[:, None], quads[:, [1, 2, 3]], other)
     groups: list[tuple[int, NDArray[Any]]] = [(2, np.concatenate([one, other])) if triangles else (3, quads)]
+    rocks = ["rock"]
+    if below:
+        low = np.repeat(y[1:] <= 0.0, n - 1)
+        rocks, groups = ["rock", below], [(3, quads[~low]), (3, quads[low])]
     rows = [node[0], node[-1], node[:, 0], node[:, -1]]
     for level, start, end in fractures.values():
         inside = (x >= start - 1e-12 * np.ptp(x)) & (x <= end + 1e-12 * np.ptp(x))
         rows.append(node[np.argmin(np.abs(y - level)), inside])
     groups += [(1, np.stack([row[:-1], row[1:]], axis=1)) for row in rows]
-    names = ["rock", *SIDES, *fractures]
+    names = [*rocks, *SIDES, *fractures]
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     text = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", str(len(names))]
-    text += [f'{2 if i == 0 else 1} {i + 1} "{name}"' for i, name in enumerate(names)]
+    text += [f'{2 if i < len(rocks) else 1} {i + 1} "{name}"' for i, name in enumerate(names)]
     text += ["$EndPhysicalNames", "$Nodes", str(len(points))]
     text += [f"{i + 1} {a!r} {b!r} 0" for i, (a, b) in enumerate(points.tolist())]
     elements = [(kind, tag + 1, row) for tag, (kind, block) in enumerate(groups) for row in (block + 1).tolist()]

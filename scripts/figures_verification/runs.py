@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,10 +30,11 @@ class Field(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Histories by key, and the fractures at each state that was written."""
+    """Histories by key, the fractures at each state that was written, and the CPU seconds of this rank's run."""
 
     history: Data
     fractures: list[Field]
+    seconds: float
 
     def probe(self, name: str, quantity: str) -> NDArray[Any]:
         """History (n, ...) of a probe."""
@@ -58,8 +60,11 @@ def solve(scene: str | Path, *settings: str, mesh: str = "") -> Found:
                 (folder / "scene.toml").write_text(scene + table, encoding="utf-8")
             comm.barrier()
             scene = folder / "scene.toml"
-        ran = fracflow.run(fracflow.load(scene, ["output.pictures=false", *settings]), folder / "run")
-        return comm.bcast(Found(ran.history, fractures_of(ran.folder)) if comm.rank == 0 else None)
+        loaded = fracflow.load(scene, ["output.pictures=false", *settings])
+        start = time.process_time()
+        ran = fracflow.run(loaded, folder / "run")
+        seconds = time.process_time() - start
+        return comm.bcast(Found(ran.history, fractures_of(ran.folder), seconds) if comm.rank == 0 else None)
     finally:
         comm.barrier()
         if comm.rank == 0:
