@@ -15,6 +15,7 @@ from fracflow.errors import SolveError
 
 Floats = NDArray[np.float64]
 EXACT = 1e-12  # errors below are of round-off, and as good as each other
+CLOSE = 0.99  # errors nearer to each other are the same
 WORK = {
     "factorisations": ("MatLUFactorNum", "MatCholFctrNum"),
     "solves": ("MatSolve",),
@@ -24,10 +25,11 @@ WORK = {
 
 
 class Answer(NamedTuple):
-    """Relative error of a run, and its CPU seconds."""
+    """Relative error of a run, its CPU seconds, and the nodes of its mesh where they tell of the work what counts do not."""
 
     error: float
     seconds: float
+    nodes: int = 0
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Method:
 
     default  whether it is what the program does of its own accord
     fails    it cannot solve the problem, and says so at every level
+    most     error on its second level that the tests allow, where it is not that of the problem
     """
 
     name: str
@@ -43,13 +46,15 @@ class Method:
     levels: tuple[float, ...]
     default: bool = False
     fails: bool = False
+    most: float | None = None
 
 
 @dataclass(frozen=True)
 class Problem:
     """Methods on one problem; ``level`` and ``error`` say what they are.
 
-    most  error that every method keeps below on its second level, by which the tests see that none rots
+    most     error that every method keeps below on its second level, by which the tests see that none rots
+    prepare  what is done once before, and not counted as work
     """
 
     name: str
@@ -58,6 +63,7 @@ class Problem:
     error: str
     methods: tuple[Method, ...]
     most: float
+    prepare: Callable[[], object] = lambda: None
 
 
 class Point(NamedTuple):
@@ -71,6 +77,11 @@ class Point(NamedTuple):
     reason: str = ""
 
 
+def nodes_of(mesh: str) -> int:
+    """Of a text in Gmsh's format 2.2."""
+    return int(mesh.partition("$Nodes\n")[2].partition("\n")[0])
+
+
 def counts() -> dict[str, int]:
     """Work so far, of this process."""
     return {
@@ -81,6 +92,7 @@ def counts() -> dict[str, int]:
 def measure(problem: Problem, repeats: int, levels: int | None = None) -> list[Point]:
     """Every method at its levels, or at the coarsest of them only; runs are repeated for their CPU seconds."""
     PETSc.Log.begin()
+    problem.prepare()
     return [point(method, level, repeats) for method in problem.methods for level in method.levels[:levels]]
 
 
@@ -92,6 +104,7 @@ def point(method: Method, level: float, repeats: int) -> Point:
     except SolveError as failure:
         return Point(method, level, np.nan, np.nan, {}, str(failure).partition("\n")[0])
     work = {name: count - before[name] for name, count in counts().items()}
+    work["nodes"] = answer.nodes
     seconds = [answer.seconds, *(method.run(level).seconds for _ in range(repeats - 1))]
     return Point(method, level, max(answer.error, EXACT), median(seconds), work)
 
@@ -100,22 +113,27 @@ def front(points: Iterable[Point]) -> list[Point]:
     """Points that no other beats in both, from cheap to exact."""
     found: list[Point] = []
     for each in sorted((p for p in points if not p.reason), key=lambda p: (p.seconds, p.error)):
-        if not found or each.error < found[-1].error:
+        if not found or each.error < CLOSE * found[-1].error:
             found.append(each)
     return found
 
 
-def over_front(points: Sequence[Point]) -> tuple[float, Point, Point]:
-    """How many times the CPU seconds of the front at its own error the default takes, at worst.
+def cheapest(points: Sequence[Point], error: float) -> tuple[float, str]:
+    """CPU seconds for which some method has that error, and the method, interpolated in logarithms between its levels."""
+    found = []
+    for method in {id(point.method): point.method for point in points}.values():
+        own = front(point for point in points if point.method is method)
+        if own and own[-1].error <= error * (1 + 1e-9):
+            errors, costs = np.log([point.error for point in own]), np.log([point.seconds for point in own])
+            found.append((float(np.exp(np.interp(-np.log(error), -errors, costs))), method.name))
+    return min(found)
 
-    With that point of the default's, and the first point of the front that is as exact. Between its points the front is
-    interpolated in logarithms.
-    """
-    best = front(points)
-    cost, error = (np.log([getattr(p, name) for p in best]) for name in ("seconds", "error"))
 
-    def ratio(each: Point) -> float:
-        return float(each.seconds / np.exp(np.interp(-np.log(each.error), -error, cost)))
-
-    worst = max(front(p for p in points if p.method.default), key=ratio)
-    return ratio(worst), worst, next(p for p in best if p.error <= worst.error)
+def over_front(points: Sequence[Point]) -> tuple[float, Point, str]:
+    """How many times the CPU seconds of the front at its own error the default takes, at worst; there, and who is cheapest."""
+    worst = max(
+        front(point for point in points if point.method.default),
+        key=lambda point: point.seconds / cheapest(points, point.error)[0],
+    )
+    seconds, name = cheapest(points, worst.error)
+    return worst.seconds / seconds, worst, name

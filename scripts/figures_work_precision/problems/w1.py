@@ -40,7 +40,7 @@ def method(rule: str, coupling: str) -> Method:
     """A rule with a coupling, or with a way to relax the fixed point."""
     turns = coupling in TURNS
     ways = ("coupling=fixed-point", f"fixed_point={coupling}") if turns else (f"coupling={coupling}",)
-    settings = tuple(f"method.{way}" for way in (f"film={rule}", *ways))
+    settings = ("accuracy.max_cycles=200", *(f"method.{way}" for way in (f"film={rule}", *ways)))
     return Method(
         f"{rule}, {coupling}", lambda steps: run(*settings, steps=steps), FEW if turns else STEPS,
         default=(rule, coupling) == ("backward-euler", "monolithic"), fails=coupling == "plain",
