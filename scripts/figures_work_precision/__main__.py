@@ -31,7 +31,7 @@ TELLING = 2.0  # counts that differ by less between runs say nothing
 def main() -> int:
     """Exit code 1 if a bar is missed."""
     parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
-    folder = ROOT / "runs" / "figures" / "work_precision"
+    folder = ROOT / "runs" / "figures" / "work-precision"
     parser.add_argument("-o", "--output", type=Path, default=folder, metavar="DIR")
     names = [problem.name for problem in PROBLEMS]
     parser.add_argument("--only", nargs="+", default=names, choices=names, type=str.upper, metavar="PROBLEM")
