@@ -66,23 +66,13 @@ def write(problem: Problem, points: Sequence[Point], folder: Path, repeats: int)
         about = (*made_with(), f"command: {COMMAND} --only {problem.name} --repeats {repeats}", problem.title)
         file.writelines(f"# {line}\n" for line in about)
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(
-            [
-                "method",
-                "default",
-                problem.level,
-                f"error: {problem.error}",
-                "cpu_s",
-                *WORK,
-                "nodes",
-                "on_front",
-                "failure",
-            ]
-        )
+        costs = (*WORK, "nodes")
+        about_errors = (problem.level, f"error: {problem.error}", "cpu_s")
+        rows.writerow(["method", "default", *about_errors, *costs, "on_front", "failure"])
         best = front(points)
         for each in points:
             numbers = [f"{value:.6g}" for value in (each.level, each.error, each.seconds)]
-            work = [each.work.get(name, "") for name in (*WORK, "nodes")]
+            work = [each.work.get(name, "") for name in costs]
             rows.writerow([each.method.name, each.method.default, *numbers, *work, each in best, each.reason])
 
 

@@ -17,6 +17,7 @@ CELLS, END = 32, 0.4
 RULES = ("backward-euler", "bdf2", "trapezoid")
 TURNS = ("aitken", "anderson", "added-storage", "plain")
 STEPS, FEW = (4, 8, 16, 24, 32, 64), (4, 8, 16, 32)
+TOLERANCES = (0.3, 0.1, 0.03, 0.01)
 
 
 def exact() -> np.ndarray:
@@ -47,11 +48,18 @@ def method(rule: str, coupling: str) -> Method:
     )  # fmt: skip
 
 
+def by_tolerance(rule: str) -> Method:
+    """A rule whose steps the program chooses."""
+    run_to = lambda tolerance: run(f"method.film={rule}", f"accuracy.tolerance={tolerance}", steps=2)  # noqa: E731
+    return Method(f"{rule}, by tolerance", run_to, TOLERANCES)
+
+
 PROBLEM = Problem(
-    "W1", "A film that fills: rules without inertia and couplings", "steps", "pressure at the end",
+    "W1", "A film that fills: rules without inertia and couplings", "steps, or tolerance", "pressure at the end",
     (
         *(method(rule, coupling) for rule in RULES for coupling in ("monolithic", "whole-lu", "added-storage")),
         *(method("backward-euler", turns) for turns in TURNS if turns != "added-storage"),
+        *(by_tolerance(rule) for rule in RULES[:2]),
     ),
     0.03,
 )  # fmt: skip

@@ -17,6 +17,7 @@ from figures_work_precision.problem import Answer, Method, Problem
 SCENE = ROOT / "meshes" / "report_5_2" / "scene.toml"
 PUSH = harmonic(0.9, 20.0)
 STEPS, MORE = (0.8, 0.4, 0.2, 0.1), (0.05,)
+TOLERANCES = (0.3, 0.1, 0.03, 0.01)
 TIMES = np.linspace(0.0, PUSH.end, round(PUSH.end / 0.0125) + 1)  # with those of all steps
 TABLE = [[float(t), float(PUSH.force(t))] for t in TIMES]
 GIVEN = (f"load.0.traction=[{TABLE}, 0]", f"stage.0.end={PUSH.end}", f"fracture.default.stick_slip_ratio={PUSH.ratio}")
@@ -46,12 +47,13 @@ def method(name: str, *settings: str, most: float | None = None) -> Method:
 STEPPERS = {"hht": 0.2, "generalised-alpha": 0.02, "implicit-euler": 0.8, "explicit": 0.02}
 """Stepper -> error that the tests allow."""
 PROBLEM = Problem(
-    "W2", "A block that slips: steppers, and events inside steps", "time step", "displacement",
+    "W2", "A block that slips: steppers, and events inside steps", "time step, or tolerance", "displacement",
     (
         method("newmark, located"),
         method("newmark, at step ends", "events=at-step-ends", most=0.25),
         *(method(f"{name}, located", f"stepper={name}", most=most) for name, most in STEPPERS.items()),
         method("explicit, at step ends", "stepper=explicit", "events=at-step-ends", most=0.25),
+        Method("newmark, by tolerance", lambda most: run(f"accuracy.tolerance={most}", step=STEPS[0]), TOLERANCES),
         Method("model = report", lambda step: run("model=report", step=step), STEPS, most=0.25),
     ),
     0.02, reference,

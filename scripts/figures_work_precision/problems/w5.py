@@ -79,6 +79,7 @@ SLIPS = Problem(
         method("T3 graded", t3=True, sheared=True),
         method("Q4 uniform", even=True, sheared=True),
         *(method(f"Q4 graded, newton = {way}", f"newton={way}", sheared=True) for way in ("modified", "secant")),
+        method("Q4 graded, condensed", "coupling=condensed", sheared=True),
         method("Q4 graded, one change", "overshoot=one-change", sheared=True),
         method("Q4 graded, decoupled tangent", "tangent=decoupled", sheared=True),
         method("Q4 graded, gauss2", "quadrature=gauss2", sheared=True),

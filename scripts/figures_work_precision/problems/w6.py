@@ -17,7 +17,7 @@ from figures_work_precision.problem import Answer, Method, Problem
 REACH, DEPTH, PATCH, END, DISTANCE, FASTEST = 6000.0, 3000.0, 1500.0, 2.6, 0.4, 6000.0
 PLACES = (-4500, -3000, 3000, 4500)
 SIDES = (500.0, 375.0, 300.0, 250.0)  # each divides the patch
-FINER = (*SIDES, 187.5, 125.0)
+FINER = (187.5, 125.0)
 FINEST = 1500.0 / 24
 ALONG = (0.0, REACH - PATCH - 1e-3, REACH - PATCH + 1e-3, REACH + PATCH - 1e-3, REACH + PATCH + 1e-3, 2 * REACH)
 PROBES = ", ".join(f'{{name = "{x}", at = [{x}, 0], on = "fault", quantities = ["slip"]}}' for x in PLACES)
@@ -68,8 +68,10 @@ def run(courant: float, *settings: str, side: float) -> Answer:
 def method(name: str, *settings: str, courant: float = 1.0) -> Method:
     """Settings under [method]."""
     given = tuple(f"method.{setting}" for setting in settings)
-    sides = FINER if "stepper=explicit" in settings else SIDES
-    return Method(name, lambda side: run(courant, *given, side=side), sides, default=not settings)
+    cheap = {"stepper=explicit", "coupling=condensed"} & {*settings}
+    return Method(
+        name, lambda side: run(courant, *given, side=side), SIDES + FINER if cheap else SIDES, default=not settings
+    )
 
 
 ENDS = "events=at-step-ends"
@@ -79,6 +81,7 @@ PROBLEM = Problem(
         method("newmark, located"),
         method("newmark, at step ends", ENDS),
         method("newmark, lumped contact, at step ends", "contact=lumped", ENDS),
+        method("newmark, condensed, at step ends", "coupling=condensed", ENDS),
         method("generalised-alpha, at step ends", "stepper=generalised-alpha", ENDS),
         method("explicit", "stepper=explicit", courant=0.5),
     ),
