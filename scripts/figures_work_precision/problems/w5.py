@@ -40,7 +40,7 @@ def uniform(joints: float, triangles: bool) -> str:
 def run(mesh: str, sheared: bool, *settings: str) -> Answer:
     """Root mean square of the error of the jump along the crack, over that of the jump."""
     load = r07.SHEAR - r07.FRICTION * r07.STRESS if sheared else r07.PRESSURE
-    scene = r07.SCENE + (SHEARED if sheared else r07.BLOWN.format(stiffness=1.0, pressure=load))
+    scene = r07.SCENE + (SHEARED if sheared else r07.BLOWN.format(law='law = "linear"', stiffness=1.0, pressure=load))
     found = solve(scene, *settings, mesh=mesh)
     state = found.fractures[-1]
     x, jump = np.abs(state.points[:, 0]), state.point["slip" if sheared else "opening"]
