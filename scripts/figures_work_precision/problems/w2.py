@@ -17,7 +17,7 @@ from figures_work_precision.problem import Answer, Method, Problem
 SCENE = ROOT / "meshes" / "report_5_2" / "scene.toml"
 PUSH = harmonic(0.9, 20.0)
 STEPS, MORE = (0.8, 0.4, 0.2, 0.1), (0.05,)
-TOLERANCES = (1.0, 0.3, 0.1, 0.03)
+TOLERANCES = (0.5, 0.3, 0.1, 0.03)
 TIMES = np.linspace(0.0, PUSH.end, round(PUSH.end / 0.0125) + 1)  # with those of all steps
 TABLE = [[float(t), float(PUSH.force(t))] for t in TIMES]
 GIVEN = (f"load.0.traction=[{TABLE}, 0]", f"stage.0.end={PUSH.end}", f"fracture.default.stick_slip_ratio={PUSH.ratio}")
