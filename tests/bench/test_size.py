@@ -59,7 +59,9 @@ def test_small_size(tmp_path):
         assert said in rows["whole"][key]
 
     facts = json.loads((tmp_path / "network-1000.json").read_text(encoding="utf-8"))["facts"]
-    assert facts["newton"] >= 2 and facts["krylov"] > facts["newton"]  # the network is not linear
+    assert (
+        facts["newton"] >= 2 and facts["krylov"] >= facts["newton"]
+    )  # the network is not linear, and solved for directly
     assert np.max([facts["solid_residual"], facts["flow_residual"]]) <= 1e-11
     with (tmp_path / "run-1000" / "rock.xdmf").open(encoding="utf-8") as file:
         assert f'NumberOfElements="{triangles}"' in file.read()

@@ -164,7 +164,7 @@ def test_on_another_number_of_ranks(tmp_path, whole, before, after):
             size = max([v for k, v in natural.items() if k in key] + [np.abs(other[key]).max()])
         else:
             continue
-        assert np.abs(one[key] - other[key]).max() <= 1e-11 * size, key
+        assert np.abs(one[key] - other[key]).max() <= 1e-10 * size, key  # as tests/parallel has it
 
 
 def test_a_failed_solve_leaves_its_last_good_state(tmp_path):
