@@ -58,13 +58,16 @@ def pytest_collection_modifyitems(config, items):
     """What needs one process runs on one; whole applications run on one and two, and parts of the program on any number."""
     tests = Path(__file__).parent
 
-    def runs_elsewhere(item):
+    def runs_elsewhere(number, item):
         group = item.path.relative_to(tests).parts[0]
-        return item.get_closest_marker("serial") is not None or (SIZE > 2 and group in APPLICATIONS)
+        is_spared = group in APPLICATIONS or (
+            group == "physics" and number % 2 == 1
+        )  # three ranks on two cores are slow
+        return item.get_closest_marker("serial") is not None or (SIZE > 2 and is_spared)
 
     if SIZE == 1:
         return
-    elsewhere = [item for item in items if runs_elsewhere(item)]
+    elsewhere = [item for number, item in enumerate(items) if runs_elsewhere(number, item)]
     if elsewhere:
         config.hook.pytest_deselected(items=elsewhere)
         items[:] = [item for item in items if item not in elsewhere]
