@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 
 from fracflow._petsc import MPI
-from fracflow.errors import NotConverged, SolveError
+from fracflow.errors import SolveError
 from fracflow.run_accuracy import Judge
 from fracflow.run_events import to_first_event
 from fracflow.run_parts import (
@@ -151,6 +150,7 @@ def run_stage(
         model.scene.accuracy.max_events if locates else 0,
         judge.finest,
     )
+    fills = stepper.storage and model.operators.flow is not None
     # what may jump in any step is sampled by means, as all is where events are not located
     splits = bool(rules.events) and not model.scene.jumps_anywhere
     jumps = model.scene.jump_times if splits else ()
@@ -163,7 +163,7 @@ def run_stage(
         def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
             to = end if share == 1.0 else begin + share * (end - begin)
             # what jumps while a film fills is there at once: spread over a halved step, it would come half a step late
-            lacking = 0.0 if stepper.inertia or stepper.storage else still_lacking(begin, to)
+            lacking = 0.0 if stepper.inertia or fills else still_lacking(begin, to)
             now, time = (
                 on_the_way(old.controls, controls, begin, to),
                 start + (n - 1 + to * (dt / whole_step)) * whole_step,
@@ -174,9 +174,6 @@ def run_stage(
                 ahead = 0.0 if n == count else stage.step_length(start, n + 1)
             else:
                 ahead = share * whole if share == 1.0 else (1.0 - to) * dt
-            if judge.of_film and lacking > 0.0:  # a jump is there at once, or as soon as it can be
-                with suppress(NotConverged):
-                    return stepping.step(old, stepper, time, share * whole, now, hold=hold, ahead=ahead)
             return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead)
 
         new, report, share = (

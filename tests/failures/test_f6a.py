@@ -40,10 +40,11 @@ def test_the_barrier_ends_right_within_18_iterations(shared_tmp):
     assert history["step/dt"].tolist() == [0.0, 1.0, 1.0]
 
 
-@pytest.mark.parametrize("overrides", [[], AT_ONCE])
-def test_halves_end_where_the_whole_step_does(shared_tmp, overrides):
+@pytest.mark.parametrize("kind", ["steady", "quasi-static"])
+@pytest.mark.parametrize("overrides", [[], AT_ONCE], ids=["ramp", "at once"])
+def test_halves_end_where_the_whole_step_does(shared_tmp, overrides, kind):
     """Six iterations are too few for the whole step; a load that is there at once comes in parts too."""
-    history = _ran(shared_tmp / "run", "accuracy.max_iterations=6", *overrides)
+    history = _ran(shared_tmp / "run", "accuracy.max_iterations=6", f"stage.0.kind={kind}", *overrides)
     end = 1.0 if overrides else 2.0
     time, dt = history["time"], history["step/dt"]
     parts = time > end - 1.0
