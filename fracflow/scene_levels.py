@@ -17,8 +17,9 @@ Spot = tuple[tuple[float, float], str | None]
 
 def order_in_time(scene: Scene) -> int:
     """The least order of the rules that the stages step by; 2, the order of the mesh, where time has no part."""
-    names = {"dynamic": scene.method.stepper, "quasi-static": scene.method.film if scene.has_flow else None}
-    rules = [stepper_from(name, scene.method) for stage in scene.stage if (name := names.get(stage.kind))]
+    waves, film = (scene.method.stepper,), (scene.method.film,) if scene.has_flow else ()
+    names = {"dynamic": waves, "quasi-static": film, "auto": waves + film}
+    rules = [stepper_from(name, scene.method) for stage in scene.stage for name in names.get(stage.kind, ())]
     return min([2, *(rule.order for rule in rules)])
 
 
@@ -51,6 +52,7 @@ def at_level(scene: Scene, level: int, spots: Mapping[str, Spot]) -> Scene:
 def _stage(stage: Stage, parts: int) -> Stage:
     changed: dict[str, float | int | None] = {
         "time_step": stage.time_step and stage.time_step / parts,
+        "dynamic_time_step": stage.dynamic_time_step and stage.dynamic_time_step / parts,
         "increment_per_step": stage.increment_per_step and stage.increment_per_step / parts,
     }
     if stage.kind != "equilibrate":

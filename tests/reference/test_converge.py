@@ -9,6 +9,7 @@ import pytest
 import fracflow
 from fracflow._petsc import MPI
 from fracflow.cli import app, with_levels
+from fracflow.scene_levels import at_level, order_in_time
 
 # A bar of E = rho = 1 and nu = 0, so that c = 1, held at one end and pushed at the other.
 BAR = """
@@ -156,3 +157,11 @@ def test_an_event_has_order_two_and_its_error(shared_tmp):
     found, wrong = by_name(rows)["lower slips first"], abs(run.events["start"].min() - np.pi / 2)
     assert found.order == pytest.approx(2.0, abs=0.15) and not found.warning
     assert wrong / 2 <= found.error <= 2 * wrong
+
+
+@pytest.mark.serial
+def test_both_steps_of_a_stage_auto_are_halved():
+    scene = fracflow.load("meshes/failures/f11_two_modes/scene.toml", ["stage.push.dynamic_time_step=0.4"])
+    coarse, fine = (at_level(scene, level, {}).stage[0] for level in (0, 2))
+    assert (coarse.time_step / fine.time_step, fine.dynamic_time_step) == (4.0, 0.1)
+    assert order_in_time(scene) == 2 and scene.stage[0].kind == "auto"
