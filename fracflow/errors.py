@@ -13,5 +13,9 @@ class NotConverged(SolveError):
     """An iteration did not converge; a shorter step may."""
 
 
+class Unsolved(NotConverged):
+    """A linear solve left too much."""
+
+
 class Interrupted(Exception):
     """The run was asked to stop; its state is saved. Exit code 130."""

@@ -24,6 +24,21 @@ def start_again(problem: StepProblem) -> None:
     problem.branch = problem.state.sections.past
 
 
+def without_suction(problem: StepProblem) -> bool:
+    """Put the trial back too, with no pressure below the least that is given; tell whether that lifted any. Collective."""
+    before, comm = problem.state.pressure.getArray(readonly=True), problem.operators.layout.comm
+    lowest = min(before.min(initial=np.inf), problem.pressure.getArray(readonly=True).min(initial=np.inf))
+    start_again(problem)
+    pressure = problem.pressure.getArray()
+    given = min((pressure[part.numbers].min(initial=np.inf) for part in problem.loads.pressures), default=np.inf)
+    lowest, given = comm.allreduce(float(lowest), op=MPI.MIN), comm.allreduce(float(given), op=MPI.MIN)
+    if not lowest < given < np.inf:
+        return False
+    np.maximum(pressure, given, out=pressure)
+    problem.evaluate()
+    return True
+
+
 def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
     motion = Motion(problem.displacement.copy(), problem.velocity(), problem.acceleration())

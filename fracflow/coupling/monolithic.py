@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.accept import start_again, step_report
+from fracflow.coupling.accept import start_again, step_report, without_suction
 from fracflow.coupling.joined_matrix import JoinedMatrix
-from fracflow.coupling.newton import Newton
+from fracflow.coupling.newton import Newton, NewtonReport
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import NotConverged
+from fracflow.errors import NotConverged, Unsolved
 from fracflow.scene import Scene
 from fracflow.state import StepReport
 
@@ -20,16 +20,44 @@ class Monolithic:
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make matrix and solver, kept for the whole run. Collective."""
-        self.matrix = JoinedMatrix(operators, loads)
+        self.scene, self.matrix = scene, JoinedMatrix(operators, loads)
         self.newton = Newton(scene, self.matrix, self.prefix if operators.flow is not None else "solid")
+        self.rock: Newton | None = None
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
-        report = self.newton.solve(problem)
-        return step_report(report, problem.residual, 1)
+        return step_report(self._solve(self.newton, problem), problem.residual, 1)
+
+    def _solve(self, newton: Newton, problem: StepProblem) -> NewtonReport:
+        """The same from the present trial, or else from open fractures."""
+        try:
+            return newton.solve(problem)
+        except Unsolved:
+            raise
+        except NotConverged:
+            if not self._open(problem):
+                raise
+            return newton.solve(problem)
+
+    def _open(self, problem: StepProblem) -> bool:
+        """Start the step again as wide as it is without suction; tell whether that is another start. Collective.
+
+        Walls that part suck fluid through what is all but shut, at c d^3 (k (d_1 - d)) = d - d_0 in short. Once d_0 is too
+        wide for a root beside it, the only one is near d_1: uphill from d_0, and downhill all the way from d_1.
+        """
+        if not without_suction(problem):
+            return False
+        self.rock = self.rock or Newton(self.scene, self.matrix, "solid", "solid")
+        try:
+            self.rock.solve(problem)
+        except NotConverged:
+            return False
+        return True
 
     def destroy(self) -> None:
-        """Free matrix and solver. Collective."""
+        """Free matrix and solvers. Collective."""
+        if self.rock is not None:
+            self.rock.destroy()
         self.newton.destroy()
         self.matrix.destroy()
 
@@ -46,7 +74,6 @@ class Auto(WholeLU):
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make matrix and solver; the other solver when it is first needed. Collective."""
         super().__init__(scene, operators, loads)
-        self.scene = scene
         self.other: Newton | None = None
 
     def solve(self, problem: StepProblem) -> StepReport:
@@ -54,11 +81,10 @@ class Auto(WholeLU):
         try:
             return super().solve(problem)
         except NotConverged:
-            if self.other is None:
-                self.other = Newton(self.scene, self.matrix, "monolithic")
+            self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
         start_again(problem)
         problem.evaluate()
-        return step_report(self.other.solve(problem), problem.residual, 1)
+        return step_report(self._solve(self.other, problem), problem.residual, 1)
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""

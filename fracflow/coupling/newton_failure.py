@@ -15,7 +15,7 @@ from fracflow.coupling.residual import over_ranks
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.coupling.true_residual import check_solution, true_residual
 from fracflow.elements import joint
-from fracflow.errors import NotConverged
+from fracflow.errors import Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
@@ -120,15 +120,15 @@ def describe_failure(
 
 
 def check_step(solver: PETSc.KSP, step: PETSc.Vec, balance: PETSc.Vec, problem: StepProblem, name: str) -> None:
-    """Refine a step, or raise NotConverged, on every rank, with the place where the solve left most. Collective."""
+    """Refine a step, or raise Unsolved, on every rank, with the place where the solve left most. Collective."""
     try:
         check_solution(solver, step, balance, f"time {problem.time:.6g}: {name}")
-    except NotConverged as error:
+    except Unsolved as error:
         _, left = true_residual(solver.getOperators()[0], step, balance)
         middle = problem.operators.layout.solid_count
         solid, flow = np.split(np.abs(left.getArray()), [middle])
         left.destroy()
-        raise NotConverged(
+        raise Unsolved(
             f"{error}; most is left {place_of(problem, solid, flow)}: look at supports, stiffness and aperture there, or"
             " take a smaller time_step"
         ) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fracflow._petsc import PETSc
-from fracflow.errors import NotConverged
+from fracflow.errors import Unsolved
 
 REFINED = 1e-8  # above it a direct solve is repeated for what it left
 UNSOLVED = 1e-3  # above it there is no solution
@@ -19,7 +19,7 @@ def true_residual(matrix: PETSc.Mat, solution: PETSc.Vec, given: PETSc.Vec) -> t
 
 
 def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, what: str) -> None:
-    """Refine a direct solution that left much, and raise NotConverged, on every rank, where there is none. Collective."""
+    """Refine a direct solution that left much, and raise Unsolved, on every rank, where there is none. Collective."""
     matrix, is_direct = solver.getOperators()[0], solver.getType() == "preonly"
     relative, left = true_residual(matrix, solution, given)
     if is_direct and REFINED < relative < 1.0:
@@ -34,7 +34,7 @@ def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, wha
         correction.destroy()
     left.destroy()
     if not relative <= UNSOLVED:
-        raise NotConverged(
+        raise Unsolved(
             f"{what}: the {'direct' if is_direct else solver.getType()} solve left |Ax - b| = {relative:.1e} |b|, the limit is"
             f" {UNSOLVED:g}: the matrix is singular, or nearly so"
         )
