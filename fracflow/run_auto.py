@@ -13,6 +13,7 @@ from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, 
 from fracflow.run_steps import Progress, Step, Stepping, stepper_of
 from fracflow.run_unrest import Course, begin, may_rest, runs_away, weak_waves
 from fracflow.state import State, StepReport
+from fracflow.stepping import Explicit
 
 NEAR = 1e-9  # of a step: times so near are one
 ROUND_OFF = 1e-14  # of a time
@@ -72,7 +73,9 @@ class _Regimes:
             scene.stage[number],
         )
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events == "located"
+        locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
+        if not isinstance(self.waves, Explicit):
+            stepping.expect(self.waves, least)
         self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
 
     def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:

@@ -16,6 +16,7 @@ from fracflow.state import State, StepReport
 NEAR = 1e-4  # of the step: how well the time of an event is known
 REFINEMENTS = 6
 BEYOND = 1.25  # a step towards an event looks so far past its own end for it
+MANY = 16  # sliding sections: a crack, whose front passes sections one by one, and no block that sticks and slips
 
 Take = Callable[[State, float, bool], tuple[State, StepReport]]
 """(state, fraction of the step, hold) -> the state there, with every status held or free to change."""
@@ -28,6 +29,8 @@ def to_first_event(stepping: Stepping, state: State, take: Take, dt: float) -> t
     changes, and accelerations follow. One that would leave as the step begins does so at once, but once only: should it
     want to return, statuses change as they do without location. Raises SolveError, on every rank. Collective.
     """
+    if not _are_sought(stepping, state):
+        return *take(state, 1.0, False), 1.0
     start = state
     try:
         try:
@@ -49,6 +52,14 @@ def to_first_event(stepping: Stepping, state: State, take: Take, dt: float) -> t
     finally:
         if start is not state:
             start.destroy()
+
+
+def _are_sought(stepping: Stepping, state: State) -> bool:
+    """Whether a step from here ends at events: always, or with events = "auto" where few sections slide. Collective."""
+    if stepping.model.scene.method.events == "located":
+        return True
+    sliding = int(np.count_nonzero(state.sections.is_sliding))
+    return int(stepping.model.operators.layout.comm.allreduce(sliding, op=MPI.SUM)) < MANY
 
 
 def _approach(

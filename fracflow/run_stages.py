@@ -141,7 +141,7 @@ def run_stage(
     dt = whole_step
     place = Place.of(progress)
     method, judge = model.scene.method, Judge(model, stage, stepper, start, progress)
-    locates = stepping.explicit.may_locate(stepper, dt) and stepper.inertia and method.events == "located"
+    locates = stepping.explicit.may_locate(stepper, dt) and stepper.inertia and method.events != "at-step-ends"
     if judge.finest and not progress:
         log(f"stage {_name(stage)}: parts of steps by {judge.told}")
     rules = Rules(

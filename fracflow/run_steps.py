@@ -13,6 +13,8 @@ from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, remember
+from fracflow.coupling.condensed import Condensed
+from fracflow.coupling.condensed_plan import condensing, may_choose
 from fracflow.coupling.defaults import is_large, is_meant
 from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import check_digits
@@ -27,7 +29,7 @@ from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.state import Memory, State, StepReport
-from fracflow.stepping import Explicit, Steady, Stepper, first, stepper_from
+from fracflow.stepping import Alphas, Explicit, Steady, Stepper, first, stepper_from
 from fracflow.tables_time import AT_ONCE
 
 Progress = Mapping[str, float]
@@ -70,6 +72,7 @@ class Stepping:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
         self._couplings: dict[Loads, Coupling] = {}  # the one used last comes last
+        self._expected: Alphas | None = None
         self.network = Network(model)
         self._network_version = 0
         self._at_rest: dict[Loads, Loads] = {}
@@ -78,13 +81,22 @@ class Stepping:
 
     def _way(self) -> str:
         """Name of the coupling: the scene's, or the one that takes less time."""
-        operators, name = self.model.operators, self.model.scene.method.coupling
+        operators, scene, name = self.model.operators, self.model.scene, self.model.scene.method.coupling
+        unknowns, comm = int(operators.layout.solid_starts[-1]), operators.layout.comm
+        if may_choose(scene, unknowns) and not (is_meant("monolithic") or is_meant("solid")):
+            jumps = comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
+            if condensing(scene, unknowns, jumps, comm.size, operators.damping is not None).any_worth:
+                return "condensed"
         if operators.flow is None and name != "condensed":
             return "monolithic"
-        if name == "auto":
-            unknowns = int(operators.layout.solid_starts[-1])
-            return "monolithic" if is_large(unknowns) or is_meant("monolithic") else name
-        return name
+        return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
+
+    def expect(self, stepper: Stepper, dt: float) -> None:
+        """Prepare for steps by a rule of inertia of which nobody knows how many events will take. Collective."""
+        self._expected = stepper.alphas(dt)
+        for coupling in self._couplings.values():
+            if isinstance(coupling, Condensed):
+                coupling.expect(self._expected)
 
     def _coupling(self, loads: Loads) -> Coupling:
         coupling = self._couplings.pop(loads, None)
@@ -92,6 +104,8 @@ class Stepping:
             if len(self._couplings) == MOST_KEPT:
                 self._couplings.pop(next(iter(self._couplings))).destroy()
             coupling = COUPLINGS[self._way()](self.model.scene, self.model.operators, loads)
+            if isinstance(coupling, Condensed) and self._expected is not None:
+                coupling.expect(self._expected)
         self._couplings[loads] = coupling
         return coupling
 

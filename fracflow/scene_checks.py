@@ -55,13 +55,9 @@ def _method(scene: Scene) -> Iterator[Fault]:
                 ("method", key),
                 f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"',
             )
-    condensed = {"overshoot": ("hold",), "newton_test": ("residual", "out-of-balance")}
-    if scene.has_flow:
-        condensed |= {"quadrature": ("nodal",), "storage": ("lumped",)}
-    for key, allowed in condensed.items() if method.coupling == "condensed" else ():
-        if getattr(method, key) not in allowed:
-            names = " or ".join(f'"{value}"' for value in allowed)
-            yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
+    for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
+        names = " or ".join(f'"{value}"' for value in allowed)
+        yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
     if method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
         yield (
             ("method", "contact"),
@@ -76,6 +72,16 @@ def _method(scene: Scene) -> Iterator[Fault]:
                 ("method", key),
                 f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper',
             )
+
+
+def against_condensing(scene: Scene) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Keys of [method] with which the rock cannot be condensed, and the values that they would need."""
+    needs = {"overshoot": ("hold",), "newton_test": ("residual", "out-of-balance")}
+    if scene.has_flow:
+        needs |= {"quadrature": ("nodal",), "storage": ("lumped",)}
+    for key, allowed in needs.items():
+        if getattr(scene.method, key) not in allowed:
+            yield key, allowed
 
 
 def _absorbing(scene: Scene) -> Iterator[Fault]:

@@ -120,10 +120,10 @@ class Method(StepperKeys):
         default="refuse",
         description="what to do with a step whose fixed point (4.5) diverges, by prediction or by measurement",
     )
-    events: Literal["located", "at-step-ends"] = Field(
-        default="located",
-        description="changes of friction, opening and closing in dynamic stages: each ends a part of its step, or is taken as"
-        " the end of a step finds it",
+    events: Literal["auto", "located", "at-step-ends"] = Field(
+        default="auto",
+        description="changes of friction, opening and closing in dynamic stages: each ends a part of its step (located), or is"
+        " taken as the end of a step finds it; auto: located while fewer than 16 sections slide",
     )
     newton: Literal["newton", "modified", "secant"] = Field(
         default="newton",
@@ -152,7 +152,7 @@ class Method(StepperKeys):
 
     PRESETS: ClassVar[dict[str, dict[str, str]]] = {
         "default": {},
-        "full": {},
+        "full": {"events": "located"},
         "report": {
             "storage": "report",
             "conductance": "report",

@@ -7,31 +7,29 @@ on all unknowns then sees whether the full balances hold, and does the step itse
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.accept import step_report
-from fracflow.coupling.condensed_cost import break_even, fits
+from fracflow.coupling.condensed_cost import fits
+from fracflow.coupling.condensed_plan import Key, condensing, key_of
 from fracflow.coupling.condensed_rock import Rock
 from fracflow.coupling.explicit_film import ExplicitFilm
-from fracflow.coupling.monolithic import Monolithic
+from fracflow.coupling.monolithic import Auto, Monolithic
 from fracflow.coupling.section_solve import SectionSolver
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import InputError, NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 from fracflow.state import StepReport
-from fracflow.stepping import EXPLICIT, Alphas, stepper_from
+from fracflow.stepping import Alphas
 
 MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
 MOST_CYCLES = 3  # each takes away what round-off of the one before has left
 MOST_FAILURES = 3  # in a row, of steps of one kind: they are condensed no more
-Key = tuple[float, float]
 
 
 class CondensedFilm(ExplicitFilm):
@@ -73,7 +71,11 @@ Kept = tuple[Rock, CondensedSections]
 
 
 class Condensed:
-    """Steps of the lengths that stages state are condensed, others once there have been enough of them to pay for it."""
+    """Steps of the lengths that stages state are condensed, others once there have been enough of them to pay for it.
+
+    Where the program chose to condense, only those are that pay by their number, and only while something changes from step
+    to step: all of it is known from scene and state, so that a run that is resumed does the same.
+    """
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make matrix and solver of the full balances, kept for the whole run.
@@ -88,13 +90,15 @@ class Condensed:
                 ' the compliance would take more memory than the rock; use "monolithic"'
             )
         self.scene, self.operators, self.loads = scene, operators, loads
-        self.full = Monolithic(scene, operators, loads)
-        self._planned = {self._key(alphas) for alphas in planned(scene)}
+        self.full = (Monolithic if operators.flow is None else Auto)(scene, operators, loads)
+        self._is_asked = scene.method.coupling == "condensed"
+        self._damps = operators.damping is not None and not loads.at_rest
+        self._plan = condensing(scene, unknowns, self._jumps, operators.layout.comm.size, self._damps)
         self._kept: dict[Key, Kept] = {}  # the one used last comes last
         self._uses: dict[Key, int] = {}
         self._failures: dict[Key, int] = {}  # in a row
-        self._pays = break_even(unknowns, self._jumps)
         start = joints.respond(np.zeros((len(joints.weights), joints.dim)), joints.rest()).tangent
+        self._at_rest = start
         own, natural = np.diagonal(start, axis1=1, axis2=2), scales.force / (scales.displacement * scales.length)
         # any moduli do, for the sections put right what they really are; with these nothing that joints hold is loose
         self._elastic = np.where(own > 0.0, own, natural)[:, :, None] * np.eye(joints.dim)
@@ -114,14 +118,27 @@ class Condensed:
             problem.pressure.setArray(start[1])
             problem.branch = problem.state.sections.past
             problem.move(start[0])
-        report = self.full.newton.solve(problem)
-        report = replace(report, newton=report.newton + done[0], fills=report.fills + (is_new and key in self._kept))
-        return step_report(report, problem.residual, done[1])
+        report = self.full.solve(problem)
+        made = is_new and key in self._kept
+        return replace(report, newton=report.newton + done[0], factorisations=report.factorisations + made, cycles=done[1])
+
+    def expect(self, alphas: Alphas) -> None:
+        """Plan for steps by a rule that events make as many of as they last."""
+        key = self._key(alphas)
+        self._plan = replace(self._plan, steps={**self._plan.steps, key: np.inf})
 
     def _key(self, alphas: Alphas) -> Key:
         """What of a rule of stepping A depends on."""
-        damps = self.operators.damping is not None and not self.loads.at_rest
-        return float(f"{alphas.mass:.12g}"), float(f"{alphas.a1 * damps:.12g}")
+        return key_of(alphas, self._damps)
+
+    def _is_meant(self, key: Key, problem: StepProblem) -> bool:
+        """Whether a step is of those that are condensed. Collective."""
+        if self._is_asked:
+            return key in self._kept or key in self._plan.steps or self._uses[key] > self._plan.pays
+        if not self._plan.is_worth(key):
+            return False
+        changes = self.operators.flow is not None or not np.array_equal(problem.state.sections.tangent, self._at_rest)
+        return self.operators.layout.comm.allreduce(changes, op=MPI.LOR)
 
     def _condensed(self, key: Key, problem: StepProblem) -> Kept | None:
         """Factors for a step, made where it pays; None where all unknowns are better solved for. Collective.
@@ -132,11 +149,9 @@ class Condensed:
         gives_up = self._failures.get(key, 0) >= MOST_FAILURES
         if gives_up:
             self._free(key)
-        if gives_up or problem.loads.closures or not self._jumps:
+        if gives_up or problem.loads.closures or not self._jumps or not self._is_meant(key, problem):
             return None
         kept = self._kept.pop(key, None)
-        if kept is None and key not in self._planned and self._uses[key] <= self._pays:
-            return None
         if kept is None:
             if len(self._kept) == MOST_KEPT:
                 self._free(next(iter(self._kept)))
@@ -179,11 +194,3 @@ class Condensed:
         for key in list(self._kept):
             self._free(key)
         self.full.destroy()
-
-
-def planned(scene: Scene) -> Iterator[Alphas]:
-    """Coefficients of steps of the lengths that stages state."""
-    yield Alphas()
-    for stage in scene.stage:
-        if stage.kind == "dynamic" and stage.time_step is not None and scene.method.stepper not in EXPLICIT:
-            yield stepper_from(scene.method.stepper, scene.method).alphas(stage.time_step)

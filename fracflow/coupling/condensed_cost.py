@@ -12,7 +12,8 @@ REFERENCE, JUMPS = 1e5, 800.0  # sizes at which the shares below were measured
 BESIDES = 0.3  # what an iteration on all unknowns takes beside LU: matrix, solve, balances
 FACTORS = 1.7  # CHOLMOD's factors of the rock, with their ordering
 COLUMN = 0.01  # a column of the compliance, solved for with others
-SOLVE = 0.06  # a right side alone
+SOLVE = 0.06  # a right side alone, with CHOLMOD's factors
+SHARED = 0.18  # the same with those of MUMPS, on several ranks
 BALANCES = 0.1  # of a condensed step
 DENSE, ROWS = 0.04, 0.03  # an iteration on the jumps: its dense LU, and what goes by their number squared
 LEAST = 0.02  # an iteration on all unknowns, and a step on the joints, however small the rock is
@@ -34,9 +35,9 @@ def full_step(unknowns: int, iterations: float = ITERATIONS) -> float:
     return iterations * (_factor(unknowns) + BESIDES * _solve(unknowns) + LEAST)
 
 
-def condensed_step(unknowns: int, jumps: int, iterations: float = ITERATIONS) -> float:
+def condensed_step(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks: int = 1) -> float:
     """Cost of a step on the joints, with two solves for the rock [LU of REFERENCE]."""
-    rock = 2.0 * SOLVE * _solve(unknowns) + BALANCES * unknowns / REFERENCE + LEAST
+    rock = 2.0 * (SOLVE if ranks == 1 else SHARED) * _solve(unknowns) + BALANCES * unknowns / REFERENCE + LEAST
     return float(rock + iterations * (DENSE * (jumps / JUMPS) ** 3 + ROWS * (jumps / JUMPS) ** 2))
 
 
@@ -50,7 +51,7 @@ def fits(unknowns: int, jumps: int) -> bool:
     return jumps**2 <= ENTRIES * unknowns * math.log2(max(unknowns, 2))
 
 
-def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS) -> float:
+def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks: int = 1) -> float:
     """Number of steps of one length from which on condensing the rock is cheaper; infinite where it never is."""
-    saved = full_step(unknowns, iterations) - condensed_step(unknowns, jumps, iterations)
+    saved = full_step(unknowns, iterations) - condensed_step(unknowns, jumps, iterations, ranks)
     return math.ceil(condensing(unknowns, jumps) / saved) if saved > 0.0 else math.inf

@@ -1,5 +1,9 @@
-// A box of 40 km by 24 km in squares of side h, with a fault of 30 km in its middle.
+// A box of 40 km by 24 km with a fault of 30 km in its middle: cells as long as h, as high along the fault and, as they grow in
+// equal shares, far times as high at the sides.
 h = 100;
+far = 6;
+rows = Round(Log(far)/Log(1 + (far - 1)*h/12000));
+growth = far^(1/rows);
 x[] = {-20000, -15000, 15000, 20000};
 y[] = {-12000, 0, 12000};
 For j In {0:2}
@@ -16,7 +20,7 @@ EndFor
 For j In {0:1}
   For i In {0:3}
     Line(200 + 10*j + i) = {10*j + i + 1, 10*j + i + 11};
-    Transfinite Curve{200 + 10*j + i} = Round((y[j + 1] - y[j])/h) + 1;
+    Transfinite Curve{200 + 10*j + i} = rows + 1 Using Progression growth^(2*j - 1);
   EndFor
 EndFor
 For j In {0:1}

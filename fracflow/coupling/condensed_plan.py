@@ -1,0 +1,71 @@
+"""Which steps of a scene are taken with the rock condensed, known from the scene alone: a run that is resumed does the same."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from fracflow.coupling.condensed_cost import break_even, fits
+from fracflow.coupling.defaults import is_large
+from fracflow.scene import Scene
+from fracflow.scene_checks import against_condensing
+from fracflow.stepping import EXPLICIT, Alphas, stepper_from
+
+Key = tuple[float, float]
+"""What of a rule of stepping the rock's matrix depends on: shares of mass and damping."""
+AT_LEAST = 2.0  # times the number of steps at which condensing the rock breaks even
+
+
+@dataclass(frozen=True)
+class Condensing:
+    """Number of steps planned of each kind, infinite where events make them; from how many on condensing pays.
+
+    has_events  stages may make steps of a kind that is known when they begin
+    """
+
+    steps: Mapping[Key, float]
+    pays: float
+    has_events: bool = False
+
+    def is_worth(self, key: Key) -> bool:
+        """Whether steps of a kind are so many that one may trust the estimate."""
+        return self.steps.get(key, 0.0) >= AT_LEAST * self.pays
+
+    @property
+    def any_worth(self) -> bool:
+        """Whether steps of any kind are, or may be."""
+        return (self.has_events and self.pays < math.inf) or any(self.is_worth(key) for key in self.steps)
+
+
+def key_of(alphas: Alphas, damps: bool) -> Key:
+    """Of a rule; ``damps``: rates of displacement meet dashpots."""
+    return float(f"{alphas.mass:.12g}"), float(f"{alphas.a1 * damps:.12g}")
+
+
+def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool) -> Condensing:
+    """What is planned, for so many displacements and jumps of joints."""
+    pays = break_even(unknowns, jumps, ranks=ranks) if jumps and fits(unknowns, jumps) else math.inf
+    steps: dict[Key, float] = {}
+    for alphas, count in _planned(scene):
+        key = key_of(alphas, damps)
+        steps[key] = steps.get(key, 0.0) + count
+    return Condensing(steps, pays, any(stage.kind == "auto" for stage in scene.stage))
+
+
+def may_choose(scene: Scene, unknowns: int) -> bool:
+    """Whether the scene leaves the choice to the program, and its methods are those that condensing is for."""
+    method = scene.method
+    suits = method.newton == "newton" and not is_large(unknowns) and not any(against_condensing(scene))
+    return scene.model == "default" and method.coupling == "auto" and suits
+
+
+def _planned(scene: Scene) -> Iterator[tuple[Alphas, float]]:
+    time, name = 0.0, scene.method.stepper
+    for stage in scene.stage:
+        count = stage.step_count(time)
+        time, number = stage.finish(time), math.inf if count is None else float(count)
+        if stage.kind != "dynamic":
+            yield Alphas(), number
+        elif stage.time_step is not None and name not in EXPLICIT:
+            yield stepper_from(name, scene.method).alphas(stage.time_step), number
