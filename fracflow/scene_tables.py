@@ -95,8 +95,9 @@ class Method(StepperKeys):
     )
     film: FilmStepper = Field(
         default="backward-euler",
-        description="time integrator of quasi-static stages: first order and monotone, or second order; trapezoid rings for"
-        " time steps above two drainage times; the first step of a stage is one of backward Euler",
+        description="time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of"
+        " scenes that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a"
+        " stage is one of backward Euler",
     )
     stepper: InertiaStepper = Field(
         default="newmark",
@@ -233,12 +234,15 @@ class Mesh(Part):
 
 
 def with_preset(data: dict[str, Any]) -> dict[str, Any]:
-    """Fill the keys of [method] that a scene leaves open from its ``model``, its stepper, and whether it has a fluid."""
+    """Fill the keys of [method] that a scene leaves open from its model, its stepper, its fluid and its accuracy."""
     preset, method = Method.PRESETS.get(str(data.get("model", "default")), {}), data.get("method", {})
     if not isinstance(method, dict):
         return data
     if "fluid" in data or method.get("stepper") == "explicit":  # both take velocities of walls from their mass
         preset = {**preset, "contact": "lumped"}
+    accuracy = data.get("accuracy", {})
+    if isinstance(accuracy, dict) and {"tolerance", "step_error"} & accuracy.keys() and data.get("model") != "report":
+        preset = {**preset, "film": "bdf2"}  # whose overshoot is below what errors may be, for a fraction of the steps
     return {**data, "method": {**preset, **method}}
 
 

@@ -18,7 +18,8 @@ from fracflow.mesh.data import Bools, Floats
 from fracflow.state import Past, State
 
 SAMPLES = 8  # instants at which a step is looked at: what leaves and returns between two of them is not seen
-BISECTIONS = 40
+NARROW, MOST = 1e-12, 80  # of the step: how well a root is known, and evaluations for it
+LEAST = 1e-3  # of its interval: so far from either end it is looked for
 FRICTION, CONTACT = 0, 1  # the two distances of ``JointLaw.approach``
 TOGETHER = 1e-3  # of the step: events that lie so near behind the first are taken with it
 
@@ -41,7 +42,7 @@ def first_event(joints: Joints, old: State, new: State, dt: float, until: float 
     ``new`` was reached with the statuses of ``old``. None where there is none. Collective.
     """
     path = _path(joints, old, new, dt)
-    friction, contact = (_first_root(joints, path, old.sections.past, kind, until) for kind in (FRICTION, CONTACT))
+    friction, contact = _first_roots(joints, path, old.sections.past, until).T
     comm = joints.jump.getComm().tompi4py()
     here = min(friction.min(initial=np.inf), contact.min(initial=np.inf))
     first = comm.allreduce(float(here), op=MPI.MIN)
@@ -97,25 +98,48 @@ def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tu
     return tuple(np.where(joints.massless.components, its, other) for its, other in zip(found, path, strict=True))
 
 
-def _first_root(joints: Joints, path: Path, past: Past, kind: int, until: float) -> Floats:
-    """Fraction (s,) of the step at which a distance falls through zero, for contact either way; inf where it does not."""
+def _first_roots(joints: Joints, path: Path, past: Past, until: float) -> Floats:
+    """Fractions (s, 2) of the step at which a distance falls through zero, for contact either way; inf where it does not."""
     count = len(joints.weights)
-    sections, sign = np.arange(count), np.ones(count)
+    signs = np.ones((count, 2))
 
-    def distance(fraction: Floats) -> Floats:
-        return sign * joints.approach(*path(fraction), past)[:, kind]
+    def distances(fraction: Floats) -> Floats:
+        return signs * joints.approach(*path(fraction), past)
 
     times = np.linspace(0.0, until, SAMPLES + 1)
-    values = np.stack([distance(np.full(count, time)) for time in times])
-    if kind == CONTACT:
-        sign = np.sign(values[np.argmax(values != 0.0, axis=0), sections])
-        values = sign * values
+    values = np.stack([distances(np.full(count, time)) for time in times])
+    contact = values[..., CONTACT]
+    signs[:, CONTACT] = np.sign(contact[np.argmax(contact != 0.0, axis=0), np.arange(count)])
+    values[..., CONTACT] = signs[:, CONTACT] * contact
     falls = (values[:-1] >= 0.0) & (values[1:] < 0.0)
-    before = np.argmax(falls, axis=0)
-    low, high = times[before], times[before + 1]
-    for _ in range(BISECTIONS if falls.any() else 0):
-        middle = 0.5 * (low + high)
-        beyond = distance(middle) < 0.0
+    roots = np.where(np.all(values < 0.0, axis=0), 0.0, np.inf)
+    for kind in (FRICTION, CONTACT):
+        there = falls[:, :, kind].any(axis=0)
+        if there.any():
+            first, every = np.argmax(falls[:, :, kind], axis=0), np.arange(count)
+            above, below = values[first, every, kind], values[first + 1, every, kind]
+            brackets = (times[first], times[first + 1]), (above, below)
+            found = _fall(lambda at, column=kind: distances(at)[:, column], *brackets, there)  # type: ignore[misc]
+            roots[:, kind] = np.where(there, found, roots[:, kind])
+    return roots
+
+
+def _fall(
+    distance: Callable[[Floats], Floats], ends: tuple[Floats, Floats], values: tuple[Floats, Floats], there: Bools
+) -> Floats:
+    """Where ``distance`` has just fallen below zero between fractions with values of either sign: false position (Illinois)."""
+    (low, high), (above, below) = ends, values
+    for _ in range(MOST):
+        wide = there & (high - low > NARROW)
+        if not wide.any():
+            break
+        share = np.where(wide & np.isfinite(above), above, 1.0) / np.where(
+            wide & np.isfinite(above), above - below, 2.0
+        )
+        middle = low + np.clip(share, LEAST, 1.0 - LEAST) * (high - low)  # of an interval that has its root at one end
+        value = distance(middle)
+        beyond = value < 0.0
+        # an end that stays counts half from then on, or the other would creep up to it
+        above, below = np.where(beyond, 0.5 * above, value), np.where(beyond, value, 0.5 * below)
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-    is_past = np.all(values < 0.0, axis=0)
-    return np.where(falls.any(axis=0), high, np.where(is_past, 0.0, np.inf))
+    return high

@@ -49,7 +49,7 @@ STEPPERS = {"generalised-alpha": 0.02, "explicit": 0.02}
 PROBLEM = Problem(
     "W2", "A block that slips: steppers, and events inside steps", "time step, or tolerance", "displacement",
     (
-        method("newmark, located"),
+        method("newmark"),
         method("newmark, at step ends", "events=at-step-ends", most=0.25),
         *(method(f"{name}, located", f"stepper={name}", most=most) for name, most in STEPPERS.items()),
         method("implicit-euler, at step ends", "stepper=implicit-euler", "events=at-step-ends", most=1.0),

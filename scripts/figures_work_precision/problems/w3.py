@@ -65,7 +65,7 @@ PROBLEM = Problem(
         method("newmark, at step ends", ENDS),
         method("newmark, lumped contact", LUMPED, most=1.6),
         method("newmark, lumped contact, at step ends", LUMPED, ENDS, most=1.6),
-        method("newmark, condensed, at step ends", "coupling=condensed", ENDS),
+        method("newmark, LU, at step ends", "coupling=whole-lu", ENDS),
         method("newmark, consistent mass", "mass=consistent"),
         method("hht", "stepper=hht"),
         method("generalised-alpha", "stepper=generalised-alpha"),

@@ -68,20 +68,21 @@ def run(courant: float, *settings: str, side: float) -> Answer:
 def method(name: str, *settings: str, courant: float = 1.0) -> Method:
     """Settings under [method]."""
     given = tuple(f"method.{setting}" for setting in settings)
-    cheap = {"stepper=explicit", "coupling=condensed"} & {*settings}
+    cheap = LU not in settings
     return Method(
         name, lambda side: run(courant, *given, side=side), SIDES + FINER if cheap else SIDES, default=not settings
     )
 
 
-ENDS = "events=at-step-ends"
+ENDS, LU = "events=at-step-ends", "coupling=whole-lu"
 PROBLEM = Problem(
     "W6", "A rupture along a weakening fault: steppers, contact, events", "side of the squares [m]", "arrivals",
     (
-        method("newmark, located"),
+        method("newmark"),
+        method("newmark, located, LU", "events=located", LU),
+        method("newmark, at step ends, LU", ENDS, LU),
         method("newmark, at step ends", ENDS),
         method("newmark, lumped contact, at step ends", "contact=lumped", ENDS),
-        method("newmark, condensed, at step ends", "coupling=condensed", ENDS),
         method("generalised-alpha, at step ends", "stepper=generalised-alpha", ENDS),
         method("explicit", "stepper=explicit", courant=0.5),
     ),
