@@ -19,6 +19,7 @@ from fracflow.state import Past, State
 
 SAMPLES = 8  # instants at which a step is looked at: what leaves and returns between two of them is not seen
 NARROW, MOST = 1e-12, 80  # of the step: how well a root is known, and evaluations for it
+HALVED = 3  # every so many times its interval is halved, whatever the values say; more often where they say nothing
 LEAST = 1e-3  # of its interval: so far from either end it is looked for
 FRICTION, CONTACT = 0, 1  # the two distances of ``JointLaw.approach``
 TOGETHER = 1e-3  # of the step: events that lie so near behind the first are taken with it
@@ -129,17 +130,19 @@ def _fall(
 ) -> Floats:
     """Where ``distance`` has just fallen below zero between fractions with values of either sign: false position (Illinois)."""
     (low, high), (above, below) = ends, values
-    for _ in range(MOST):
+    stays = np.zeros(len(low))  # 1 where it was the upper end that stayed last, -1 where the lower
+    for turn in range(MOST):
         wide = there & (high - low > NARROW)
         if not wide.any():
             break
-        share = np.where(wide & np.isfinite(above), above, 1.0) / np.where(
-            wide & np.isfinite(above), above - below, 2.0
-        )
+        slopes = wide & np.isfinite(above) & (turn % np.where(above > 0.0, HALVED, 2) != 1)
+        share = np.where(slopes, above, 1.0) / np.where(slopes, above - below, 2.0)
         middle = low + np.clip(share, LEAST, 1.0 - LEAST) * (high - low)  # of an interval that has its root at one end
         value = distance(middle)
         beyond = value < 0.0
-        # an end that stays counts half from then on, or the other would creep up to it
-        above, below = np.where(beyond, 0.5 * above, value), np.where(beyond, value, 0.5 * below)
+        # an end that stays twice counts half, or the other would creep up to it
+        above = np.where(beyond, np.where(stays < 0.0, 0.5, 1.0) * above, value)
+        below = np.where(beyond, value, np.where(stays > 0.0, 0.5, 1.0) * below)
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+        stays = np.where(beyond, -1.0, 1.0)
     return high
