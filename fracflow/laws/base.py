@@ -152,7 +152,10 @@ def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[s
 
 def per_section(value: Parameter, sections: int) -> Floats:
     """A parameter as an array (n,)."""
-    return np.broadcast_to(np.asarray(value, dtype=float), (sections,))
+    array = np.asarray(value, dtype=float)
+    if array.shape == (sections,):
+        return array
+    return np.full(sections, array)  # laws are asked often: a view of one number takes twice as long to make
 
 
 def per_tangent(value: Parameter, sections: int, tangents: int) -> Floats:
