@@ -14,7 +14,7 @@ from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_look import draw
 from fracflow.output.folder import MARKER, check_folder
 from fracflow.run import Progress, has_ended, resume, run
-from fracflow.run_setup import on_root, place
+from fracflow.run_setup import on_root, place, with_sizes
 from fracflow.run_totals import Totals
 from fracflow.scene import Scene
 from fracflow.scene_levels import Spot, at_level, order_in_time
@@ -57,6 +57,7 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
             f"{scene.source}: refine = {scene.refine}: with {count} levels cells are cut more than {MOST_REFINED} times"
         )
     on_root(comm, lambda: _check(folder))
+    scene = with_sizes(scene, comm)
     spots: dict[str, Spot] = {}
     for number in range(count):
         here = folder / f"level-{number}"

@@ -26,6 +26,7 @@ from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
 from fracflow.output.probes import refuse_missing
+from fracflow.plan_mesh import proposed, unresolved
 from fracflow.scene import Scene
 from fracflow.tables import FractureEnd, Place
 
@@ -86,9 +87,27 @@ def naming(scene: Scene) -> Iterator[None]:
 
 
 def read_split(scene: Scene) -> SplitMesh:
-    """Read or build the mesh and split it. Raises InputError."""
+    """Read or build the mesh, of sizes that fit the scene where it states none, and split it. Raises InputError."""
     with naming(scene):
-        return _read_split(scene)
+        return _read_split(scene.with_geometry(_open_sizes(scene)[0]))
+
+
+def with_sizes(scene: Scene, comm: MPI.Comm) -> Scene:
+    """The scene with the mesh sizes that it leaves open, and notes why they are so. Raises InputError, on every rank.
+
+    Collective.
+    """
+    with naming(scene):
+        keys, notes = comm.bcast(on_root(comm, lambda: _open_sizes(scene)), root=0)
+    return scene.with_geometry(keys, notes)
+
+
+def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
+    def build(trial: Scene) -> tuple[SplitMesh, Mapping[str, int]]:
+        mesh = _read_split(trial)
+        return mesh, place(trial, mesh).wells
+
+    return proposed(scene, build)
 
 
 def _read_split(scene: Scene) -> SplitMesh:
@@ -97,7 +116,7 @@ def _read_split(scene: Scene) -> SplitMesh:
         raw = read_mesh(scene.mesh_path, [*names, *(["default"] if "default" in scene.fracture else [])])
     else:
         geometry = scene.geometry
-        assert geometry is not None
+        assert geometry is not None and geometry.size is not None
         traces = [(f.name, np.array(f.points, dtype=float)) for f in geometry.fracture]
         raw = build_mesh(
             GeometrySpec(
@@ -203,9 +222,11 @@ def prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_r
 
 
 def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None) -> Model:
-    mesh = on_root(comm, lambda: saved or read_split(scene))
+    scene = with_sizes(scene, comm)
+    mesh = on_root(comm, lambda: saved or _read_split(scene))
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None
+    coarse = unresolved(scene, mesh, placed.wells) if mesh is not None and saved is None else []
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = assemble(blocks, scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
@@ -213,7 +234,7 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, mesh)
-    placed = replace(placed, notes=(*placed.notes, *describe(blocks, scene)))
+    placed = replace(placed, notes=(*scene.notes, *coarse, *placed.notes, *describe(blocks, scene)))
     return Model(scene, mesh, placed, operators, loads)
 
 

@@ -83,6 +83,7 @@ class Scene(Part):
     stage: tuple[Stage, ...] = Field(default=(), description="the parts of the run, one after another")
 
     _file: Path = PrivateAttr(default=Path("scene.toml"))
+    _notes: tuple[str, ...] = PrivateAttr(default=())
 
     @model_validator(mode="before")
     @classmethod
@@ -125,6 +126,19 @@ class Scene(Part):
         return self._file.name
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """Why keys that its file leaves open have the values they have, a line each."""
+        return self._notes
+
+    def with_geometry(self, keys: Mapping[str, float], notes: Sequence[str] = ()) -> Scene:
+        """The scene with keys of its [geometry] set, and why they are so."""
+        if self.geometry is None or not keys:
+            return self
+        scene = self.model_copy(update={"geometry": self.geometry.model_copy(update=dict(keys))})
+        scene._notes = (*self._notes, *notes)
+        return scene
+
+    @property
     def name(self) -> str:
         """The name of the scene's file without its ending, or of its folder where the file is called scene.toml."""
         return self._file.stem if self._file.stem != "scene" else self._file.resolve().parent.name
@@ -165,6 +179,11 @@ class Scene(Part):
     def jump_times(self) -> tuple[float, ...]:
         """Instants, ascending, at which a table in time jumps [time]."""
         return tuple(sorted({float(time) for table in _tables(self) for time in table.jumps[0]}))
+
+    @property
+    def driving_tables(self) -> tuple[TimeTable, ...]:
+        """Tables in time of what sends waves into the rock: loads, supports, waves that come in."""
+        return tuple(_tables((self.load, self.support, self.absorbing)))
 
     @property
     def jumps_anywhere(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
@@ -116,8 +117,8 @@ def _geometry(scene: Scene) -> Iterator[Fault]:
             )
         if name not in scene.fracture and "default" not in scene.fracture:
             yield ("fracture", name), f'missing; the fracture "{name}" needs a table, or [fracture.default]'
-    fine = geometry.size_at_fractures or geometry.size
-    if fine > geometry.size:
+    fine = geometry.size_at_fractures or geometry.size or math.inf  # what is not given follows later, from what is
+    if geometry.size is not None and fine > geometry.size:
         yield ("geometry", "size_at_fractures"), f"must be at most size = {geometry.size:g}"
     if geometry.size_at_tips is not None and geometry.size_at_tips > fine:
         yield ("geometry", "size_at_tips"), f"must be at most the size at fractures, {fine:g}"

@@ -206,9 +206,12 @@ class Geometry(Part):
         default=None,
         description="file of more traces and their properties, relative to the scene; a loaded scene has them in its place",
     )
-    size: Size = Field(description="mesh size away from fractures [length]")
+    size: Size | None = Field(
+        default=None,
+        description="mesh size away from fractures [length]; if not given, both sizes follow from the lengths of the scene",
+    )
     size_at_fractures: Size | None = Field(
-        default=None, description="mesh size at fractures [length]; as size if not given"
+        default=None, description="mesh size at fractures [length]; as size if only that is given"
     )
     size_at_tips: Size | None = Field(
         default=None,

@@ -82,7 +82,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
     viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
     cubic = np.maximum(aperture, ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
     drop, distance = _weakening(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
-    rock = _rocks(scene, mesh)
+    rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
     return CardJoints(
         mesh.fractures,
@@ -150,7 +150,7 @@ def _in_series(sides: Floats) -> Floats:
     return result
 
 
-def _rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
+def cell_rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
     """Properties (m,) of the rock of each cell; a rigid one has infinite moduli."""
     tables = [scene.rock[name] for name in mesh.rocks]
     rigid = np.array([rock.rigid for rock in tables], dtype=float)

@@ -64,6 +64,16 @@ def film_stages(scene: Scene, stage: Stage) -> Iterator[FilmStage]:
         yield FilmStage(name, dt, WEIGHT[method.film] / dt, 0.0, method.film == "trapezoid")
 
 
+def spans(scene: Scene) -> Iterator[tuple[Stage, float, float]]:
+    """The stages that take time, with their start and end as far as the scene bounds them."""
+    clock = 0.0
+    for stage in scene.stage:
+        if not stage.takes_no_time:
+            after = clock + (stage.steps or 0) * (stage.time_step or 0.0) if stage.end is None else stage.end
+            yield stage, clock, after
+            clock = after
+
+
 class View:
     """A scene and its joints, as the numbers look at them."""
 
@@ -90,14 +100,7 @@ class View:
 
     def dynamic_time(self) -> float:
         """How long the stages with inertia last, as far as the scene bounds them [time]."""
-        clock = total = 0.0
-        for stage in self.scene.stage:
-            if stage.takes_no_time:
-                continue
-            after = clock + (stage.steps or 0) * (stage.time_step or 0.0) if stage.end is None else stage.end
-            total += after - clock if stage.kind == "dynamic" else 0.0
-            clock = after
-        return total
+        return sum(end - start for stage, start, end in spans(self.scene) if stage.kind == "dynamic")
 
     def unit(self, dimension: str) -> str:
         """The unit to write behind a number, with a blank before it."""

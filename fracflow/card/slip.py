@@ -75,6 +75,18 @@ def _lengths(view: View, factor: float, of_layer: float) -> Floats:
     return np.where(view.weakens, each, np.nan)
 
 
+def longest_joints(view: View) -> dict[str, Floats]:
+    """The longest joints (j,) that resolve each length of slip, as the numbers of the card ask; inf where there is none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drops = np.where(view.drops, RESOLVED * view.joints.length[:, None] / _slip_scale(view), np.nan)
+        limits = {
+            f"E'/k_s / {1.0 / RESOLVED:g}": drops,
+            f"nucleation length / {PATCH:g}": _lengths(view, UNSTABLE, np.pi) / PATCH,
+            f"cohesive zone / {ZONE:g}": _lengths(view, COHESIVE, 1.0) / ZONE,
+        }
+    return {name: np.where(np.isnan(sizes), np.inf, sizes).min(axis=1) for name, sizes in limits.items()}
+
+
 def nucleation(view: View) -> Number:
     """L_c = 1.158 mu* D_c/dtau: none where strength drops at once, and then only E'/k_s gives slip a length."""
     name, formula, joints = "nucleation length", "L_c = 1.158 mu* D_c/dtau", view.joints

@@ -1,0 +1,247 @@
+"""A mesh no finer than a scene needs: sizes where the scene states none, and what a stated mesh does not resolve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow.card import slip
+from fracflow.card.film import EVENT_STEPS
+from fracflow.card.joints import cell_rocks, gather
+from fracflow.card.number import View, spans
+from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.mesh.quality import cell_areas
+from fracflow.mesh.read import SNAP
+from fracflow.mesh.traces import polygon_area
+from fracflow.plan_lengths import (
+    affordable,
+    cell_count,
+    front_length,
+    mean_spacing,
+    shortest_period,
+    typical_length,
+)
+from fracflow.scene import Scene
+from fracflow.scene_tables import Geometry
+from fracflow.units import LENGTH, TIME
+
+PER_LENGTH = 16  # joints along a fracture that ends in the rock
+PER_SPACING = 4  # joints, in the mean distance of fractures
+PER_FRONT = 8  # joints, in the reach of a pressure
+PER_WAVE = 10  # cells: lumped mass and trapezoid are 4.6 % slow there (where each wave takes one step through a cell)
+PER_TIP = 128  # joints at tips
+GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
+ACROSS = 20  # cells across the domain, far from all fractures
+MOST_CELLS = 100_000
+ROUNDS = 5  # of meshing and measuring
+FEWEST = 4  # joints along a fracture of the first mesh
+SAME = 0.99  # sizes that differ by less need no new mesh
+MARGIN = 0.95  # cells of a size asked for differ from it
+SPARE = 0.25  # of the shortest fracture, which snapping must not swallow
+
+Build = Callable[[Scene], tuple[SplitMesh, Mapping[str, int]]]
+"""scene -> its mesh, and the flow nodes of its wells by name"""
+
+
+@dataclass(frozen=True)
+class Need:
+    """A length that a mesh must resolve, where the mesh is worst at it.
+
+    what     the length and the number of cells in it
+    size     the largest joint or cell that resolves it there [length]
+    found    the one there [length]
+    along    whether it is joints that must be so short, else cells
+    is_told  whether ``unresolved`` tells: the card tells of others, or no stated mesh need be like that
+    where    fracture or rock, and place
+    """
+
+    what: str
+    size: float
+    found: float
+    along: bool
+    is_told: bool = True
+    where: str = ""
+
+
+def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
+    """A line for each length that a mesh does not resolve, but for those of the scene card. On one process."""
+    view = View(scene, gather(scene, mesh, wells))
+    unit = view.unit(LENGTH)
+    return [
+        f"mesh: {need.what} is not resolved: it needs {'joints' if need.along else 'cells'} of {need.size:.3g}{unit}, and"
+        f" has {need.found:.3g}{unit}, {need.where}"
+        for need in needs(view, mesh)
+        if need.is_told and SAME * need.found > need.size
+    ]
+
+
+def needs(view: View, mesh: SplitMesh) -> list[Need]:
+    """All lengths of a scene, each where its mesh is worst at it."""
+    return [*_along_fractures(view, mesh), *_in_rock(view, mesh)]
+
+
+def _along_fractures(view: View, mesh: SplitMesh) -> Iterator[Need]:
+    joints = view.joints
+    if not len(joints.length):
+        return
+    middle, limits = mesh.points[mesh.joint_bottom].mean(axis=1), slip.longest_joints(view)
+
+    def need(what: str, size: Floats, is_told: bool = True) -> Iterator[Need]:
+        worst = int(np.argmax(joints.length / size))
+        if np.isfinite(size[worst]):
+            where = f"{joints.names[joints.fracture[worst]]} at {_spot(middle[worst])}"
+            yield Need(what, float(size[worst]), float(joints.length[worst]), True, is_told, where)
+
+    for what, size in limits.items():
+        yield from need(what, size, is_told=False)
+    each = np.bincount(joints.fracture, joints.length, len(joints.names))
+    tipped = np.unique(joints.fracture[np.any(mesh.joint_bottom == mesh.joint_top, axis=1)])
+    typical = np.where(np.isin(joints.fracture, tipped), typical_length(each[tipped]), np.inf)
+    yield from need(f"length of fractures / {PER_LENGTH}", typical / PER_LENGTH)
+    spacing = mean_spacing(float(cell_areas(mesh.points, mesh.cells).sum()), float(joints.length.sum()))
+    yield from need(
+        f"spacing of fractures / {PER_SPACING}", np.full_like(joints.length, spacing / PER_SPACING), len(tipped) > 0
+    )
+    lasts = [end - start for stage, start, end in spans(view.scene) if stage.kind in ("quasi-static", "auto")]
+    if view.flows and max(lasts, default=0.0) > 0.0:
+        assert view.scene.fluid is not None
+        time = min(each for each in lasts if each > 0.0)
+        held = view.scene.fluid.compressibility * np.nan_to_num(joints.aperture)
+        reach = front_length(joints.conducting, joints.normal, held, time).min(axis=1)
+        what = f"reach of a pressure in {time:.3g}{view.unit(TIME)} / {PER_FRONT}"
+        yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
+
+
+def _in_rock(view: View, mesh: SplitMesh) -> Iterator[Need]:
+    edges = cell_sizes(mesh)
+
+    def need(what: str, size: Floats, is_told: bool) -> Iterator[Need]:
+        worst = int(np.argmax(edges / size))
+        if np.isfinite(size[worst]):
+            rock, nodes = mesh.rocks[mesh.cell_rock[worst]], mesh.cells[worst]
+            where = f"{rock} at {_spot(mesh.points[nodes[nodes >= 0]].mean(axis=0))}"
+            yield Need(what, float(size[worst]), float(edges[worst]), False, is_told, where)
+
+    speed = cell_rocks(view.scene, mesh)["shear_speed"]
+    speed = np.where(np.isnan(speed), np.inf, speed)
+    for what, period, is_told in _periods(view):
+        yield from need(what, period * speed / PER_WAVE, is_told)
+
+
+def _periods(view: View) -> Iterator[tuple[str, float, bool]]:
+    """Waves of each stage with inertia: of its loads, and of its steps where slip or a jump makes shorter ones."""
+    abrupt = bool(view.drops.any() or view.weakens.any())
+    for stage, start, end in spans(view.scene):
+        if stage.kind not in ("dynamic", "auto"):
+            continue
+        step = stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step
+        of_steps, of_loads = EVENT_STEPS * (step or 0.0), shortest_period(view.scene.driving_tables, start, end)
+        unit, name = view.unit(TIME), stage.title
+        if of_loads > of_steps and np.isfinite(of_loads):
+            yield f"wave of {of_loads:.3g}{unit}, a load in stage {name}, / {PER_WAVE}", of_loads, True
+        if of_steps > 0.0 and (abrupt or of_loads <= of_steps or np.isinf(of_loads)):
+            yield f"wave of {of_steps:.3g}{unit}, {EVENT_STEPS} steps of stage {name}, / {PER_WAVE}", of_steps, False
+
+
+def cell_sizes(mesh: SplitMesh) -> Floats:
+    """Mean edge (m,) of each cell [length]."""
+    corners = mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])]
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    return np.asarray(edges.sum(axis=1) / np.sum(mesh.cells >= 0, axis=1))
+
+
+def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
+    """Keys of [geometry] that a scene leaves open, as its lengths ask, and why; none where it states ``size`` or a mesh.
+
+    Meshes the scene by ``build``, finer each time, until it resolves all lengths or has MOST_CELLS. On one process.
+    """
+    geometry = scene.geometry
+    if geometry is None or geometry.size is not None:
+        return {}, []
+    domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
+    area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
+    size = float(np.ptp(domain, axis=0).min()) / ACROSS
+    width = Need(f"width of the domain / {ACROSS}", size, size, False, is_told=False)
+    fine = min(size, typical / FEWEST, mean_spacing(area, total) / PER_SPACING)
+    at_tips, growth = typical / PER_TIP, geometry.growth if "growth" in geometry.model_fields_set else GROWTH
+    size, fine = _with_stated(geometry, size, fine)
+    for _ in range(ROUNDS):
+        keys = _keys(geometry, size, fine, at_tips, growth, traces)
+        trial = scene.with_geometry({**keys, "refine": 0})
+        mesh, wells = build(trial)
+        view = View(trial, gather(trial, mesh, wells))
+        found = [width, *needs(view, mesh)]
+        crowding = len(mesh.cells) / cell_count(size, fine, area, total, growth)
+        finer = _finer(size, found, along=False), _finer(fine, found, along=True)
+        is_dear = crowding * cell_count(*finer, area, total, growth) > MOST_CELLS and np.isfinite(at_tips)
+        if is_dear:
+            at_tips, growth, crowding = np.inf, max(growth, THRIFTY), 1.0
+        finer = _with_stated(geometry, *affordable(*finer, area, total, growth, MOST_CELLS / crowding))
+        if not is_dear and finer[0] >= SAME * size and finer[1] >= SAME * fine:
+            break
+        size, fine = finer
+    if not np.any(mesh.joint_bottom == mesh.joint_top):
+        keys.pop("size_at_tips", None)  # no tip is in the rock: the same mesh
+    unit = {key: view.unit(LENGTH) for key in keys} | {"growth": ""}
+    return keys, [f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}" for key, value in keys.items()]
+
+
+def _trace_lengths(geometry: Geometry) -> Floats:
+    points = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
+    return np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in points])
+
+
+def _with_stated(geometry: Geometry, size: float, fine: float) -> tuple[float, float]:
+    """Sizes of three digits that do not contradict what the scene does state."""
+    size, fine = _three_digits(size), _three_digits(fine)
+    stated = geometry.size_at_fractures
+    fine = stated or max(min(fine, size), geometry.size_at_tips or 0.0, 2.0 * (geometry.snap or 0.0))
+    return max(size, fine), fine
+
+
+def _three_digits(size: float) -> float:
+    """A size no larger."""
+    unit = 10.0 ** (np.floor(np.log10(size)) - 2.0)
+    return float(f"{np.floor(size / unit + 1e-9) * unit:.3g}")
+
+
+def _keys(
+    geometry: Geometry, size: float, fine: float, at_tips: float, growth: float, traces: Floats
+) -> dict[str, float]:
+    keys = {"size": size}
+    if not len(traces):
+        return keys
+    if geometry.size_at_fractures is None:
+        keys["size_at_fractures"] = fine
+        if geometry.size_at_tips is None and at_tips < fine:
+            keys["size_at_tips"] = _three_digits(at_tips)
+    if growth != geometry.growth:
+        keys["growth"] = growth
+    spare = _three_digits(SPARE * traces.min())
+    return keys | ({"snap": spare} if geometry.snap is None and spare < SNAP * fine else {})
+
+
+def _finer(size: float, found: list[Need], along: bool) -> float:
+    """The size asked for, or less where cells of no more than that are still too large."""
+    short = [need for need in found if need.along == along and need.found > need.size]
+    return min([size, *(MARGIN * size * each.size / each.found if size <= each.size else each.size for each in short)])
+
+
+def _why(key: str, found: list[Need]) -> str:
+    fixed = {
+        "snap": f"{SPARE:g} of the length of the shortest fracture",
+        "size_at_tips": f"length of fractures / {PER_TIP}",
+        "growth": "rock far from a tip is as coarse as its strains are smooth",
+    }
+    if key in fixed:
+        return fixed[key]
+    asked = [need for need in found if key == "size_at_fractures" or not need.along]
+    least = min(asked, key=lambda need: need.size)
+    short = f"; {MOST_CELLS} cells, the most that are proposed, do not reach it" if least.found > least.size else ""
+    return f"{least.what} = {least.size:.3g}{least.where and f', {least.where}'}{short}"
+
+
+def _spot(point: Floats) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"

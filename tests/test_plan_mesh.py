@@ -1,0 +1,220 @@
+"""Mesh sizes that a scene leaves open: lengths in closed form, what they ask of a mesh, and that half of it changes little."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fracflow import plan_mesh
+from fracflow._petsc import MPI
+from fracflow.card import scene_card
+from fracflow.cli import app
+from fracflow.mesh.read import GeometrySpec, build_mesh
+from fracflow.output import read_history
+from fracflow.plan_lengths import (
+    affordable,
+    cell_count,
+    front_length,
+    mean_spacing,
+    shortest_period,
+    typical_length,
+)
+from fracflow.run import run
+from fracflow.run_setup import read_split, with_sizes
+from fracflow.scene import Scene
+from fracflow.tables_time import TimeTable
+
+OF_SLIP = ("joint length scale", "nucleation length", "cohesive zone")
+
+
+def scene_of(traces, *, fracture=(), stage=(), **more):
+    """A square of 100 m of rock with traces; wave speeds are 2191 and 1265 m/s, and E' is 10.67 GPa."""
+    named = [{"name": f"f{k}", "points": points} for k, points in enumerate(traces)]
+    default = {"normal_stiffness": 1e10, "shear_stiffness": 5e9, "aperture": 1e-3, "friction_angle_deg": 30.0}
+    data = {
+        "geometry": {"domain": [0, 0, 100, 100], "fracture": named} | more.pop("geometry", {}),
+        "rock": {"rock": {"youngs_modulus": 1e10, "poissons_ratio": 0.25, "density": 2500.0}},
+        "fracture": {"default": default | dict(fracture)},
+        "initial_stress": {"xx": -1e7, "yy": -1e7},
+        "stage": [{"kind": "quasi-static", "end": 1.0, "time_step": 0.5} | dict(stage)],
+        "output": {"pictures": False},
+    }
+    return Scene.from_data(data | more)
+
+
+def sized(scene):
+    return with_sizes(scene, MPI.COMM_SELF)
+
+
+@pytest.mark.serial
+def test_periods_are_those_of_sines_and_twice_those_of_ramps():
+    times = np.linspace(0.0, 1.0, 201)
+    sine = TimeTable(tuple(times), tuple(np.sin(2.0 * np.pi * times / 0.2)))
+    slow = TimeTable((0.0, 1.0), (0.0, 5.0))
+    assert shortest_period([sine], 0.0, 1.0) == pytest.approx(0.2)
+    assert shortest_period([slow, sine], 0.0, 1.0) == pytest.approx(0.2)
+    assert shortest_period([slow], 0.0, 0.1) == 2.0
+    assert shortest_period([slow], 2.0, 3.0) == np.inf == shortest_period([TimeTable.constant(3.0)], 0.0, 1.0)
+    jump = TimeTable((0.0, 0.5, 0.5, 1.0), (0.0, 0.0, 1.0, 1.0))
+    assert shortest_period([jump], 0.0, 1.0) == 0.0 and shortest_period([jump], 0.6, 1.0) == np.inf
+    rippled = TimeTable((0.0, 1.0, 1.01, 2.0), (0.0, 1.0, 0.99, 2.0))  # its ripple is as steep as the ramp
+    assert shortest_period([rippled], 0.0, 2.0) == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.serial
+def test_lengths_in_closed_form():
+    assert typical_length(np.array([1.0, 3.0])) == 2.5
+    assert mean_spacing(100.0, 20.0) == 5.0 and mean_spacing(100.0, 0.0) == np.inf
+    conducting = 1e-3**3 / (12 * 1e-3)  # water in a millimetre: D = d^3 k_n/(12 mu) = 4166.7 m^2/s
+    assert front_length(np.array(conducting), np.array(5e10), 0.0, 1.0) == pytest.approx(64.55, abs=0.005)
+    assert front_length(np.array(conducting), np.array(5e10), 2e-11, 1.0) == pytest.approx(64.55 / 2**0.5, abs=0.005)
+
+
+@pytest.mark.serial
+def test_cells_are_counted_before_they_are_made():
+    for size, fine, growth in ((10.0, 0.5, 0.3), (20.0, 1.0, 0.15), (4.0, 4.0, 0.3)):
+        line = (("a", np.array([[0.0, 50.0], [100.0, 50.0]])),)
+        cells = len(build_mesh(GeometrySpec(np.array([[0, 0], [100, 0], [100, 100], [0, 100]]), line, size, fine,
+                                            growth=growth)).cells)  # fmt: skip
+        assert 0.5 * cells < cell_count(size, fine, 1e4, 100.0, growth) < 2.0 * cells
+    size, fine = affordable(10.0, 1e-3, 1e4, 100.0, 0.3, 5e3)
+    assert size == 10.0 and cell_count(size, fine, 1e4, 100.0, 0.3) <= 5e3
+    assert affordable(10.0, 1.0, 1e4, 100.0, 0.3, 1e9) == (10.0, 1.0)
+
+
+WEAKENING = {"law": "slip-weakening", "dynamic_friction_coefficient": 0.3, "slip_weakening_distance": 2e-3}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("scene", "why"),
+    [
+        (scene_of([[[0, 40], [100, 60]]], fracture={"stick_slip_ratio": 0.8}), "E'/k_s / 4 = 0.533, f0 at ("),
+        (scene_of([[[0, 40], [100, 60]]], fracture=WEAKENING | {"slip_weakening_distance": 2e-3}), " / "),
+        (scene_of([[[45, 50], [55, 50]]]), "length of fractures / 16 = 0.625, f0 at ("),
+        (scene_of([[[0, 50], [100, 50]]], fluid={"viscosity": 1e-3, "specific_weight": 1e4},
+                  fracture={"aperture": 1e-4, "normal_stiffness": 3e11}), "reach of a pressure in 1 s / 8 = 0.625, f0 at ("),
+    ],
+    ids=["drop", "weakening", "crack", "film"],
+)  # fmt: skip
+def test_a_proposed_mesh_resolves_what_it_was_made_for(scene, why):
+    scene = sized(scene)
+    mesh = read_split(scene)
+    assert why in next(line for line in scene.notes if "size_at_fractures" in line)
+    assert plan_mesh.unresolved(scene, mesh, {}) == []
+    assert not any(number.out_of_range for number in scene_card(scene, mesh, {}) if number.name in OF_SLIP)
+    assert 100 < len(mesh.cells) < 20_000
+    again = Scene.from_data(scene.model_dump(exclude_none=True))
+    assert sized(again) == again == scene and again.notes == ()
+    assert np.array_equal(read_split(again).points, mesh.points)
+
+
+@pytest.mark.serial
+def test_waves_of_loads_have_ten_cells():
+    """A sine of 0.02 s, whose S wave is 25.3 m long."""
+    times = np.linspace(0.0, 0.1, 101).tolist()
+    table = [[time, float(np.sin(100.0 * np.pi * time))] for time in times]
+    side = {"on": ["south"], "wave": {"kind": "s", "velocity": table}}
+    scene = sized(scene_of([], fracture={}, absorbing=[side], stage={"kind": "dynamic", "time_step": 1e-3}))
+    mesh = read_split(scene)
+    assert "wave of 0.02 s, a load in stage dynamic, / 10 = 2.53, rock at (" in scene.notes[0]
+    assert 2.0 < plan_mesh.cell_sizes(mesh).max() <= 0.02 * (4e9 / 2500.0) ** 0.5 / 10
+    coarse = scene.with_geometry({"size": 8.0})
+    (told,) = plan_mesh.unresolved(coarse, read_split(coarse), {})
+    assert "it needs cells of 2.53 m, and has " in told and "rock at (" in told
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "traces",
+    [
+        [[[10, 50], [90, 50]], [[10, 50.349], [90, 49.651]]],
+        [[[20, 50], [70, 50]], [[30, 50.4], [80, 50.8]], [[50, 20], [50.1, 49.9]]],
+        [[[5, 40], [95, 60]], [[20, 80], [20.4, 80]]],
+    ],
+    ids=["half a degree", "nearly touching", "one long, one short"],
+)
+def test_near_traces_take_no_more_cells_than_they_need(traces):
+    scene = sized(scene_of(traces))
+    mesh = read_split(scene)
+    assert set(mesh.fractures) == {f"f{k}" for k in range(len(traces))}
+    assert len(mesh.cells) < 50_000
+
+
+@pytest.mark.serial
+def test_what_would_take_too_many_cells_is_capped_and_said(monkeypatch):
+    monkeypatch.setattr(plan_mesh, "MOST_CELLS", 4000)
+    scene = sized(scene_of([[[20, 40], [80, 60]]], fracture={"stick_slip_ratio": 0.8, "shear_stiffness": 2e11}))
+    mesh = read_split(scene)
+    assert 2000 < len(mesh.cells) < 1.25 * 4000
+    (line,) = [line for line in scene.notes if "size_at_fractures" in line]
+    assert "E'/k_s / 4 = 0.0133" in line and "4000 cells, the most that are proposed, do not reach it" in line
+    assert any(number.out_of_range for number in scene_card(scene, mesh, {}) if number.name in OF_SLIP)
+    assert scene.geometry.growth == 0.3 and scene.geometry.size_at_tips is None
+
+
+@pytest.mark.serial
+def test_what_a_scene_states_stays():
+    traces = [[[20, 40], [80, 60]]]
+    stated = scene_of(traces, geometry={"size": 8})
+    assert sized(stated) == stated and sized(stated).notes == ()
+    partly = sized(scene_of(traces, geometry={"size_at_fractures": 3, "growth": 0.2})).geometry
+    assert (partly.size, partly.size_at_fractures, partly.size_at_tips, partly.growth) == (5.0, 3.0, None, 0.2)
+    snapped = sized(scene_of(traces, geometry={"snap": 4})).geometry
+    assert snapped.snap == 4.0 and snapped.size_at_fractures >= 8.0
+
+
+@pytest.mark.serial
+def test_check_names_what_a_mesh_file_does_not_resolve():
+    lines = CliRunner().invoke(app, ["check", "meshes/crossings/scene.toml"]).output.splitlines()
+    (told,) = [line for line in lines if "not resolved" in line]
+    assert told.startswith("note: mesh: length of fractures / 16 is not resolved: it needs joints of 7.08 m, and has ")
+    assert ", C at (" in told
+
+
+def changes(scene, comm, folder, names):
+    """Largest change of each history over its largest value, where the same steps run on cells cut in four."""
+    found = []
+    for refine in (0, 1):
+        run(scene.with_geometry({"refine": refine}), folder / f"{refine}", comm)
+        found.append(comm.bcast(read_history(folder / f"{refine}" / "history.h5") if comm.rank == 0 else None))
+    coarse, fine = found
+    return {name: np.abs(fine[f"probe/{name}"] - coarse[f"probe/{name}"]).max() / np.abs(fine[f"probe/{name}"]).max()
+            for name in names}  # fmt: skip
+
+
+def test_half_the_size_changes_slow_slip_by_less_than_the_tolerance(comm, shared_tmp):
+    scene = with_sizes(
+        scene_of(
+            [[[45, 49], [50, 50], [55, 51]]],  # the probe sits on a node of every mesh
+            fracture={"normal_stiffness": 1e9, "shear_stiffness": 1e8},
+            support=[{"on": ["south"]}],
+            load=[{"on": ["north"], "traction": [1e6, -1e6]}],
+            initial_stress={},
+            probe=[{"name": "middle", "at": [50, 50]}, {"name": "corner", "at": [100, 100]}],
+            stage={"time_step": 1.0},
+        ),
+        comm,
+    )
+    assert len(set(comm.allgather(scene.dump_toml()))) == 1
+    found = changes(
+        scene, comm, shared_tmp, ("middle/slip", "middle/opening", "middle/displacement", "corner/displacement")
+    )
+    assert max(found.values()) < 1e-2, found
+
+
+def test_half_the_size_changes_a_wave_by_less_than_the_tolerance(comm, shared_tmp):
+    times = np.linspace(0.0, 0.1, 41)
+    pulse = [[float(time), float(0.01 * np.sin(10.0 * np.pi * time) ** 2)] for time in times]
+    scene = with_sizes(
+        scene_of(
+            [[[30, 40], [50, 50], [70, 60]]],
+            absorbing=[{"on": ["north", "east", "west"]}, {"on": ["south"], "wave": {"kind": "s", "velocity": pulse}}],
+            probe=[{"name": "middle", "at": [50, 50]}, {"name": "tip", "at": [70, 60]}],
+            stage={"kind": "dynamic", "end": 0.12, "time_step": 0.01},
+        ),
+        comm,
+    )
+    found = changes(scene, comm, shared_tmp, ("middle/slip", "middle/displacement", "tip/displacement", "tip/velocity"))
+    assert max(found.values()) < 1e-2, found
