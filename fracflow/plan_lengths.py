@@ -31,6 +31,14 @@ def front_length(conducting: Floats, normal: Floats, held: Floats | float, time:
         return np.asarray(np.sqrt(conducting / (1.0 / normal + held) * time))
 
 
+def corner_period(length: float, speed: float) -> float:
+    """1/f_c of the waves that slip along a length sends out, f_c = 2.34 c_s/(2 pi r) for a radius r = L/2 (Brune 1970) [time].
+
+    Their displacements have little of what is faster.
+    """
+    return np.pi * length / (2.34 * speed)
+
+
 def shortest_period(tables: Iterable[TimeTable], start: float, end: float) -> float:
     """Period of the fastest swing of any table between two times; inf where all stand still, 0 where one jumps [time].
 

@@ -18,6 +18,7 @@ from fracflow.mesh.traces import polygon_area
 from fracflow.plan_lengths import (
     affordable,
     cell_count,
+    corner_period,
     front_length,
     mean_spacing,
     shortest_period,
@@ -126,23 +127,35 @@ def _in_rock(view: View, mesh: SplitMesh) -> Iterator[Need]:
 
     speed = cell_rocks(view.scene, mesh)["shear_speed"]
     speed = np.where(np.isnan(speed), np.inf, speed)
-    for what, period, is_told in _periods(view):
-        yield from need(what, period * speed / PER_WAVE, is_told)
+    for what, period, is_told in _periods(view, float(speed.min())):
+        yield from need(
+            f"wave of {period:.3g}{view.unit(TIME)}, {what}, / {PER_WAVE}", period * speed / PER_WAVE, is_told
+        )
 
 
-def _periods(view: View) -> Iterator[tuple[str, float, bool]]:
-    """Waves of each stage with inertia: of its loads, and of its steps where slip or a jump makes shorter ones."""
-    abrupt = bool(view.drops.any() or view.weakens.any())
-    for stage, start, end in spans(view.scene):
-        if stage.kind not in ("dynamic", "auto"):
-            continue
-        step = stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step
-        of_steps, of_loads = EVENT_STEPS * (step or 0.0), shortest_period(view.scene.driving_tables, start, end)
-        unit, name = view.unit(TIME), stage.title
-        if of_loads > of_steps and np.isfinite(of_loads):
-            yield f"wave of {of_loads:.3g}{unit}, a load in stage {name}, / {PER_WAVE}", of_loads, True
-        if of_steps > 0.0 and (abrupt or of_loads <= of_steps or np.isinf(of_loads)):
-            yield f"wave of {of_steps:.3g}{unit}, {EVENT_STEPS} steps of stage {name}, / {PER_WAVE}", of_steps, False
+def _periods(view: View, speed: float) -> Iterator[tuple[str, float, bool]]:
+    """Periods of waves in each stage with inertia, none under ten of its steps: of loads, of slip; of jumps if of neither.
+
+    speed  the lowest shear speed
+    """
+    joints, scene = view.joints, view.scene
+    slips = bool(view.drops.any() or view.weakens.any())
+    of_slip = (
+        corner_period(typical_length(np.bincount(joints.fracture, joints.length).astype(float)), speed)
+        if slips
+        else np.inf
+    )
+    for stage, start, end in spans(scene):
+        if stage.kind in ("dynamic", "auto"):
+            step = stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step
+            of_steps, of_loads = EVENT_STEPS * (step or 0.0), shortest_period(scene.driving_tables, start, end)
+            name = f"stage {stage.title}"
+            if of_steps < of_loads < np.inf:
+                yield f"a load in {name}", of_loads, True
+            if of_steps < of_slip < np.inf:
+                yield f"of slip in {name}", of_slip, False
+            if of_steps > 0.0 and (min(of_loads, of_slip) <= of_steps or (of_loads == of_slip == np.inf)):
+                yield f"{EVENT_STEPS} steps of {name}", of_steps, False
 
 
 def cell_sizes(mesh: SplitMesh) -> Floats:
@@ -224,9 +237,10 @@ def _keys(
 
 
 def _finer(size: float, found: list[Need], along: bool) -> float:
-    """The size asked for, or less where cells of no more than that are still too large."""
-    short = [need for need in found if need.along == along and need.found > need.size]
-    return min([size, *(MARGIN * size * each.size / each.found if size <= each.size else each.size for each in short)])
+    """The least size asked for, or less where cells of that size are too large all the same."""
+    needed = [need for need in found if need.along == along]
+    asked = min([size, *(need.size for need in needed)])
+    return min([asked, *(MARGIN * size * need.size / need.found for need in needed if need.found > need.size >= size)])
 
 
 def _why(key: str, found: list[Need]) -> str:

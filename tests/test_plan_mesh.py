@@ -15,6 +15,7 @@ from fracflow.output import read_history
 from fracflow.plan_lengths import (
     affordable,
     cell_count,
+    corner_period,
     front_length,
     mean_spacing,
     shortest_period,
@@ -66,6 +67,7 @@ def test_periods_are_those_of_sines_and_twice_those_of_ramps():
 def test_lengths_in_closed_form():
     assert typical_length(np.array([1.0, 3.0])) == 2.5
     assert mean_spacing(100.0, 20.0) == 5.0 and mean_spacing(100.0, 0.0) == np.inf
+    assert corner_period(1000.0, 2500.0) == pytest.approx(0.5370, abs=5e-5)  # Brune: f_c = 2.34 c_s/(2 pi r), r = 500 m
     conducting = 1e-3**3 / (12 * 1e-3)  # water in a millimetre: D = d^3 k_n/(12 mu) = 4166.7 m^2/s
     assert front_length(np.array(conducting), np.array(5e10), 0.0, 1.0) == pytest.approx(64.55, abs=0.005)
     assert front_length(np.array(conducting), np.array(5e10), 2e-11, 1.0) == pytest.approx(64.55 / 2**0.5, abs=0.005)
