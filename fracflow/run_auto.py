@@ -50,8 +50,11 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             yield Step(state, number, dt, report, course.as_progress(), REST)
             continue
         for part, dt in regimes.wave_step(state, course, place):
+            before = state.time
             state, place = part.state, part.place.next_step() if part.is_last else part.place
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
+            if told := course.restless(before, state.time, bool(model.scene.absorbing)):
+                log(f"time {state.time:.9g}: {told}")
             yield Step(state, number, dt, part.report, course.as_progress(place), WAVES)
         if course.is_quiet(state, stage):
             settled, course = regimes.rest(state, course)

@@ -21,6 +21,7 @@ from fracflow.state import State
 SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther
 RADIATED = 1e-3  # of the strength: what rho c_s v/2 of slip without inertia may reach
 PARTS = 50  # of the longest period, at least, in steps with inertia
+LONG = 20.0  # longest periods: an event that has lasted so long may have nothing that ends it
 CREEP = 2.0  # times the kinetic energy at the onset: no more than slow slip goes on with
 
 
@@ -75,6 +76,17 @@ class Course:
     def is_quiet(self, state: State, stage: Stage) -> bool:
         """Whether kinetic energy has been low for long enough."""
         return state.time - self.loud >= stage.rest_periods * self.period
+
+    def restless(self, before: float, now: float, absorbs: bool) -> str:
+        """What the log tells of an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing."""
+        if not before < self.begun + LONG * self.period <= now:
+            return ""
+        leave = "" if absorbs else "let waves leave by [[absorbing]] sides, "
+        return (
+            f"the event that began at {self.begun:.9g} has lasted {LONG:g} longest periods and is not at rest; where nothing"
+            f' damps its waves it never is: {leave}set method.stepper = "generalised-alpha" with a rho_infinity below 1, which'
+            " damps what the steps do not resolve, or raise at_rest"
+        )
 
     def at_rest(self) -> Course:
         """As an event ends: the first step without inertia lasts a period."""

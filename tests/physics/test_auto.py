@@ -13,6 +13,7 @@ from fracflow.run_start import rest
 from fracflow.scene import load
 
 STIFF, SPRING, DAMPING, DROP, RATE = 50.0, 1.0, 1.0, 0.6, 1.0 / 4000.0
+TOLD = "20 longest periods"
 SCENE = "meshes/failures/f11_two_modes/scene.toml"
 ONE = (
     "support.1={on = ['slider', 'mass'], components = ['y']}",
@@ -52,6 +53,16 @@ def test_a_slider_goes_as_far_and_as_often_as_its_spring_and_dashpot_say(shared_
         assert event["magnitude"] is None  # a scene without units
     assert history["time"][-1] == pytest.approx(6500.0)
     assert len(history["time"]) < 1000  # steps of 0.05 would be 130 000
+    assert TOLD not in (shared_tmp / "log.txt").read_text()
+
+
+def test_an_event_that_nothing_damps_is_told_of_once(shared_tmp):
+    """m = 1, k = 1: without its dashpot the slider swings on past twenty periods of 2 pi."""
+    undamped = ("absorbing=[]", "stage.push.end=550", "stage.push.dynamic_time_step=0.5")
+    run(load(SCENE, [*ONE, *undamped]), shared_tmp, MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    (told,) = [line for line in (shared_tmp / "log.txt").read_text().splitlines() if TOLD in line]
+    assert "[[absorbing]]" in told and "generalised-alpha" in told
 
 
 def test_the_longest_period_is_that_of_two_masses_on_three_springs(comm):
