@@ -1,10 +1,10 @@
 """Spontaneous rupture of meshes/rupture by refinement: rupture.py [SIDES...] [--steppers ...] [--ranks N] [--out DIR].
 
-For each side of the squares along the fault [m] and each stepper: when the slip rate, as the mean of a step, first passes 1 mm/s at five
-places, slip and moment per metre of depth at 6.6 s, and what the run took. By how much the last refinement changes the rupture
-times is the estimate of their error; exit code 1 where it is above 1 %, or where the steppers differ by more. Implicit
-steps condense the rock to the fault, and factorise it once. Draws rupture times, slip and slip rates. Runs that are in the
-folder already are read, and not repeated.
+For each side of the squares along the fault [m] and each stepper: when the slip rate, as the mean of a step, first passes
+1 mm/s at five places, slip and moment per metre of depth at 6.6 s, and what the run took. By how much the last refinement
+changes the rupture times is the estimate of their error; exit code 1 where it is above 1 %, or where the steppers differ by
+more. Implicit steps condense the rock to the fault, and factorise it once. Draws rupture times, slip and slip rates. Runs that
+are in the folder already are read, and not repeated.
 """
 
 from __future__ import annotations
