@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.clusters import Clusters
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.condensed_cost import fits
@@ -22,7 +23,7 @@ from fracflow.coupling.monolithic import Auto, Monolithic
 from fracflow.coupling.section_solve import SectionSolver
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import InputError, NotConverged
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Scene
 from fracflow.state import StepReport
 from fracflow.stepping import Alphas
@@ -52,18 +53,37 @@ class CondensedSections(SectionSolver):
 
     film_kind, most_changes = CondensedFilm, 10  # Newton's method on all unknowns has more means to leave circles
 
+    def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats) -> None:
+        """Keep what is constant. Collective."""
+        super().__init__(scene, operators, clusters, elastic)
+        self._like = _alike(operators, clusters)
+
     def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
         compliance, moduli, right = compliance[0], moduli[0], right[0]
         changed, dim = np.flatnonzero(moduli.any(axis=(1, 2))), moduli.shape[1]
-        rows = (changed[:, None] * dim + np.arange(dim)).ravel()
+        there, like = np.unique(self._like[changed], return_inverse=True)
+        summed = np.zeros((len(there), dim, dim))
+        np.add.at(summed, like, moduli[changed])
+        rows = (there[:, None] * dim + np.arange(dim)).ravel()
         # as einsum("xmi,mij->xmj"), which takes five times longer
-        both = (compliance[:, changed, i, None] * moduli[changed, i] for i in range(dim))
+        both = (compliance[:, there, i, None] * summed[:, i] for i in range(dim))
         matrix = sum(both, np.zeros(1)).reshape(len(right), -1)
         try:
             answer = np.linalg.solve(np.eye(len(rows)) + matrix[rows], right[rows])
         except np.linalg.LinAlgError:
             answer = np.full((len(rows), right.shape[1]), np.nan)
         return np.asarray(right - matrix @ answer)[None]
+
+
+def _alike(operators: Operators, clusters: Clusters) -> Ints:
+    """For each section (S,) of the clusters here the first that moves as it does: of joints that meet at a node. Collective."""
+    motion = operators.layout.solid_vector()
+    first, last = motion.getOwnershipRange()
+    motion.setArray(np.random.default_rng(first).random(last - first))  # which no two places share
+    strains = clusters.exchange.there(operators.joints.strain(motion))
+    motion.destroy()
+    _, index, inverse = np.unique(np.round(strains, 9), axis=0, return_index=True, return_inverse=True)
+    return np.asarray(index[inverse.ravel()], np.int64)
 
 
 Kept = tuple[Rock, CondensedSections]
