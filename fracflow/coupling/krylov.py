@@ -5,8 +5,10 @@ from __future__ import annotations
 from fracflow._petsc import PETSc
 from fracflow.coupling.joined_matrix import PARTS, JoinedMatrix
 from fracflow.coupling.near_null import tell_rigid_motions
+from fracflow.errors import Unsolved
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
+BROKEN = 76  # PETSC_ERR_LIB: an external library told of an error
 ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is taken for round-off
 
 
@@ -48,3 +50,19 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
         solver.getPC().setFieldSplitIS(*zip(PARTS, (solid, flow), strict=True))
         solid.destroy()
         flow.destroy()
+
+
+def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:
+    """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and forgets its factors. Collective.
+
+    MUMPS asked for a solution by factors that failed ends in an error of its own.
+    """
+    try:
+        snes.solve(None, unknowns)
+    except (Unsolved, PETSc.Error) as error:
+        solver = snes.getKSP()
+        if solver.getPC().getType() == "lu":
+            solver.getPC().reset()
+        if isinstance(error, Unsolved) or error.ierr != BROKEN:
+            raise
+        raise Unsolved(f"{name}: the linear solver broke: the matrix is singular, or nearly so") from error

@@ -8,7 +8,7 @@ from fracflow.coupling.accept import start_again, step_report, without_suction
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton, NewtonReport
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import NotConverged, Unsolved
+from fracflow.errors import NotConverged
 from fracflow.scene import Scene
 from fracflow.state import StepReport
 
@@ -32,8 +32,6 @@ class Monolithic:
         """The same from the present trial, or else from open fractures."""
         try:
             return newton.solve(problem)
-        except Unsolved:
-            raise
         except NotConverged:
             if not self._open(problem):
                 raise

@@ -17,7 +17,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.floating import Floating
 from fracflow.coupling.circles import JUST_PAST, Circles, Rounds, all_changed, statuses
 from fracflow.coupling.joined_matrix import JoinedMatrix
-from fracflow.coupling.krylov import set_up
+from fracflow.coupling.krylov import set_up, solve_nonlinear
 from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.coupling.newton_failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
 from fracflow.coupling.newton_methods import NEWTON_METHODS, SingularMatrix, softly_held
@@ -90,7 +90,7 @@ class Newton:
             self._is_start, self._circles, self._polished = True, False, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
-                self.snes.solve(None, self.unknowns)
+                solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}")
             except SingularMatrix as error:
                 raise self._failure("its matrix is singular", iterations + self.snes.getIterationNumber()) from error
             iterations += self.snes.getIterationNumber()
