@@ -1,0 +1,201 @@
+"""``scripts/figures plan [-o DIR] [--only NAME ...] [--seeds N]``: scenes as the plan has them against all in them.
+
+Every scene of meshes/ (by its folder), the injection of W7 and N random scenes are run twice, as they stand and with
+``model = "full"``. Exit code 1 where what they tell is further apart than the tolerance, where one run alone fails, where a
+longer run takes more time as the plan has it, or where no injection takes a third of the time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+from collections.abc import Iterator, Sequence
+from itertools import count
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+import numpy as np
+from figures_work_precision.problems import w7
+from sheets import BLUE, GRID, INK, ORANGE, PALE, ROOT, STYLE, Check, judge, made_with, save, sheet
+
+import fracflow
+from figures_plan.scenes import scene
+from figures_plan.twins import TooLong, Twins, full_of, once, twins
+from fracflow.errors import InputError
+from fracflow.scene import Scene
+
+COMMAND = "scripts/figures plan"
+MESHES = ROOT / "meshes"
+NAMES = sorted(str(path.parent.relative_to(MESHES)) for path in MESHES.rglob("scene.toml"))
+SHORTENED = {"rupture": ("stage.0.end=1", "first second of 6.6")}
+"""Scene -> settings of both runs, and what they leave of it: its run with all in it takes more than ten minutes."""
+INJECTION = "W7"
+CELLS, STEPS = 128, 24  # of W7: 33 000 displacements
+COUPLED = (INJECTION, "injection_cycle")
+LONG, SLOWER, FASTER = 10.0, 1.1, 3.0  # [s]; times
+TRIES = 3  # of a time that misses its bar: other programs take their share of the machine
+MOST = 250  # records of a random scene; most have 21
+LEAST = 1e-16  # error that is drawn for none
+
+
+class Entry(NamedTuple):
+    """A scene, what it is called, the CPU seconds of both runs, and what there is to say of it."""
+
+    name: str
+    twins: Twins
+    full: float
+    reduced: float
+    remark: str
+
+
+def main() -> int:
+    """Exit code 1 if a bar is missed."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "runs" / "figures" / "plan", metavar="DIR")
+    known = (*NAMES, INJECTION, "random")
+    parser.add_argument("--only", nargs="+", choices=known, default=known, metavar="NAME", help=", ".join(known))
+    parser.add_argument("--seeds", type=int, default=24, help="random scenes that at least one run solves (24)")
+    parser.add_argument(
+        "--reduced", nargs="+", default=(), metavar="TABLE.KEY=VALUE", help="settings of the reduced runs alone"
+    )
+    given = parser.parse_args()
+    given.output.mkdir(parents=True, exist_ok=True)
+    entries = []
+    with tempfile.TemporaryDirectory() as folder:
+        once(scene_of("r01_inclined_joint", Path(folder)))  # what is loaded once is no one's time
+        for entry in measure(given.only, given.seeds, given.reduced, Path(folder)):
+            print(f"{entry.name}: {told(entry)}", flush=True)
+            entries.append(entry)
+    write(entries, given.output / "plan.csv")
+    with matplotlib.rc_context(STYLE):
+        draw(entries, given.output)
+    return judge(check(entries), given.output)
+
+
+def scene_of(name: str, folder: Path) -> Scene:
+    """A scene of meshes/, or that of W7, whose files go into a folder."""
+    if name == INJECTION:
+        return fracflow.load(w7.written(folder, CELLS, STEPS))
+    settings = [SHORTENED[name][0]] if name in SHORTENED else []
+    return fracflow.load(MESHES / name / "scene.toml", ["output.pictures=false", *settings])
+
+
+def measure(names: Sequence[str], seeds: int, reduced: Sequence[str], folder: Path) -> Iterator[Entry]:
+    """All twins that are asked for; a random scene that neither solves gives way to the next seed."""
+    for name in names:
+        if name != "random":
+            yield pair(name, scene_of(name, folder), reduced, SHORTENED.get(name, ("", ""))[1])
+    solved = 0
+    for seed in count() if "random" in names else ():
+        if solved == seeds:
+            return
+        name = f"random {seed}"
+        try:
+            entry = pair(name, Scene.from_data(scene(seed), MESHES / "random.toml"), reduced, "", most=MOST)
+        except TooLong:
+            print(f"{name}: more than {MOST} records; the next seed takes its place", flush=True)
+            continue
+        solved += not both_failed(entry.twins)
+        yield entry
+
+
+def pair(name: str, scene: Scene, reduced: Sequence[str], remark: str, most: float = np.inf) -> Entry:
+    """Run the twins; of runs that take long the shortest time of TRIES counts, as far as the bar asks for it."""
+    try:
+        found = twins(scene, *reduced, most=most)
+    except InputError as error:  # settings that are not for this scene
+        found, remark = twins(scene, most=most), f"not {' '.join(reduced)}: {error}"
+    full, less = found.full.seconds, found.reduced.seconds
+    for _ in range(TRIES - 1):
+        if max(full, less) > LONG and less > SLOWER * full and not reduced:
+            full, less = min(full, once(full_of(scene)).seconds), min(less, once(scene).seconds)
+    return Entry(name, found, full, less, remark)
+
+
+def both_failed(found: Twins) -> bool:
+    """Whether neither run came to its end."""
+    return bool(found.full.failure and found.reduced.failure)
+
+
+def told(entry: Entry) -> str:
+    """One line."""
+    found = entry.twins
+    apart = ", ".join(f"{name} {gap.error:.1e}" for name, gap in found.gaps.items())
+    times = f"full {entry.full:.2f} s, reduced {entry.reduced:.2f} s"
+    where = f"; worst {found.worst}" if found.ratio > 1.0 else ""
+    failed = f"; both stopped: {found.full.failure}" if both_failed(found) else ""
+    return f"{times}; {apart}; error/tolerance {found.ratio:.1e}{where}{failed}{'; ' if entry.remark else ''}{entry.remark}"
+
+
+def check(entries: Sequence[Entry]) -> list[Check]:
+    """The bars."""
+    worst = max(entries, key=lambda entry: entry.twins.ratio)
+    apart = [entry.name for entry in entries if not entry.twins.ratio <= 1.0]
+    checks = [
+        Check("worst error over tolerance", f"{worst.twins.ratio:.2g} ({worst.name})", "<= 1", not apart),
+        Check("scenes beyond it", ", ".join(apart) or "none", "none", not apart),
+    ]
+    longer = [entry for entry in entries if max(entry.full, entry.reduced) > LONG]
+    if longer:
+        slow = max(longer, key=lambda entry: entry.reduced / entry.full)
+        ratio = slow.reduced / slow.full
+        what = f"{ratio:.2f} ({slow.name})"
+        checks.append(Check(f"CPU reduced over full, above {LONG:g} s", what, f"<= {SLOWER}", ratio <= SLOWER))
+    coupled = [entry for entry in entries if entry.name in COUPLED]
+    if coupled:
+        fast = max(coupled, key=lambda entry: entry.full / entry.reduced)
+        ratio = fast.full / fast.reduced
+        what = f"{ratio:.2f} ({fast.name})"
+        checks.append(Check("CPU full over reduced, coupled injection", what, f">= {FASTER:g}", ratio >= FASTER))
+    return checks
+
+
+def write(entries: Sequence[Entry], path: Path) -> None:
+    """A row a scene, under the machine and the versions."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.writelines(f"# {line}\n" for line in (*made_with(), f"command: {COMMAND}"))
+        rows = csv.writer(file, lineterminator="\n")
+        parts = ("probes", "events", "energy")
+        about = ("tolerance", "ratio", "worst", "stopped", "remark")
+        rows.writerow(["scene", "cpu_full_s", "cpu_reduced_s", *parts, *about])
+        for entry in entries:
+            found = entry.twins
+            errors = [found.gaps[part].error if part in found.gaps else np.nan for part in parts]
+            numbers = [f"{n:.4g}" for n in (entry.full, entry.reduced, *errors, found.tolerance, found.ratio)]
+            stopped = found.full.failure or found.reduced.failure
+            rows.writerow([entry.name, *numbers, found.worst, stopped, entry.remark])
+
+
+def draw(entries: Sequence[Entry], folder: Path) -> None:
+    """CPU of the two against each other, and the error of each scene over its tolerance."""
+    figure, axes = sheet(
+        "What a scene needs, against all in it",
+        'Each scene as it stands and with model = "full": CPU seconds of both, and how far apart they are.',
+        [["cpu", "error"]], (11.0, 2.5 + 0.13 * len(entries)),
+    )  # fmt: skip
+    full, reduced = (np.array([getattr(entry, name) for entry in entries]) for name in ("full", "reduced"))
+    errors = np.array([entry.twins.ratio for entry in entries])
+    colours = [ORANGE if entry.name.startswith("random") else BLUE for entry in entries]
+    ends = np.array([0.7 * min(full.min(), reduced.min()), 1.4 * max(full.max(), reduced.max())])
+    for times, text in ((1.0, "equal"), (1.0 / FASTER, f"{FASTER:g} times less")):
+        axes["cpu"].plot(ends, times * ends, "-", color=GRID, lw=2, zorder=0)
+        axes["cpu"].annotate(text, (ends[1], times * ends[1]), fontsize=7, color=PALE, ha="right", va="top")
+    axes["cpu"].scatter(full, reduced, c=colours, s=14, zorder=3)
+    for entry in sorted(entries, key=lambda entry: -entry.full)[:6]:
+        axes["cpu"].annotate(
+            entry.name, (entry.full, entry.reduced), xytext=(4, -8), textcoords="offset points", fontsize=7
+        )
+    axes["cpu"].set(xscale="log", yscale="log", xlabel="CPU seconds, full", ylabel="CPU seconds, reduced")
+    place = np.arange(len(entries))[::-1]
+    axes["error"].scatter(np.clip(errors, LEAST, 1e3), place, c=colours, s=14, zorder=3)
+    axes["error"].axvline(1.0, color=INK, lw=1)
+    label = "largest error over tolerance; none at the left edge"
+    axes["error"].set(xscale="log", xlim=(0.3 * LEAST, 3e3), xlabel=label)
+    axes["error"].set_yticks(place, [entry.name for entry in entries], fontsize=6)
+    save(figure, folder, "plan", f"Blue: meshes/ and {INJECTION}; orange: random, by seed. One core. {COMMAND}")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

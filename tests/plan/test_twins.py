@@ -1,0 +1,72 @@
+"""``scripts/figures plan`` in small: what the plan leaves out is within the tolerance of what a run with all in it tells."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from figures_plan.__main__ import MESHES
+from figures_plan.scenes import scene
+from figures_plan.twins import Ran, gaps, twins
+
+from fracflow.scene import Scene, load
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.mark.parametrize("seed", [2, 3, 12, 21])
+def test_random_scenes(seed):
+    found = twins(Scene.from_data(scene(seed), Path("random.toml")))
+    assert not found.full.failure
+    assert len(found.full.history["time"]) >= 20
+    assert found.ratio <= 1.0, found.worst
+
+
+def test_a_scene_of_meshes():
+    short = ["output.pictures=false", "stage.1.steps=10"]
+    found = twins(load(MESHES / "crossings" / "scene.toml", short), "method.coupling=condensed")
+    assert not found.full.failure
+    assert found.ratio <= 1.0, found.worst
+
+
+def made(times, values, starts=(), slip=1.0):
+    """A run with one probe, whose pressure begins at 10, and slips of 1 s each."""
+    history = {"time": np.array(times, dtype=float), "probe/a/pressure": 10.0 + np.array(values, dtype=float)}
+    of_all = {"kind": "slip", "fracture": "f", "node": 1, "slip": slip, "peak_slip_rate": 2.0}
+    return Ran(history, [{**of_all, "start": float(start), "end": start + 1.0} for start in starts], 0.0, "")
+
+
+def gap(one, other, name="probes", is_auto=False):
+    return gaps(one, other, 1e-2, is_auto)[name].error
+
+
+def test_gaps_are_shares_of_the_largest_change():
+    """0.1 of a change of 2, though the pressure is 12; at records that both have, to neither side in time."""
+    full = made([0, 1, 2, 3], [0, 1, 2, 2])
+    assert gap(full, full) == 0.0
+    assert gap(full, made([0, 1, 2, 3], [0, 1.1, 2, 2])) == pytest.approx(0.05)
+    assert gap(made([0, 1, 2, 3], [0, 1.1, 2, 2]), full) == pytest.approx(0.05)
+    assert gap(full, made([0, 1, 2, 3], [0, 0, 1, 2])) == pytest.approx(0.5)
+
+
+def test_records_of_other_instants():
+    """On the same line there is no gap; a rise may be a step early, of a stage auto a hundredth of the run."""
+    full = made([0, 1, 2, 3], [0, 1, 2, 3])
+    assert gap(full, made([0, 0.5, 1, 2.5, 3], [0, 0.5, 1, 2.5, 3])) == pytest.approx(0.0, abs=1e-12)
+    assert gap(full, made([0, 0.5, 1, 3], [0, 2.5, 1, 3])) == pytest.approx(0.5 / 3)
+    early, late = (made([0, t, t + 0.1, 100], [0, 0, 1, 1]) for t in (50, 50.7))
+    assert gap(early, late) == pytest.approx(0.0, abs=1e-12)  # of the long steps around, each takes the other's values
+    fine, shifted = (made(np.arange(0, 100.1, 0.1), np.arange(1001) >= first) for first in (500, 507))
+    assert gap(fine, shifted) == pytest.approx(1.0)
+    assert gap(fine, shifted, is_auto=True) == pytest.approx(1.0)
+
+
+def test_gaps_of_events():
+    """By what is nearest of the same place: later by 0.2 of 10 s; missing with a slip of a half; too short to count."""
+    times, values = np.arange(11), np.arange(11)
+    full = made(times, values, [2, 5])
+    assert gap(full, made(times, values, [2, 5.2]), "events") == pytest.approx(0.02)
+    assert gap(full, made(times, values, [2]), "events") == pytest.approx(0.3)
+    rest = full._replace(
+        events=[*full.events, {**full.events[0], "start": 8.0, "end": 8.01, "slip": 1e-3, "peak_slip_rate": 0.0}]
+    )
+    assert gap(full, rest, "events") == pytest.approx(1e-3)
