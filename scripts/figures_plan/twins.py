@@ -138,7 +138,8 @@ def gaps(full: Ran, reduced: Ran, tolerance: float, is_auto: bool) -> dict[str, 
     """Largest gap of probes (with controls), of events, and of energies; none where no step was made.
 
     Records of the same instants are compared as they are. One that the other run has not may take any value that the
-    other has within the longer step of both there; of a stage auto, within ``tolerance`` of the duration.
+    other has within the longer step of both there; where there is a stage auto, any record one within ``tolerance`` of the
+    duration: an event that takes a second of days may begin a second later.
     """
     if not full.history or not reduced.history or len(full.history["time"]) < 2 or len(reduced.history["time"]) < 2:
         return {}
@@ -194,7 +195,7 @@ def beyond(at: Floats, values: Floats, others_at: Floats, others: Floats, shift:
     near = np.clip(np.searchsorted(others_at, at), 1, len(others_at) - 1)
     to_next = np.minimum(np.abs(others_at[near] - at), np.abs(others_at[near - 1] - at))
     step = np.maximum(np.diff(others_at)[near - 1], np.gradient(at) if len(at) > 1 else 0.0)
-    width = np.where(to_next <= SAME * step, SAME * step, np.maximum(step, shift))
+    width = np.maximum(np.where(to_next <= SAME * step, SAME * step, step), shift)
     ends = [between(others_at, others, moment) for moment in (at - width, at + width)]
     low, high = np.minimum(*ends), np.maximum(*ends)
     first, last = np.searchsorted(others_at, at - width), np.searchsorted(others_at, at + width, "right")
@@ -217,7 +218,7 @@ def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float]) -> Gap:
     """Each row against the row of the same place that is most like it, or against none, which neither lasts nor slips."""
     duration, found = max(full.end, reduced.end), Gap(0.0)
     most = {
-        key: max([abs(row[key] or 0.0) for ran in (full, reduced) for row in ran.events], default=0.0)
+        key: max([abs(row.get(key) or 0.0) for ran in (full, reduced) for row in ran.events], default=0.0)
         for key in dict.fromkeys(key for keys in OF_EVENTS.values() for key in keys)
     }
     for key in most:

@@ -11,6 +11,7 @@ from figures_plan.twins import Ran, gaps, twins
 from fracflow.scene import Scene, load
 
 pytestmark = pytest.mark.serial
+NEAR = 2e-6  # instants are the same within 1e-6 of a step
 
 
 @pytest.mark.parametrize("seed", [2, 3, 12, 21])
@@ -43,21 +44,19 @@ def test_gaps_are_shares_of_the_largest_change():
     """0.1 of a change of 2, though the pressure is 12; at records that both have, to neither side in time."""
     full = made([0, 1, 2, 3], [0, 1, 2, 2])
     assert gap(full, full) == 0.0
-    assert gap(full, made([0, 1, 2, 3], [0, 1.1, 2, 2])) == pytest.approx(0.05)
-    assert gap(made([0, 1, 2, 3], [0, 1.1, 2, 2]), full) == pytest.approx(0.05)
-    assert gap(full, made([0, 1, 2, 3], [0, 0, 1, 2])) == pytest.approx(0.5)
+    assert gap(full, made([0, 1, 2, 3], [0, 1.1, 2, 2])) == pytest.approx(0.05, abs=NEAR)
+    assert gap(made([0, 1, 2, 3], [0, 1.1, 2, 2]), full) == pytest.approx(0.05, abs=NEAR)
+    assert gap(full, made([0, 1, 2, 3], [0, 0, 1, 2])) == pytest.approx(0.5, abs=NEAR)
 
 
 def test_records_of_other_instants():
-    """On the same line there is no gap; a rise may be a step early, of a stage auto a hundredth of the run."""
+    """On the same line there is no gap; 2.5 where 1.5 is a step off; of a stage auto 1 % early."""
     full = made([0, 1, 2, 3], [0, 1, 2, 3])
     assert gap(full, made([0, 0.5, 1, 2.5, 3], [0, 0.5, 1, 2.5, 3])) == pytest.approx(0.0, abs=1e-12)
-    assert gap(full, made([0, 0.5, 1, 3], [0, 2.5, 1, 3])) == pytest.approx(0.5 / 3)
-    early, late = (made([0, t, t + 0.1, 100], [0, 0, 1, 1]) for t in (50, 50.7))
-    assert gap(early, late) == pytest.approx(0.0, abs=1e-12)  # of the long steps around, each takes the other's values
+    assert gap(full, made([0, 0.5, 1, 3], [0, 2.5, 1, 3])) == pytest.approx(1 / 3)
     fine, shifted = (made(np.arange(0, 100.1, 0.1), np.arange(1001) >= first) for first in (500, 507))
     assert gap(fine, shifted) == pytest.approx(1.0)
-    assert gap(fine, shifted, is_auto=True) == pytest.approx(1.0)
+    assert gap(fine, shifted, is_auto=True) == 0.0
 
 
 def test_gaps_of_events():
