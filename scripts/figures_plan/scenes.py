@@ -25,7 +25,7 @@ def scene(seed: int) -> Data:
     """The tables of a scene that takes a second or two."""
     draw = np.random.default_rng(seed)
     kind = KINDS[seed % len(KINDS)]
-    law = LAWS[seed // 2 % (2 if kind == "search" else len(LAWS))]
+    law = LAWS[seed // 2 % (2 if kind in ("search", "auto") else len(LAWS))]
     if seed % EVERY_BLOCK == 2:
         return block(draw, "quasi-static" if kind in ("auto", "search") else kind, law)
     return rock(draw, kind, law, wet=kind == "search" or seed % 3 > 0, exact=seed % EVERY_TOLERANCE == 1)
@@ -51,7 +51,7 @@ def rock(draw: np.random.Generator, kind: str, law: str, wet: bool, exact: bool)
             "domain": [0, 0, SIDE, SIDE], "size": 2.5, "size_at_fractures": 1.2 if quads else 0.8, "fracture": traces,
             "cells": "quads" if quads else "triangles",
         },
-        "fracture": {"default": joint(draw, law, wet)},
+        "fracture": {"default": joint(draw, law, press, wet)},
         "probe": [
             {"name": "middle", "at": middle[0].round(2).tolist(), "on": "fault0"},
             {"name": "rock", "at": [2.0, 8.0]},
@@ -80,7 +80,9 @@ def rock(draw: np.random.Generator, kind: str, law: str, wet: bool, exact: bool)
 def block(draw: np.random.Generator, kind: str, law: str) -> Data:
     """A rigid block between two joints, pushed and let go, of mass, size and stiffness 1."""
     joint = {"law": law, "normal_stiffness": 1.0, "shear_stiffness": float(draw.uniform(0.5, 2.0)), "aperture": 2.0}
-    joint |= {"initial_normal_traction": -1.0, "initial_shear_traction": 0.0} | friction(draw, law, 1.0)
+    joint |= {"initial_normal_traction": -1.0, "initial_shear_traction": 0.0} | friction(
+        draw, law, 1.0 / joint["shear_stiffness"]
+    )
     lasts, held = 20.0 * float(10.0 ** draw.uniform(0, 2)), ["x", "y", "rotation"]
     push = float(draw.uniform(0.5, 1.3))
     return {
@@ -103,23 +105,27 @@ def linear(joint: Data) -> Data:
     return {"law": "linear"} | {key: joint[key] for key in kept}
 
 
-def friction(draw: np.random.Generator, law: str, stress: float) -> Data:
-    """Keys that a law has of its own; under ``stress`` a strength drops over a distance the stiffness of the joint allows."""
+def friction(draw: np.random.Generator, law: str, steepest: float) -> Data:
+    """Keys that a law has of its own; a strength drops over twice the least distance, stress over stiffness ``steepest``."""
     if law == "linear":
         return {}
     first = float(draw.uniform(0.3, 0.6))
     if law == "hyperbolic-coulomb":
         return {"friction_coefficient": first, "stick_slip_ratio": float(draw.choice([1.0, 0.9]))}
     last = first * float(draw.uniform(0.7, 0.95))
-    return {"friction_coefficient": first, "dynamic_friction_coefficient": last, "slip_weakening_distance": stress}
+    return {
+        "friction_coefficient": first,
+        "dynamic_friction_coefficient": last,
+        "slip_weakening_distance": 2.0 * (first - last) * steepest,
+    }
 
 
-def joint(draw: np.random.Generator, law: str, wet: bool) -> Data:
+def joint(draw: np.random.Generator, law: str, press: float, wet: bool) -> Data:
     """Stiffness and aperture over decades: a wide stiff fracture hardly answers to pumping, a narrow soft one does."""
     stiffness = float(10.0 ** draw.uniform(9.5, 11.5))
     found = {"law": law, "normal_stiffness": stiffness, "shear_stiffness": stiffness * float(draw.uniform(0.3, 1.0))}
     found["aperture"] = float(10.0 ** draw.uniform(-3.7, -2.0)) if wet else 1e-2
-    return found | friction(draw, law, 1e7 / YOUNG * SIDE)
+    return found | friction(draw, law, press / found["shear_stiffness"])
 
 
 def duration(draw: np.random.Generator, kind: str) -> float:
