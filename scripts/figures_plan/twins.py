@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,6 @@ from fracflow.run_steps import Step
 from fracflow.scene import Scene
 
 Floats = NDArray[np.float64]
-Row = Mapping[str, Any]
 TOLERANCE = 1e-2  # of a scene that states none, or a larger one
 FLOOR = 1e-6
 SAME = 1e-6  # of a step: records that are nearer in time are of the same instant
@@ -215,7 +214,10 @@ def between(times: Floats, values: Floats, at: Floats) -> Floats:
 
 
 def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float]) -> Gap:
-    """Each row against the row of the same place that is most like it, or against none, which neither lasts nor slips."""
+    """Each row against the row of the same place that is most like it, or against none, which neither lasts nor slips.
+
+    What reaches its strength at the end of a step slips in this one or from the next on, as round-off has it.
+    """
     duration, found = max(full.end, reduced.end), Gap(0.0)
     most = {
         key: max([abs(row.get(key) or 0.0) for ran in (full, reduced) for row in ran.events], default=0.0)
@@ -227,26 +229,39 @@ def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float]) -> Gap:
     most["dropped"] = most["radiated"] = most["dissipated"] = max(
         most[key] for key in ("dropped", "radiated", "dissipated")
     )
-    tables = [by_place(ran.events, most, duration, ran.end) for ran in (full, reduced)]
+    tables = [by_place(ran, most, duration) for ran in (full, reduced)]
     for own, other in (tables, tables[::-1]):
         for place, rows in own.items():
             none = rows.copy()
-            none[:, 1], none[:, 2:] = none[:, 0], 0.0
-            apart = np.abs(rows - none).max(axis=1)
+            none[:, 1], none[:, 4:] = none[:, 0], 0.0
+            apart = np.diagonal(unlike(rows, none))
             if place in other:
-                apart = np.minimum(apart, np.abs(rows[:, None] - other[place][None]).max(axis=2).min(axis=1))
+                apart = np.minimum(apart, unlike(rows, other[place]).min(axis=1))
             worst = int(apart.argmax())
             if apart[worst] > found.error:
                 found = Gap(float(apart[worst]), f"{' '.join(map(str, place))} from {rows[worst, 0] * duration:.6g}")
     return found
 
 
-def by_place(events: Sequence[Row], most: Mapping[str, float], duration: float, end: float) -> dict[Any, Floats]:
-    """Rows (n, 2 + numbers) of each place, or of all events of a stage auto: start, end, and what they came to, as shares."""
+def unlike(rows: Floats, others: Floats) -> Floats:
+    """Largest difference (n, m) of each row from each other one; instants are known to the longer of the steps there."""
+    apart = np.abs(rows[:, None] - others[None])
+    steps = np.maximum(rows[:, None, 2:4], others[None, :, 2:4])
+    return np.maximum(apart[..., 4:].max(axis=2), np.maximum(apart[..., :2] - steps, 0.0).max(axis=2))
+
+
+def by_place(ran: Ran, most: Mapping[str, float], duration: float) -> dict[Any, Floats]:
+    """Rows (n, 4 + numbers) of each place, or of all events of a stage auto, as shares of the duration and of ``most``.
+
+    They are start, end, the lengths of the steps that ended there, and what the event came to.
+    """
     tables: dict[Any, list[list[float]]] = {}
-    for row in events:
+    times = ran.history["time"]
+    for row in ran.events:
         place = ("event",) if row["kind"] == "event" else (row["kind"], row["fracture"], row["node"])
-        lasts = [row["start"], end if row["end"] is None else row["end"]]
+        instants = np.array([row["start"], ran.end if row["end"] is None else row["end"]])
+        before = np.maximum(np.searchsorted(times, instants) - 1, 0)
         shares = [(row[key] or 0.0) / most[key] if most[key] else 0.0 for key in OF_EVENTS[row["kind"]]]
-        tables.setdefault(place, []).append([*(moment / max(duration, 1e-300) for moment in lasts), *shares])
+        about_time = np.concatenate([instants, np.maximum(instants - times[before], 0.0)]) / max(duration, 1e-300)
+        tables.setdefault(place, []).append([*about_time.tolist(), *shares])
     return {place: np.array(rows) for place, rows in tables.items()}

@@ -60,12 +60,11 @@ def test_records_of_other_instants():
 
 
 def test_gaps_of_events():
-    """By what is nearest of the same place: later by 0.2 of 10 s; missing with a slip of a half; too short to count."""
-    times, values = np.arange(11), np.arange(11)
-    full = made(times, values, [2, 5])
-    assert gap(full, made(times, values, [2, 5.2]), "events") == pytest.approx(0.02)
-    assert gap(full, made(times, values, [2]), "events") == pytest.approx(0.3)
-    rest = full._replace(
-        events=[*full.events, {**full.events[0], "start": 8.0, "end": 8.01, "slip": 1e-3, "peak_slip_rate": 0.0}]
-    )
-    assert gap(full, rest, "events") == pytest.approx(1e-3)
+    """By what is nearest of the same place, in steps of 0.1 of 10 s: a start 0.3 s later, a slip missing that lasted 1 s."""
+    times = np.arange(101) / 10
+    full = made(times, times, [2, 5])
+    assert gap(full, made(times, times, [2, 5.3]), "events") == pytest.approx(0.02)
+    assert gap(full, made(times, times, [2, 5.1]), "events") == pytest.approx(0.0, abs=1e-12)  # known to a step
+    assert gap(full, made(times, times, [2]), "events") == pytest.approx(0.3 - 0.01)  # beside the one 3 s earlier
+    short = {**full.events[0], "start": 8.0, "end": 8.1, "slip": 1e-3, "peak_slip_rate": 0.0}
+    assert gap(full, full._replace(events=[*full.events, short]), "events") == pytest.approx(1e-3)
