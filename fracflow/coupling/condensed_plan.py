@@ -30,7 +30,7 @@ class Condensing:
 
     def is_worth(self, key: Key) -> bool:
         """Whether steps of a kind are so many that one may trust the estimate."""
-        return self.steps.get(key, 0.0) >= AT_LEAST * self.pays
+        return self.pays < math.inf and self.steps.get(key, 0.0) >= AT_LEAST * self.pays
 
     @property
     def any_worth(self) -> bool:
