@@ -55,11 +55,15 @@ def to_first_event(stepping: Stepping, state: State, take: Take, dt: float) -> t
 
 
 def _are_sought(stepping: Stepping, state: State) -> bool:
-    """Whether a step from here ends at events: always, or with events = "auto" where few sections slide. Collective."""
-    if stepping.model.scene.method.events == "located":
+    """Whether a step from here ends at events: always, or with events = "auto" where few sections slide. Collective.
+
+    How many are many grows with the mesh, so that refining it does not change the rule; rigid rock slides all at once.
+    """
+    scene = stepping.model.scene
+    if scene.method.events == "located" or all(rock.rigid for rock in scene.rock.values()):
         return True
     sliding = int(np.count_nonzero(state.sections.is_sliding))
-    return int(stepping.model.operators.layout.comm.allreduce(sliding, op=MPI.SUM)) < MANY
+    return int(stepping.model.operators.layout.comm.allreduce(sliding, op=MPI.SUM)) < MANY * 2**scene.refine
 
 
 def _approach(

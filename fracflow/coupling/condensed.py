@@ -90,10 +90,10 @@ Kept = tuple[Rock, CondensedSections]
 
 
 class Condensed:
-    """Steps of the lengths that stages state are condensed, others once there have been enough of them to pay for it.
+    """Steps of the lengths that stages state are condensed, others are solved for all unknowns.
 
     Where the program chose to condense, only those are that pay by their number, and only while something changes from step
-    to step: all of it is known from scene and state, so that a run that is resumed does the same.
+    to step. All of it is known from scene and state, so that a run that is resumed does the same.
     """
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
@@ -114,7 +114,6 @@ class Condensed:
         self._damps = operators.damping is not None and not loads.at_rest
         self._plan = condensing(scene, unknowns, self._jumps, operators.layout.comm.size, self._damps)
         self._kept: dict[Key, Kept] = {}  # the one used last comes last
-        self._uses: dict[Key, int] = {}
         start = joints.respond(np.zeros((len(joints.weights), joints.dim)), joints.rest()).tangent
         self._at_rest = start
         own, natural = np.diagonal(start, axis1=1, axis2=2), scales.force / (scales.displacement * scales.length)
@@ -123,7 +122,7 @@ class Condensed:
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
-        key, done = self._key(problem.alphas), (0, 1)
+        key, done, given_up = self._key(problem.alphas), (0, 1), ""
         start = problem.increment.getArray().copy(), problem.pressure.getArray().copy()
         is_new = key not in self._kept
         try:
@@ -131,14 +130,13 @@ class Condensed:
             if kept is not None:
                 done = self._bring(problem, *kept)
         except NotConverged:
+            given_up = "no balance to all digits on the fractures alone"
             problem.pressure.setArray(start[1])
             problem.branch = problem.state.sections.past
             problem.move(start[0])
         report = self.full.solve(problem)
-        made = is_new and key in self._kept
-        return replace(
-            report, newton=report.newton + done[0], factorisations=report.factorisations + made, cycles=done[1]
-        )
+        newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)
+        return replace(report, newton=newton, factorisations=factors, cycles=done[1], handed_over=given_up)
 
     def expect(self, alphas: Alphas) -> None:
         """Plan for steps by a rule that events make as many of as they last."""
@@ -152,7 +150,7 @@ class Condensed:
     def _is_meant(self, key: Key, problem: StepProblem) -> bool:
         """Whether a step is of those that are condensed. Collective."""
         if self._is_asked:
-            return key in self._kept or key in self._plan.steps or self._uses[key] > self._plan.pays
+            return key in self._plan.steps
         if not self._plan.is_worth(key):
             return False
         changes = self.operators.flow is not None or not np.array_equal(problem.state.sections.tangent, self._at_rest)
@@ -163,7 +161,6 @@ class Condensed:
 
         A part of the network that nothing drains has a closure in place of a balance, which the film does not know.
         """
-        self._uses[key] = self._uses.get(key, 0) + 1
         if problem.loads.closures or not self._jumps or not self._is_meant(key, problem):
             return None
         kept = self._kept.pop(key, None)

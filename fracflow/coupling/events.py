@@ -136,7 +136,8 @@ def _fall(
         if not wide.any():
             break
         slopes = wide & np.isfinite(above) & (turn % np.where(above > 0.0, HALVED, 2) != 1)
-        share = np.where(slopes, above, 1.0) / np.where(slopes, above - below, 2.0)
+        share = np.full(len(low), 0.5)
+        np.divide(above, above - np.where(slopes, below, 0.0), out=share, where=slopes)
         middle = low + np.clip(share, LEAST, 1.0 - LEAST) * (high - low)  # of an interval that has its root at one end
         value = distance(middle)
         beyond = value < 0.0
