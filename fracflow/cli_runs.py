@@ -83,7 +83,7 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
     """Run a scene level by level, tell the finest run, and what the levels tell about its errors."""
     from fracflow.output.convergence_look import tell
-    from fracflow.run_converge import check_levels, converge
+    from fracflow.run_converge import check_levels, converge, has_tips
     from fracflow.scene_levels import order_in_time
 
     def each(level: Level) -> None:
@@ -100,7 +100,7 @@ def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: M
     check_levels(count, "command line: --converge")
     rows = converge(scene, folder, count, each, comm)
     if comm.rank == 0:
-        tell(rows, console, count, order_in_time(scene))
         for ending in ("csv", "json", "png"):
             console.print(f"convergence: {folder / f'converge.{ending}'}", soft_wrap=True)
+        tell(rows, console, count, order_in_time(scene), has_tips(folder))
     comm.barrier()

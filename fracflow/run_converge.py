@@ -9,6 +9,7 @@ from pathlib import Path
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
 from fracflow.mesh.locate import RockPlace
+from fracflow.mesh.split import tip_count
 from fracflow.mesh.store import load_mesh
 from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_look import draw
@@ -71,10 +72,16 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
 def conclude(scene: Scene, folder: Path, count: int) -> list[Row]:
     """Compare the levels and write ``converge.csv``, ``converge.json`` and ``converge.png``. On one process."""
     order, folders = order_in_time(scene), [folder / f"level-{number}" for number in range(count)]
-    rows = compare(folders, order)
-    write(rows, folder, order, folders)
+    tips = has_tips(folder)
+    rows = compare(folders, order, tips)
+    write(rows, folder, order, folders, tips)
     draw(rows, folder)
     return rows
+
+
+def has_tips(folder: Path) -> bool:
+    """Whether fractures end inside the rock, on the mesh of the coarsest level. On one process."""
+    return tip_count(load_mesh(folder / "level-0" / "mesh.h5")) > 0
 
 
 def converge(scene: Scene, folder: Path, count: int, each: Callable[[Level], object], comm: MPI.Comm) -> list[Row]:

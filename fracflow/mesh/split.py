@@ -60,7 +60,6 @@ def split(raw: RawMesh) -> SplitMesh:
 def summary(mesh: SplitMesh) -> dict[str, Any]:
     """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; angles of cells; fracture lengths."""
     meeting = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))
-    closed = mesh.joint_flow[mesh.joint_bottom == mesh.joint_top]
     edge = mesh.points[mesh.joint_bottom[:, -1]] - mesh.points[mesh.joint_bottom[:, 0]]
     length = np.bincount(mesh.joint_fracture, np.linalg.norm(edge, axis=1), len(mesh.fractures))
     cell, corner = np.nonzero(mesh.cells >= 0)
@@ -72,11 +71,18 @@ def summary(mesh: SplitMesh) -> dict[str, Any]:
         "copies": int(np.sum(mesh.origin != np.arange(len(mesh.origin)))),
         "joints": len(mesh.joint_flow),
         "junctions": int(np.sum(meeting > 2)),
-        "tips": int(np.sum(meeting[closed] == 1)),
+        "tips": tip_count(mesh),
         "blocks": len(np.unique(piece[nodes])),
         **worst_cells(mesh.points, mesh.cells),
         "lengths": {name: float(value) for name, value in zip(mesh.fractures, length, strict=True)},
     }
+
+
+def tip_count(mesh: SplitMesh) -> int:
+    """The number of ends of fractures inside the rock, where their sides meet."""
+    meeting = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))
+    closed = mesh.joint_flow[mesh.joint_bottom == mesh.joint_top]
+    return int(np.sum(meeting[closed] == 1))
 
 
 def _copy_nodes(raw: RawMesh, rows: Ints, half: HalfFacets, inside: Ints) -> tuple[Ints, Ints]:

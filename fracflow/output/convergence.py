@@ -1,7 +1,8 @@
 """What levels of refinement tell about each other: observed orders, estimated errors, and where neither can be trusted.
 
 Of quantities q_0, q_1, q_2, each of half the mesh size and step, p = log2(|q_0 - q_1|/|q_1 - q_2|) is the order that was
-observed, and |q_1 - q_2|/(2^p - 1) the error of the last (Richardson 1911; Roache 1998).
+observed, and |q_1 - q_2|/(2^p - 1) the error of the last (Richardson 1911; Roache 1998). Two levels leave p to be assumed:
+1 where fractures have tips in rock (Strang and Fix 1973), and of what derives from displacements, else the method's.
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ Floats = NDArray[np.float64]
 Histories = dict[str, Floats]
 
 ORDER_OF_MESH = 2.0
-OF_GRADIENTS = 1.0  # the least that quantities have which derive from displacements
+OF_GRADIENTS = OF_TIPS = 1.0  # the least of what derives from displacements, and of all where fractures end in rock
 GRADIENTS = ("strain", "stress", "shear_traction", "normal_traction", "strength", "flow_rate")
-LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the highest that a method has
+LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the highest that there is
+LOWEST = min(OF_TIPS, OF_GRADIENTS) - LATITUDE  # slower falls leave no order to estimate errors by
+JUMP = 0.6  # between successive orders
 ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences tell nothing
 SAME_TIME = 1e-9  # of the time span
 MOST_COMMON = 0.5  # of the coarsest level's times that must be everywhere, or all are interpolated
-NO_RESULTS = ("residual", "residual_closed")
+NO_RESULTS = ("residual", "residual_closed", "scheme")  # errors themselves
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,12 @@ class Row:
     """How a quantity converges.
 
     kind         "probe", "energy", "control" or "event"
-    least        the least order that its method has
-    size         rms of the finest level over common times, in the scene's units, as are all that follow
+    least        the least order that is expected of it, which is assumed where there are two levels
+    change       largest since the start, of the finest level, in the scene's units, as are all that follow; 0 for
+                 round-off
     differences  rms of q_k - q_(k+1), level by level
-    order        observed between the last three levels; of two levels, and where there is nothing to observe, nan
+    order        observed between the last three levels, inf where the last two are the same; of two levels, and where
+                 there is nothing to observe, nan
     error        estimated, of the finest level; nan where there is no estimate
     warning      why order and error are not to be trusted; "" where they are
     is_seen      whether differences are more than round-off
@@ -50,7 +55,7 @@ class Row:
     kind: str
     name: str
     least: float
-    size: float
+    change: float
     differences: tuple[float, ...] = ()
     order: float = float("nan")
     error: float = float("nan")
@@ -59,26 +64,32 @@ class Row:
 
     @property
     def relative(self) -> float:
-        """The error over the size."""
-        return self.error / self.size if self.size > 0.0 else float("nan")
+        """The error over the change since the start: what a quantity starts from does not make its error small."""
+        return self.error / self.change if self.change > 0.0 else float("nan")
 
 
-def compare(folders: Sequence[Path], order: int) -> list[Row]:
+def compare(folders: Sequence[Path], order: int, has_tips: bool = False) -> list[Row]:
     """A row for each quantity of each probe, energy, control and first event of the runs, coarsest first.
 
-    order  that of the rules in time. Raises InputError for a folder without its run.
+    order     that of the rules in time
+    has_tips  whether fractures end in rock
+
+    Raises InputError for a folder without its run.
     """
     histories = [_by_time(read_history(folder / "history.h5")) for folder in folders]
     times = _common_times([history["time"] for history in histories])
-    least = min(float(order), ORDER_OF_MESH)
+    least = OF_TIPS if has_tips else min(float(order), ORDER_OF_MESH)
     rows = list(_sampled(histories, times, least))
-    span = float(np.ptp(histories[-1]["time"])) or 1.0
-    return rows + list(_events(folders, least, span))
+    start, end = float(histories[-1]["time"][0]), float(histories[-1]["time"][-1])
+    return rows + list(_events(folders, least, start, (end - start) or 1.0))
 
 
 def judged(row: Row, scale: float) -> Row:
-    """The row with order, error and warning from its differences; ``scale`` is the largest of its kind."""
-    last = row.differences[-1]
+    """The row with order, error and warning from its differences; ``scale`` is the largest of its kind.
+
+    An order between that of tips and the method's is no fault of the estimate, which goes by the order observed.
+    """
+    row, last = replace(row, change=row.change * (row.change > ROUND_OFF * scale)), row.differences[-1]
     if max(row.differences) <= ROUND_OFF * scale:
         return replace(row, error=last, is_seen=False)
     if len(row.differences) == 1:
@@ -86,15 +97,15 @@ def judged(row: Row, scale: float) -> Row:
     before = row.differences[-2]
     if not last < before:
         return replace(row, warning="differences do not fall")
-    if last == 0.0:
-        return replace(row, error=0.0)
-    order = float(np.log2(before / last))
-    row = replace(row, order=order, error=last / (2.0**order - 1.0))
-    least = min(row.least, OF_GRADIENTS) if row.name.rpartition(" ")[2] in GRADIENTS else row.least
-    if order < least - LATITUDE:
-        return replace(row, warning=f"order below {least:g}: a jump, a singularity, or not yet fine enough")
+    with np.errstate(divide="ignore"):
+        *earlier, order = (-np.diff(np.log2(row.differences[-3:]))).tolist()
+    row = replace(row, order=order, error=last**2 / (before - last))  # last/(2^p - 1)
+    if order < LOWEST:
+        return replace(row, warning=f"order below {LOWEST:g}: a jump, or not yet fine enough")
     if order > ORDER_OF_MESH + ABOVE:
         return replace(row, warning=f"order above {ORDER_OF_MESH:g}: coarser levels are not fine enough to tell")
+    if earlier and not abs(order - earlier[0]) <= JUMP:
+        return replace(row, warning="orders jump from level to level: not yet fine enough to tell")
     return row
 
 
@@ -123,7 +134,7 @@ def _sampled(histories: list[Histories], times: Floats, least: float) -> Iterato
     finest = histories[-1]
     keys = [key for key in finest if key.startswith(("probe/", "energy/", "step/control/"))]
     keys = [key for key in keys if all(key in history for history in histories)]
-    rows = {}
+    rows, sizes, changes = {}, {}, {}
     for key in keys:
         values = [_at(times, history["time"], history[key]) for history in histories]
         known = np.all([np.isfinite(each).all(axis=1) for each in values], axis=0)
@@ -132,10 +143,17 @@ def _sampled(histories: list[Histories], times: Floats, least: float) -> Iterato
             continue
         steps = tuple(_rms(fine[known] - coarse[known]) for coarse, fine in pairwise(values))
         place, _, quantity = name.rpartition("/")
-        rows[key] = Row(kind, f"{place} {quantity}".strip(), least, _rms(values[-1][known]), steps)
+        lowest = min(least, OF_GRADIENTS) if quantity in GRADIENTS else least
+        sizes[key] = max(_rms(each[known]) for each in values)
+        changes[key] = [_change(each[known]) for each in values]
+        rows[key] = Row(kind, f"{place} {quantity}".strip(), lowest, changes[key][-1], steps)
     kinds = {key: (row.kind, row.name.rpartition(" ")[2] if row.kind == "probe" else "") for key, row in rows.items()}
     for key, row in rows.items():
-        yield judged(row, max(other.size for name, other in rows.items() if kinds[name] == kinds[key]))
+        scale = max(size for name, size in sizes.items() if kinds[name] == kinds[key])
+        found, moves = judged(row, scale), np.array(changes[key]) > ROUND_OFF * scale
+        if found.is_seen and not moves.all() and moves.any():
+            found = replace(found, warning=f"no change at level {', '.join(map(str, np.flatnonzero(~moves)))}")
+        yield found
 
 
 def _at(times: Floats, known: Floats, values: Floats) -> Floats:
@@ -149,7 +167,12 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt((values**2).sum(axis=1).mean()))
 
 
-def _events(folders: Sequence[Path], least: float, span: float) -> Iterator[Row]:
+def _change(values: Floats) -> float:
+    """Largest length of q(t) - q(t_0); of q itself where there is a single time."""
+    return float(np.linalg.norm(values - values[0] * (len(values) > 1), axis=1).max())
+
+
+def _events(folders: Sequence[Path], least: float, begin: float, span: float) -> Iterator[Row]:
     """Rows of the first slip and opening of each fracture, and of those at all places that the coarsest level has."""
     levels = []
     for folder in folders:
@@ -165,35 +188,35 @@ def _events(folders: Sequence[Path], least: float, span: float) -> Iterator[Row]
         if absent:
             yield Row("event", name, least, np.nan, warning=f"not at level {', '.join(absent)}")
             continue
-        yield _times(f"{name} first", np.array([[min(found)] for found in starts]), least, span)
+        yield _times(f"{name} first", np.array([[min(found)] for found in starts]) - begin, least, span)
         everywhere = [key for key in levels[0] if key[:2] == (kind, fracture) and all(key in each for each in levels)]
         if len(everywhere) > 1:
             times = np.array([[first[key] for key in everywhere] for first in levels])
-            yield _times(f"{name} at {len(everywhere)} places", times, least, span)
+            yield _times(f"{name} at {len(everywhere)} places", times - begin, least, span)
 
 
 def _times(name: str, times: Floats, least: float, span: float) -> Row:
-    """Row of times (levels, places)."""
-    rms = np.sqrt((times**2).mean(axis=1))
+    """Row of times (levels, places) since the start."""
     steps = np.sqrt((np.diff(times, axis=0) ** 2).mean(axis=1))
-    return judged(Row("event", name, least, float(rms[-1]), tuple(steps.tolist())), span)
+    return judged(Row("event", name, least, float(times[-1].max()), tuple(steps.tolist())), span)
 
 
-def write(rows: Sequence[Row], folder: Path, order: int, levels: Sequence[Path]) -> list[Path]:
-    """Write ``converge.csv`` and ``converge.json`` and return their paths."""
+def write(rows: Sequence[Row], folder: Path, order: int, levels: Sequence[Path], has_tips: bool = False) -> list[Path]:
+    """Write ``converge.csv`` and ``converge.json`` and return their paths; arguments as of ``compare``."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     steps = [f"difference_{k}_{k + 1}" for k in range(len(levels) - 1)]
-    table.writerow(["kind", "name", "size", *steps, "order", "error", "relative_error", "warning"])
+    table.writerow(["kind", "name", "change", *steps, "order", "error", "error/change", "warning"])
     for row in rows:
         differences = row.differences or (np.nan,) * len(steps)
-        table.writerow([row.kind, row.name, row.size, *differences, row.order, row.error, row.relative, row.warning])
+        table.writerow([row.kind, row.name, row.change, *differences, row.order, row.error, row.relative, row.warning])
     write_atomic(folder / "converge.csv", text.getvalue())
     found = {
         "levels": [path.name for path in levels],
         "order_of_method": order,
+        "has_tips_in_rock": has_tips,
         "order_is": "observed" if len(levels) > 2 else "assumed",
-        "quantities": [vars(row) | {"relative_error": row.relative} for row in rows],
+        "quantities": [vars(row) | {"error/change": row.relative} for row in rows],
     }
     write_atomic(folder / "converge.json", to_json(found, indent=2) + "\n")
     return [folder / "converge.csv", folder / "converge.json"]
