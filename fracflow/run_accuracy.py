@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,6 +51,15 @@ def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
     return operators.layout.comm.allreduce(here, op=MPI.MAX)
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """End of a part, and its size and error as ``Judge`` measures them."""
+
+    time: float
+    size: float
+    error: float
+
+
 class Judge:
     """Whether the parts of a stage's steps are as accurate as asked, and relative to how much.
 
@@ -57,6 +67,9 @@ class Judge:
     share of it: with inertia dt/(length of the stage), for what is wrong stays wrong, and errors add up; without, where
     only what the fractures store remembers, dt/(time since the stage began), for a film drains, and forgets the earlier
     errors as it goes on. Neither: nothing is judged.
+
+    A part's own end, and what was refused, show how far the motion will go; but that is believed only until what is
+    accepted has come as far, for a long part may end on the peak of a load that is over at once.
     """
 
     def __init__(
@@ -71,6 +84,11 @@ class Judge:
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
         self.last = progress.get("last", 0.0)  # length of the last part [time]
+        self.guess = progress.get("guess", 0.0)  # as ``largest``, of parts that were refused, before the time ``until``
+        self.until = progress.get("until", start)
+        self.error_now = progress.get("error_now", 0.0)  # of all parts so far, and the largest yet: as ``largest``
+        self.error_most = progress.get("error_most", 0.0)
+        self.tried: _Tried | None = None
         # without inertia and fluid, time has no part in what a step ends with
         judges = self.by_step is not None or self.of_film or (by_sum and stepper.inertia)
         self.order = stepper.order if judges else 0
@@ -82,6 +100,22 @@ class Judge:
         of = "volume stored in fractures" if self.of_film else "displacements"
         return f"accuracy.tolerance = {self.tolerance:g} of {of}"
 
+    @property
+    def last_words(self) -> str:
+        """What was reached, for the log."""
+        assert self.tolerance is not None
+        reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
+        of = "volume stored in fractures" if self.of_film else "displacement"
+        missed = (
+            ""
+            if reached <= self.tolerance
+            else (", more than asked: parts were judged against a motion that did not come, or could not be shorter")
+        )
+        return (
+            f"time steps made an error of {reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
+            f" {self.tolerance:g}{missed}; that of the mesh is not in it (--converge)"
+        )
+
     def error(self, dt: float, part: float, old: State, new: State) -> float:
         """Error of a step over what is allowed; ``part`` is the length of the equal parts of ``dt``. Collective."""
         if self.order == 0:
@@ -89,25 +123,49 @@ class Judge:
         if self.by_step is not None:
             return step_error(self.operators, self.stepper, part, old, new, self.largest) / self.by_step
         assert self.tolerance is not None
-        # what was refused shows how far the motion will go
-        self.largest = max(self.largest, self._size(new))
+        self._refuse()
+        size = self._size(new)
+        largest = max(self.largest, self.guess, size)
         if self.of_film:
             error, span = self._film_error(dt, old, new), new.time - self.start
         else:
-            error = step_error(self.operators, self.stepper, part, old, new, self.largest) * self.largest
+            error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length
-        allowed = self.tolerance * self.largest * min(1.0, dt / span)
+        self.tried = _Tried(new.time, size, error)
+        allowed = self.tolerance * largest * min(1.0, dt / span)
         return error / max(allowed, float(np.finfo(float).tiny))
+
+    def _refuse(self) -> None:
+        """Learn from what was tried last and not followed: of two parts that end alike the later, shorter one knows more."""
+        if self.tried is not None:
+            ends_last = self.tried.time >= self.until
+            self.guess = self.tried.size if ends_last else max(self.guess, self.tried.size)
+            self.until = max(self.until, self.tried.time)
+            self.tried = None
 
     def follow(self, state: State, dt: float) -> None:
         """Take over the state that a part of length ``dt`` led to. Collective."""
         self.last = dt
         if self.order:
             self.largest = max(self.largest, self._size(state))
+        if self.tried is not None:
+            left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_film else 1.0
+            self.error_now = left * self.error_now + self.tried.error
+            self.error_most = max(self.error_most, self.error_now)
+            self.tried = None
+        if state.time >= self.until:
+            self.guess = 0.0
 
     def as_progress(self) -> dict[str, float]:
         """What a checkpoint keeps of it."""
-        return {"farthest": self.largest, "last": self.last}
+        return {
+            "farthest": self.largest,
+            "last": self.last,
+            "guess": self.guess,
+            "until": self.until,
+            "error_now": self.error_now,
+            "error_most": self.error_most,
+        }
 
     def _size(self, state: State) -> float:
         """Largest displacement, or the volume that has gone in or out anywhere."""

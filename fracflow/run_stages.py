@@ -207,4 +207,8 @@ def run_stage(
             there = {**there, **place.as_progress(), **judge.as_progress()}
             yield Step(state, number, dt * (part.end - part.start), part.report, DONE if ends else there)
             if ends:
-                return
+                break
+        if ends:
+            break
+    if judge.finest:
+        log(f"stage {_name(stage)}: {judge.last_words}")
