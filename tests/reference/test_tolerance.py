@@ -1,5 +1,7 @@
 """``accuracy.tolerance``: the true error of what time steps made is of its size, and falls with it in proportion."""
 
+import re
+
 import numpy as np
 import pytest
 import winkler
@@ -73,6 +75,24 @@ def test_oscillation_without_damping(shared_tmp, stepper, tolerances):
         for each in tolerances
     ]
     proportional(errors, tolerances, 1.5)
+
+
+def spike(time, kinks, changes):
+    """u'' + u = f from rest: each change c of the slope of f, at time a, adds c (s - sin s), s = time - a > 0."""
+    since = np.maximum(np.subtract.outer(time, kinks), 0.0)
+    return (since - np.sin(since)) @ changes
+
+
+def test_whole_step_that_ends_on_a_short_spike(shared_tmp):
+    """Its end is ten times as far as the block ever goes, so it is no measure of what is allowed; the log says what was."""
+    given = ["load.0.traction=[[[0, 0], [0.98, 0], [1, 2], [1.02, 0]], 0]", "stage.0.time_step=1", "stage.0.end=3"]
+    given += ["output.pictures=false", "fracture.default.law=linear", "accuracy.tolerance=1e-2"]
+    found = run(load("meshes/report_5_2/scene.toml", given), shared_tmp / "run")
+    exact = spike(found.times, [0.98, 1.0, 1.02], [100, -200, 100])
+    error = np.abs(found.probe("block")["displacement"][:, 0] - exact).max() / exact.max()
+    assert exact.max() == pytest.approx(0.04, rel=0.01) and error <= 2e-2
+    told = re.findall(r"time steps made an error of (\S+) \(estimated\)", (shared_tmp / "run" / "log.txt").read_text())
+    assert len(told) == 1 and error / 3.0 <= float(told[0]) <= 1e-2
 
 
 def test_what_a_step_may_add_takes_its_place(shared_tmp):
