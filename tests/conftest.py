@@ -61,7 +61,7 @@ def pytest_collection_modifyitems(config, items):
     def runs_elsewhere(number, item):
         group = item.path.relative_to(tests).parts[0]
         is_spared = group in APPLICATIONS or (
-            group == "physics" and number % 2 == 1
+            group == "physics" and number % 4 != 0
         )  # three ranks on two cores are slow
         return item.get_closest_marker("serial") is not None or (SIZE > 2 and is_spared)
 
