@@ -14,6 +14,7 @@ from fracflow.run import run
 from fracflow.scene import load
 
 LENGTH, PIECES, START = 3.0, 6, 0.1
+STEPS = ((1e-3, 20.0), (0.1, 120.0), (1.0, 120.0), (0.1, 200.0), (1.0, 400.0), (1.0, 1600.0), (10.0, 1e4))
 SCENE = """
 units = "none"
 mesh.file = "two.geo"
@@ -37,7 +38,7 @@ pressure = 0
 
 
 @pytest.mark.parametrize("coupling", ["auto", "monolithic"])
-@pytest.mark.parametrize("stiffness, step", [(1e-3, 20.0), (0.1, 120.0), (1.0, 120.0), (0.1, 200.0), (1.0, 400.0), (1.0, 1600.0), (10.0, 1e4)])
+@pytest.mark.parametrize("stiffness, step", STEPS)
 def test_a_root_is_found_wherever_it_is(shared_tmp, stiffness, step, coupling):
     comm = MPI.COMM_WORLD
     if comm.rank == 0:
