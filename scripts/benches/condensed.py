@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from sheets import Check, judge, write_csv
 
 RIVALS = {
-    "newton": {"newton": "newton"},
+    "newton": {"newton": "newton", "coupling": "monolithic"},
     "modified": {"newton": "modified"},
     "condensed": {"coupling": "condensed"},
 }
