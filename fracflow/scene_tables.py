@@ -108,9 +108,9 @@ class Method(StepperKeys):
     coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
         default="auto",
         description="how rock and fluid are solved together: at once, by iterations over both parts (monolithic), by one direct"
-        " solve (whole-lu), or by auto: that, but monolithic from two million displacements on, where options are given to it,"
-        " and where the direct solve does not converge; by turns (4.5); or on the fractures alone, with the rock condensed to"
-        " them once for each length of time step",
+        " solve (whole-lu); by turns (4.5); on the fractures alone, with the rock condensed to them once for each length of"
+        " time step; or by auto: condensed where enough steps are planned for it to pay, else whole-lu, but monolithic from two"
+        " million displacements on, where options are given to it, and where the direct solve does not converge",
     )
     fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = Field(
         default="plain",
@@ -124,7 +124,8 @@ class Method(StepperKeys):
     events: Literal["auto", "located", "at-step-ends"] = Field(
         default="auto",
         description="changes of friction, opening and closing in dynamic stages: each ends a part of its step (located), or is"
-        " taken as the end of a step finds it; auto: located while fewer than 16 sections slide",
+        " taken as the end of a step finds it; auto: located where no rock deforms, and while fewer"
+        " than 16 sections slide, twice as many for each refine",
     )
     newton: Literal["newton", "modified", "secant"] = Field(
         default="newton",

@@ -60,9 +60,8 @@ def pytest_collection_modifyitems(config, items):
 
     def runs_elsewhere(number, item):
         group = item.path.relative_to(tests).parts[0]
-        is_spared = group in APPLICATIONS or (
-            group == "physics" and number % 4 != 0
-        )  # three ranks on two cores are slow
+        # three ranks on two cores are slow
+        is_spared = group in APPLICATIONS or (group == "physics" and number % 4 != 0)
         return item.get_closest_marker("serial") is not None or (SIZE > 2 and is_spared)
 
     if SIZE == 1:

@@ -66,9 +66,8 @@ def test_files_for_the_other_program_and_what_is_read_of_it(tmp_path, problem, o
 def test_ratios_are_taken_at_equal_errors():
     points = [(0.1, 1.0), (0.001, 100.0)]
     assert peers.at_error(points, 0.01) == pytest.approx(10.0)
-    assert (
-        0.9 < peers.at_error([(0.04, 0.9), (0.012, 1.0), (0.03, 3.0)], 0.016) <= 1.0
-    )  # a worse and dearer point says nothing
+    beaten = [(0.04, 0.9), (0.012, 1.0), (0.03, 3.0)]  # the last is worse and dearer, and says nothing
+    assert 0.9 < peers.at_error(beaten, 0.016) <= 1.0
     assert peers.at_error(points, 0.2) is None and peers.at_error(points[:1], 0.1) is None
 
     def rows(times):
