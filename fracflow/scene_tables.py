@@ -131,6 +131,11 @@ class Method(StepperKeys):
         default="newton",
         description="stiffness that an iteration corrects by: the tangent (4.7), that of the step's start (4.10), the secant",
     )
+    factors: Literal["kept", "new"] = Field(
+        default="kept",
+        description="factors of a matrix that joints have changed since: they precondition GMRES as long as that is cheaper, or"
+        ' new ones are made in every iteration, as in model = "full" and "report"',
+    )
     overshoot: Literal["hold", "one-change"] = Field(
         default="hold",
         description="when joints may change between sticking and sliding: once the balances hold with the statuses there"
@@ -154,8 +159,9 @@ class Method(StepperKeys):
 
     PRESETS: ClassVar[dict[str, dict[str, str]]] = {
         "default": {},
-        "full": {"events": "located"},
+        "full": {"events": "located", "factors": "new"},
         "report": {
+            "factors": "new",
             "storage": "report",
             "conductance": "report",
             "events": "at-step-ends",

@@ -13,7 +13,7 @@ BESIDES = 0.3  # what an iteration on all unknowns takes beside LU: matrix, solv
 FACTORS = 1.7  # CHOLMOD's factors of the rock, with their ordering
 COLUMN = 0.01  # a column of the compliance, solved for with others
 SOLVE = 0.06  # a right side alone, with CHOLMOD's factors
-SHARED = 0.18  # the same with those of MUMPS, on several ranks
+SHARED = 0.18  # the same with those of MUMPS: on several ranks, or of all unknowns
 BALANCES = 0.1  # of a condensed step
 DENSE, ROWS = 0.04, 0.03  # an iteration on the jumps: its dense LU, and what goes by their number squared
 LEAST = 0.02  # an iteration on all unknowns, and a step on the joints, however small the rock is
@@ -44,6 +44,11 @@ def condensed_step(unknowns: int, jumps: int, iterations: float = ITERATIONS, ra
 def condensing(unknowns: int, jumps: int) -> float:
     """Cost of factors and compliance [LU of REFERENCE]."""
     return FACTORS * _factor(unknowns) + jumps * COLUMN * _solve(unknowns)
+
+
+def solves_per_factor(unknowns: int) -> float:
+    """How many right sides LU solves for in the time that it takes itself."""
+    return _factor(unknowns) / (SHARED * _solve(unknowns))
 
 
 def fits(unknowns: int, jumps: int) -> bool:

@@ -6,7 +6,8 @@ from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.accept import start_again, step_report, without_suction
 from fracflow.coupling.joined_matrix import JoinedMatrix
-from fracflow.coupling.newton import Newton, NewtonReport
+from fracflow.coupling.newton import Newton
+from fracflow.coupling.newton_methods import NewtonReport
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged
 from fracflow.scene import Scene

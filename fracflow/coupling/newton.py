@@ -9,18 +9,17 @@ elastic one (5.3 does, just below failure). No iteration takes a joint past its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.floating import Floating
 from fracflow.coupling.circles import JUST_PAST, Circles, Rounds, all_changed, statuses
 from fracflow.coupling.joined_matrix import JoinedMatrix
+from fracflow.coupling.kept_factors import factors_of
 from fracflow.coupling.krylov import set_up, solve_nonlinear
 from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.coupling.newton_failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
-from fracflow.coupling.newton_methods import NEWTON_METHODS, SingularMatrix, softly_held
+from fracflow.coupling.newton_methods import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.laws.base import Bools
@@ -30,16 +29,6 @@ from fracflow.scene import Scene
 MOST_CHANGES = 50  # rounds of status changes in one step
 PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
-
-
-@dataclass(frozen=True)
-class NewtonReport:
-    """Iterations of Newton and of the Krylov solvers inside, refills of the Jacobian, and (4.9a) from the start on."""
-
-    newton: int
-    krylov: int
-    fills: int
-    out_of_balance: tuple[float, ...]
 
 
 class Newton:
@@ -59,7 +48,6 @@ class Newton:
         self.snes.setOptionsPrefix(f"{prefix}_")
         self.snes.setType("newtonls")
         self.snes.setFunction(self._function, self.balance)
-        self.snes.setJacobian(self._jacobian, matrix.matrix, matrix.matrix)
         self.snes.setConvergenceTest(self._converged)
         self.snes.setTolerances(max_it=scene.accuracy.max_iterations)
         self.snes.setLineSearchPreCheck(self._pre_check)
@@ -68,6 +56,8 @@ class Newton:
         # kept, since a collection of garbage with another handle to it would clear its test (petsc4py's tp_traverse)
         self.solver = self.snes.getKSP()
         set_up(self.solver, matrix)
+        self.factors = factors_of(scene, self.solver, matrix)
+        self.snes.setJacobian(self._jacobian, matrix.matrix, self.factors.factored)
         self.least = 0  # iterations in any case
         self.problem: StepProblem | None = None
         self.floating: Floating | None = None
@@ -83,7 +73,7 @@ class Newton:
         """Bring the trial of ``problem`` into balance. Raises SolveError, on every rank. Collective."""
         self.problem, self._krylov, self._step = problem, 0, np.inf
         self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
-        fills, iterations, comm = self.matrix.fills, 0, self.matrix.layout.comm
+        made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm
         self._rounds = Rounds(problem)
         for _ in range(MOST_CHANGES):
             self._pack(problem)
@@ -108,7 +98,7 @@ class Newton:
             raise self._failure(f"after {MOST_CHANGES} rounds of changes of status", iterations)
         if self._floats(problem):
             self._refuse_floating(problem)
-        return NewtonReport(iterations, self._krylov, self.matrix.fills - fills, tuple(self._out_of_balance))
+        return NewtonReport(iterations, self._krylov, self.factors.made - made, tuple(self._out_of_balance))
 
     def _pack(self, problem: StepProblem) -> None:
         scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
@@ -147,9 +137,11 @@ class Newton:
         if self.method.is_kept and self._is_filled:
             return
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
-        if self._floats(problem):
+        if is_loose := self._floats(problem):
             moduli = softly_held(moduli, self.matrix.operators.scales)
-        self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
+        kind = problem.alphas, problem.flow_scale()
+        self.matrix.fill(problem.alphas, moduli, problem.conduction, kind[1], self.only)
+        self.factors.changed(kind, must=is_loose)
         self._is_filled = True
 
     def _floats(self, problem: StepProblem, without: Bools | None = None) -> bool:
@@ -190,7 +182,7 @@ class Newton:
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         problem, layout = self.problem, self.matrix.layout
         assert problem is not None
-        self._krylov += self.solver.getIterationNumber()
+        self._krylov += self.factors.check(self.balance, step)
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
             raise SingularMatrix
@@ -296,5 +288,6 @@ class Newton:
 
     def destroy(self) -> None:
         """Free the solver. Collective."""
+        self.factors.destroy()
         for thing in (self.snes, self.solver, self.unknowns, self.balance):
             thing.destroy()

@@ -18,6 +18,16 @@ from fracflow.state import Sections
 SOFT = 1e-6  # of the natural stiffness: what holds a loose block on its way to the next contact
 
 
+@dataclass(frozen=True)
+class NewtonReport:
+    """Iterations of Newton and of the Krylov solvers inside, refills of the Jacobian, and (4.9a) from the start on."""
+
+    newton: int
+    krylov: int
+    fills: int
+    out_of_balance: tuple[float, ...]
+
+
 class SingularMatrix(Exception):
     """What a method without the tangent may come to."""
 
