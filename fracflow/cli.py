@@ -107,26 +107,23 @@ def check(
     from fracflow.card import as_records as card_records
     from fracflow.output.folder import to_json
     from fracflow.output.tell import tell_card
-    from fracflow.plan import as_records, decide
+    from fracflow.plan import as_lines, as_records
     from fracflow.run_check import set_up
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
     given = load(scene, set_ or [])
-    (found, moved, numbers), decisions = set_up(given), decide(given)
+    found, moved, numbers, decisions = set_up(given)
     notes = [*advice(given), *moved]
     if as_json:
         card = card_records(numbers)
         typer.echo(to_json({"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes}, indent=1))
         return
-    for key, value in found.items():
-        typer.echo(f"{key}: {shown(value)}")
-    for decision in decisions:
-        verb = "left out" if decision.left_out else "kept"
-        typer.echo(f"{decision.part}: {verb} ({decision.criterion}: {decision.value})")
+    tell_card(card_records(numbers), Console(highlight=False, width=WIDTH))
+    for line in (*as_lines(decisions), *(f"{key}: {shown(value)}" for key, value in found.items())):
+        typer.echo(line)
     for note in notes:
         typer.echo(f"note: {note}")
-    tell_card(card_records(numbers), Console(highlight=False, width=WIDTH))
 
 
 @app.command("mesh")

@@ -16,6 +16,7 @@ from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.run_auto import run_auto
 from fracflow.run_equilibrate import equilibrate
+from fracflow.run_plan import planned
 from fracflow.run_record import Recorder, watches_spurious
 from fracflow.run_setup import Model, on_root, prepare
 from fracflow.run_stages import run_stage
@@ -47,6 +48,7 @@ def run(
     began = clock.perf_counter()
     model = prepare(scene, comm)
     settle(model)
+    model = planned(model)
     state = rest(model)
     recorder = Recorder(model, Path(folder), comm)
     if show is not None and recorder.files is not None:
@@ -85,6 +87,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5"))
     model = prepare(scene, comm, mesh, cell_rank)
     settle(model)
+    model = planned(model)
     step = Step(
         restore_state(model.operators, arrays, notes),
         notes["stage"], 0.0, StepReport(), notes["progress"],

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 from fracflow.coupling.period import longest_period
 from fracflow.errors import NotConverged
+from fracflow.plan.inertia import next_kink, slow_stages
 from fracflow.run_accuracy import step_error
 from fracflow.run_events import to_first_event
 from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.run_plan import swing
 from fracflow.run_steps import Progress, Step, Stepping, stepper_of
 from fracflow.run_unrest import Course, begin, may_rest, runs_away, weak_waves
 from fracflow.state import State, StepReport
@@ -46,6 +48,13 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
                 yield Step(entered, number, 0.0, StepReport(), course.as_progress(), WAVES)
                 state = entered
                 continue
+            if swings := regimes.swings(state, found, course):
+                found.destroy()
+                entered = stepping.enter(state, regimes.waves, course.least)
+                course = replace(course.onset(entered, course.period, 0.0), swing=swings)
+                yield Step(entered, number, 0.0, StepReport(), course.as_progress(), WAVES)
+                state = entered
+                continue
             dt, state = found.time - state.time, found
             yield Step(state, number, dt, report, course.as_progress(), REST)
             continue
@@ -79,6 +88,8 @@ class _Regimes:
         locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
             stepping.expect(self.waves, least)
+        facts = self.model.facts
+        self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
         self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
 
     def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
@@ -104,6 +115,21 @@ class _Regimes:
             after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
             course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
         return new, report, course
+
+    def swings(self, old: State, new: State, course: Course) -> float:
+        """The vibration of a step that the plan would leave out, where that is more than it may; else 0. Collective."""
+        if self.most is None:
+            return 0.0
+        assert self.stage.end is not None
+        left = next_kink(self.scene, new.time, self.stage.end) - new.time
+        found = swing(old, new, course.period, left)
+        if found <= self.most:
+            return 0.0
+        self.log(
+            f"time {old.time:.9g}: stage {self.stage.title}: inertia is put back: a vibration of {found:.3g} of the"
+            f" displacement would be left out, above {self.most:g}; the step is repeated with it"
+        )
+        return found
 
     def _target(self, time: float, step: float) -> tuple[float, bool]:
         """Where a step ends: just before the next jump of what is prescribed, or with the stage; and whether at a jump."""

@@ -7,15 +7,21 @@ from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.card import Number, scene_card
-from fracflow.coupling.condensed_cost import break_even, fits
+from fracflow.coupling.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
 from fracflow.mesh.split import summary
-from fracflow.run_setup import prepare
+from fracflow.plan import Decision, decide
+from fracflow.run_plan import find_facts, seconds_of_factors
+from fracflow.run_setup import Model, prepare
 from fracflow.run_start import settle
 from fracflow.scene import Scene
 
+PROGRAM, NUMBER = 1.5e8, 8.0  # bytes of the program with its libraries, and of a number
+MATRICES = 150.0  # numbers an unknown in matrices and vectors
+OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
-def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number]]:
-    """Set a scene up as a run does, on one rank: its sizes, what was moved to fit, and its card.
+
+def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[Decision]]:
+    """Set a scene up as a run does, on one rank: its sizes and cost, what was moved to fit, its card and its plan.
 
     InputError where it cannot be run.
     """
@@ -37,4 +43,23 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number]]:
     pays = break_even(unknowns, sections)
     if sections and fits(unknowns, sections) and pays < math.inf:
         found["steps from which a condensed rock pays"] = pays
-    return found, [*model.mesh.notes, *model.placed.notes], scene_card(scene, model.mesh, model.placed.wells)
+    card = scene_card(scene, model.mesh, model.placed.wells)
+    decisions = decide(find_facts(model).with_card(card))
+    found |= _cost(model, steps)
+    return found, [*model.mesh.notes, *model.placed.notes], card, decisions
+
+
+def _cost(model: Model, steps: int) -> dict[str, str]:
+    """Memory and time of so many steps, by what factors of so many unknowns take; one factorisation is made and timed."""
+    unknowns = sum(
+        int(starts[-1]) for starts in (model.operators.layout.solid_starts, model.operators.layout.flow_starts)
+    )
+    memory = PROGRAM + NUMBER * (MATRICES * unknowns + ENTRIES * unknowns * math.log2(max(unknowns, 2)))
+    lasted = seconds_of_factors(model.operators)
+    seconds = steps * ITERATIONS * (lasted * (1.0 + BESIDES) + OWN)
+    return {
+        "memory, about": f"{memory / 1e9:.2g} GB",
+        "time of the steps planned, at most about": (
+            f"{seconds:.2g} s: {ITERATIONS} iterations a step, each with a factorisation, of which one took {lasted:.2g} s here"
+        ),
+    }

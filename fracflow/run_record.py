@@ -24,7 +24,8 @@ from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
 from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
-from fracflow.plan import Decision, as_records, decide, factorisations
+from fracflow.plan import Decision, Facts, as_records, decide, factorisations, with_undone
+from fracflow.plan import as_lines as plan_lines
 from fracflow.run_catalogue import brought, catalogue_of, instant
 from fracflow.run_setup import Model, on_root
 from fracflow.run_steps import Step
@@ -77,6 +78,8 @@ class Recorder:
         self.totals.newton += step.report.newton
         self.totals.factorisations += step.report.factorisations
         self._tell_coupling(step)
+        if swing := (step.progress or {}).get("swing"):
+            self.totals.undo(f"inertia, {self.model.scene.stage[step.stage].title}", step.state.time, swing)
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
@@ -141,8 +144,8 @@ class Recorder:
         for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
             self.log(line)
         if self.files is not None:
-            decisions = [*decide(self.model.scene), factorisations(self.totals.newton, self.totals.factorisations)]
-            self.files.write_plan(decisions)
+            done = factorisations(self.totals.newton, self.totals.factorisations)
+            self.files.write_plan([*with_undone(self.files.decisions, self.totals.undone), done])
 
     def close(self) -> None:
         """Close the files, whatever happened."""
@@ -162,13 +165,13 @@ class Files:
         if notes is not None:
             read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
         self.folder = RunFolder(folder, resume=notes is not None)
-        self.card = scene_card(model.scene, self.mesh, self.placed.wells)
+        self.card = scene_card(model.stated, self.mesh, self.placed.wells)
+        self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
         if notes is None:
             save_mesh(self.mesh, self.folder / "mesh.h5")
-            self.folder.write_text("scene.toml", model.scene.dump_toml(folder.resolve()))
-            self.write_plan(decide(model.scene))
-            for line in as_lines(self.card):
-                self.folder.log(line)
+            self.folder.write_text("scene.toml", model.stated.dump_toml(folder.resolve()))
+            self.write_plan(self.decisions)
+            self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
             self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
         system = model.scene.unit_system

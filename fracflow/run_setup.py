@@ -26,6 +26,7 @@ from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
 from fracflow.output.probes import refuse_missing
+from fracflow.plan.decision import Facts
 from fracflow.plan_mesh import proposed, unresolved
 from fracflow.scene import Scene
 from fracflow.tables import FractureEnd, Place
@@ -53,13 +54,19 @@ class Placed:
 
 @dataclass(frozen=True)
 class Model:
-    """A scene made ready: ``mesh`` is on rank 0 only."""
+    """A scene made ready: ``mesh`` is on rank 0 only; ``facts`` are what its plan was made from."""
 
     scene: Scene
     mesh: SplitMesh | None
     placed: Placed
     operators: Operators
     loads: Loads
+    facts: Facts | None = None
+
+    @property
+    def stated(self) -> Scene:
+        """The scene as its file has it, where ``scene`` is what the plan leaves of it."""
+        return self.scene if self.facts is None else self.facts.scene
 
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:

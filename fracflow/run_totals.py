@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,11 @@ NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not
 
 @dataclass
 class Totals:
-    """Counts over the run; ``injected`` is the net volume that wells of given rates have brought [length^3]."""
+    """Counts over the run.
+
+    injected  net volume that wells of given rates have brought [length^3]
+    undone    decisions of the plan that were taken back: "part, stage" -> when and why
+    """
 
     steps: int = 0
     newton: int = 0
@@ -26,6 +30,11 @@ class Totals:
     handed_over: int = 0
     told_factor: float = np.nan
     injected: float = 0.0
+    undone: dict[str, str] = field(default_factory=dict)
+
+    def undo(self, decision: str, time: float, value: float) -> None:
+        """Note that a decision was taken back, the first time."""
+        self.undone.setdefault(decision, f"time {time:.9g}: {value:.3g}")
 
     def last_words(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
         """What the log ends with, after so many ``seconds``."""

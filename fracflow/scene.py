@@ -176,9 +176,14 @@ class Scene(Part):
         return any(stage.kind in ("dynamic", "auto") for stage in self.stage)
 
     @property
+    def time_tables(self) -> tuple[TimeTable, ...]:
+        """All tables in time, constants among them."""
+        return tuple(_tables(self))
+
+    @property
     def jump_times(self) -> tuple[float, ...]:
         """Instants, ascending, at which a table in time jumps [time]."""
-        return tuple(sorted({float(time) for table in _tables(self) for time in table.jumps[0]}))
+        return tuple(sorted({float(time) for table in self.time_tables for time in table.jumps[0]}))
 
     @property
     def driving_tables(self) -> tuple[TimeTable, ...]:

@@ -1,0 +1,52 @@
+"""What a scene needs and what it does not: model no more than that, say so, and look again while it runs.
+
+What would save no work is not left out: the record says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+
+from fracflow.plan import flow, outputs, solver
+from fracflow.plan.decision import Decision, Facts
+from fracflow.plan.inertia import decide_inertia
+from fracflow.plan.solver import factorisations
+
+__all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations", "with_undone"]
+
+DECISIONS = (
+    flow.flow_block, flow.one_way, flow.film_storage, flow.compressibility, flow.fluid_inertia,
+    decide_inertia, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
+)  # fmt: skip
+
+
+def decide(facts: Facts) -> list[Decision]:
+    """All decisions, before the first step."""
+    return [decision for find in DECISIONS for decision in find(facts)]
+
+
+def with_undone(decisions: Iterable[Decision], undone: Mapping[str, str]) -> list[Decision]:
+    """The same with what was taken back since: "part, stage" -> when and why."""
+    keys = ((each, f"{each.part}, {each.stage}") for each in decisions)
+    return [replace(each, left_out=False, undone=undone[key]) if key in undone else each for each, key in keys]
+
+
+def as_records(decisions: Iterable[Decision]) -> list[dict[str, object]]:
+    """For plan.json and ``check --json``."""
+    return [asdict(decision) for decision in decisions]
+
+
+def as_lines(decisions: Iterable[Decision]) -> list[str]:
+    """For the terminal and the log."""
+    return [_line(decision) for decision in decisions]
+
+
+def _line(decision: Decision) -> str:
+    where = f" in stage {decision.stage}" if decision.stage else ""
+    value, limit = (f"{x:.3g}" if isinstance(x, float) else x for x in (decision.value, decision.limit))
+    verb = "left out" if decision.left_out else "kept"
+    line = f"plan: {decision.part}{where}: {verb}; {decision.criterion}: {value}, limit {limit}"
+    if decision.left_out:
+        line += f"; error: {decision.error}"
+    return f"{line}; saves {decision.saves}" + (f"; undone at {decision.undone}" if decision.undone else "")

@@ -1,0 +1,71 @@
+"""What the plan decides by, and what a decision is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf
+
+from fracflow.card.number import Number
+from fracflow.scene import Scene
+
+TOLERANCE = 1e-2  # where a scene states none
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Something left out, or kept: the criterion, the value found, and the limit that it is to stay below.
+
+    error   what leaving it out may do to the results
+    saves   what it saves; what would have been saved is no reason by itself
+    stage   the stage that it is about, empty for the whole run
+    undone  when it was taken back during the run, and by which value; empty while it stands
+    """
+
+    part: str
+    left_out: bool
+    criterion: str
+    value: float | str
+    limit: float | str
+    error: str
+    saves: str = "nothing"
+    stage: str = ""
+    undone: str = ""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """A scene as it is stated, and what its model tells of it.
+
+    period      longest period in which it vibrates while its joints stick; infinite where that was not asked [time]
+    unrest      what the first instant changes in the loads, over their scale [1]
+    unknowns    of displacement, and ``pressures`` of pressure, on all ranks
+    jumps       components of the jumps of all joint sections
+    damps       some sides absorb waves
+    card        numbers of the scene card by their names; on rank 0 only
+    """
+
+    scene: Scene
+    period: float = inf
+    unrest: float = 0.0
+    unknowns: int = 0
+    pressures: int = 0
+    jumps: int = 0
+    ranks: int = 1
+    damps: bool = False
+    card: Mapping[str, Number] = field(default_factory=dict)
+
+    def with_card(self, numbers: Sequence[Number]) -> Facts:
+        """The same with the scene card."""
+        return replace(self, card={number.name: number for number in numbers})
+
+    @property
+    def tolerance(self) -> float:
+        """The error that what is left out may cause, relative to the largest value."""
+        stated = self.scene.accuracy.tolerance
+        return TOLERANCE if stated is None else stated
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether the plan may leave anything out."""
+        return self.scene.model == "default"

@@ -1,0 +1,53 @@
+"""How little the solvers need: factors that serve on, and rock that is condensed to its joints. Neither changes results."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from fracflow.coupling.condensed_cost import solves_per_factor
+from fracflow.coupling.condensed_plan import condensing, may_choose
+from fracflow.coupling.kept_factors import LEAST_WORTH, USUAL, are_kept
+from fracflow.plan.decision import Decision, Facts
+
+
+def condensed_rock(facts: Facts) -> list[Decision]:
+    """The unknowns of the rock, which is linear: the choice is the coupling's."""
+    scene = facts.scene
+    if not facts.jumps:
+        return []
+    plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
+    chosen = scene.method.coupling == "condensed" or (may_choose(scene, facts.unknowns) and plan.any_worth)
+    steps = max(plan.steps.values(), default=0.0)
+    told = f"{steps:.0f} steps of one length" if isfinite(steps) else "as many steps as events take"
+    saves = (
+        "a factorisation in every step" if chosen else "nothing: kept, condensing would not pay, or was not asked for"
+    )
+    limit = f"{plan.pays:.0f}" if isfinite(plan.pays) else "never pays"
+    return [
+        Decision(
+            "rock, condensed to its joints", chosen, "steps of one length, to pay", told, limit, "none: exact", saves
+        )
+    ]
+
+
+def new_factors(facts: Facts) -> list[Decision]:
+    """Factors of a matrix that joints have changed since."""
+    total = facts.unknowns + facts.pressures
+    kept, worth = are_kept(facts.scene, total), solves_per_factor(total)
+    criterion = "solves in the time of a factorisation"
+    saves = (
+        f"a factorisation where {USUAL} solves serve"
+        if kept
+        else "nothing: kept, new factors cost no more than they save"
+    )
+    error = "none: Newton's method ends at the same residual, with new factors where old ones do not serve"
+    return [Decision("new factors in every iteration", kept, criterion, worth, f"> {LEAST_WORTH:g}", error, saves)]
+
+
+def factorisations(solves: int, made: int) -> Decision:
+    """The record of a run that has ended."""
+    return Decision(
+        "factorisations", made < solves, "matrix the same, or old factors serve",
+        f"{made} factorisations in {solves} Newton iterations", "1 while nothing changes state", "none",
+        f"{max(solves - made, 0)} factorisations",
+    )  # fmt: skip

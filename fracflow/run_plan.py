@@ -1,0 +1,85 @@
+"""What the plan looks at in a model that was set up, and the model that it leaves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from time import perf_counter
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.assembly.operators import Operators
+from fracflow.coupling.period import longest_period
+from fracflow.plan.decision import Facts
+from fracflow.plan.inertia import asks_period, reduced
+from fracflow.run_setup import Model
+from fracflow.run_start import rest
+from fracflow.state import State
+
+LARGEST = PETSc.NormType.INFINITY
+
+
+def planned(model: Model) -> Model:
+    """The model without what its scene does not need; ``facts`` say why. It was settled before. Collective."""
+    facts = find_facts(model)
+    return replace(model, scene=reduced(facts), facts=facts)
+
+
+def find_facts(model: Model) -> Facts:
+    """What decisions look at, but for the scene card. Collective."""
+    ops, scene = model.operators, model.scene
+    facts = Facts(
+        scene,
+        unknowns=int(ops.layout.solid_starts[-1]),
+        pressures=int(ops.layout.flow_starts[-1]),
+        jumps=ops.layout.comm.allreduce(len(ops.joints.weights), op=MPI.SUM) * ops.joints.dim,
+        ranks=ops.layout.comm.size,
+        damps=ops.damping is not None,
+    )
+    if not facts.leaves_out or not asks_period(scene):
+        return facts
+    state = rest(model)
+    period, unrest = longest_period(ops, model.loads, state.sections), _unrest(model, state)
+    state.destroy()
+    return replace(facts, period=period, unrest=unrest)
+
+
+def _unrest(model: Model, state: State) -> float:
+    """Largest force that the loads bring at once at the start, over the largest of the scene. Collective."""
+    jump = model.operators.layout.solid_vector()
+    model.loads.force(state.time, state.controls, jump)
+    jump.axpy(-1.0, state.forces.load)
+    model.loads.release(jump)
+    found = float(jump.norm(LARGEST)) / model.operators.scales.force
+    jump.destroy()
+    return found
+
+
+def swing(old: State, new: State, period: float, left: float) -> float:
+    """Amplitude of the vibration that a step without inertia leaves out, over the displacement to come [1]. Collective.
+
+    A rate that changes by r sets off r T/(2 pi), and stopping again as much; ``left`` is how long loads go on at their rate
+    """
+    change = new.motion.velocity.copy()
+    change.axpy(-1.0, old.motion.velocity)
+    kick, rate = float(change.norm(LARGEST)), float(new.motion.velocity.norm(LARGEST))
+    change.destroy()
+    reach = float(new.motion.displacement.norm(LARGEST)) + rate * left
+    return kick * period / (math.pi * reach) if reach > 0.0 else 0.0
+
+
+def seconds_of_factors(operators: Operators) -> float:
+    """Time of one LU factorisation of the rock's matrix, on the processes at hand [s]. Collective."""
+    matrix = operators.stiffness.copy()
+    matrix.axpy(1.0, operators.mass)
+    matrix.shift(float(matrix.getDiagonal().max()[1]) or 1.0)
+    solver = PETSc.KSP().create(comm=matrix.comm)
+    solver.setOperators(matrix)
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("mumps")
+    began = perf_counter()
+    solver.setUp()
+    lasted = perf_counter() - began
+    solver.destroy()
+    matrix.destroy()
+    return lasted

@@ -1,0 +1,149 @@
+"""Slow loads need no inertia: what is left out is small, and comes back where it is not."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fracflow.errors import Interrupted
+from fracflow.output import read_history
+from fracflow.plan import inertia
+from fracflow.plan.inertia import kick
+from fracflow.run import resume, run
+from fracflow.scene import load
+from fracflow.tables_time import TimeTable
+
+BLOCK = """
+[output]
+pictures = false
+checkpoint_every = 1
+[geometry]
+domain = [[0, 0], [10, 0], [10, 10], [0, 10]]
+size = 5
+[[geometry.fracture]]
+name = "joint"
+points = [[0, 5], [10, 5]]
+[rock.rock]
+youngs_modulus = "10 GPa"
+poissons_ratio = 0.25
+density = 2500
+[initial_stress]
+yy = "-2 MPa"
+[fracture.default]
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "1 mm"
+friction_angle_deg = 30
+[[support]]
+on = ["south"]
+[[load]]
+on = "north"
+traction = "initial-stress"
+[[load]]
+on = "north"
+traction = [{time = [0, RAMP], value = [0, 2e5]}, 0]
+[[probe]]
+name = "top"
+at = [5, 10]
+[[stage]]
+name = "push"
+kind = "dynamic"
+time_step = STEP
+steps = COUNT
+"""
+
+
+class Done:
+    """The history and the plan of a run, on every rank."""
+
+    def __init__(self, folder, comm):
+        found = None
+        if comm.rank == 0:
+            found = read_history(folder / "history.h5"), json.loads((folder / "plan.json").read_text())["decisions"]
+            found = (*found, (folder / "log.txt").read_text())
+        self.history, self.plan, self.log = comm.bcast(found)
+        self.time, self.top = self.history["time"], self.history["probe/top/displacement"][:, 0]
+
+    def decision(self, part):
+        return next(each for each in self.plan if each["part"] == part)
+
+
+@pytest.fixture
+def block(shared_tmp, comm):
+    """Function (ramp, step, count, model, progress) -> folder of a run, ended or not. Collective."""
+    counter = [0]
+
+    def once(ramp, step, count, model="default", progress=None):
+        counter[0] += 1
+        file, folder = shared_tmp / f"block{counter[0]}.toml", shared_tmp / f"run{counter[0]}"
+        if comm.rank == 0:
+            text = BLOCK.replace("RAMP", str(ramp)).replace("STEP", str(step)).replace("COUNT", str(count))
+            file.write_text(f'model = "{model}"\n{text}')
+        comm.barrier()
+        try:
+            run(load(file), folder, comm, progress)
+        except Interrupted:
+            assert progress is not None
+        return folder
+
+    return once
+
+
+@pytest.mark.serial
+def test_kick_of_ramps_pulses_and_waves():
+    """T/(pi T_load) of a ramp; a pulse within a period adds its three kinks; a slow sine goes by the square of T/T_load."""
+    period = 0.1
+    assert kick(TimeTable.constant(3.0), 0.0, 9.0, period) == 0.0
+    assert kick(TimeTable((0.0, 2.0), (0.0, -5.0)), 0.0, 9.0, period) == pytest.approx(period / (np.pi * 2.0))
+    assert kick(TimeTable((1.0, 1.01, 1.02), (0.0, 1.0, 0.0)), 0.0, 9.0, period) == pytest.approx(
+        400.0 * period / np.pi
+    )
+    times = np.linspace(0.0, 40.0, 4001)  # of period 10, from rest: 1 - cos
+    wave = TimeTable(tuple(times), tuple(1.0 - np.cos(2.0 * np.pi * times / 10.0)))
+    assert kick(wave, 0.0, 40.0, period) == pytest.approx(2.0 * np.pi * (period / 10.0) ** 2, rel=0.2)
+
+
+def test_slow_ramp_goes_without_inertia_within_the_tolerance(block, comm):
+    reduced, full = (Done(block(1.6, 7e-3, 250, model), comm) for model in ("default", "full"))
+    said = reduced.decision("inertia")
+    assert said["left_out"] and said["value"] < said["limit"] == 1e-2 and not full.decision("inertia")["left_out"]
+    assert 3 * len(reduced.time) < len(full.time)
+    assert reduced.time[-1] == pytest.approx(full.time[-1], rel=1e-12)
+    error = np.abs(np.interp(full.time, reduced.time, reduced.top) - full.top).max()
+    assert 0.0 < error < 1e-2 * np.abs(full.top).max()
+
+
+def test_fast_ramp_keeps_inertia(block, comm):
+    assert not Done(block(0.1, 2e-3, 3), comm).decision("inertia")["left_out"]
+
+
+def test_violated_decision_is_undone_and_the_run_is_that_with_inertia(block, comm, monkeypatch):
+    """The criterion is told that a ramp of half a period were slow; the first step tells otherwise. So after a resume."""
+    full = Done(block(0.02, 2e-3, 160, "full"), comm)
+    monkeypatch.setattr(inertia, "kick", lambda *_: 1e-3)
+    whole = Done(block(0.02, 2e-3, 160), comm)
+    seen = []
+
+    def stop(step):
+        seen.append(step)
+        if len(seen) == 20:
+            raise Interrupted("enough")
+
+    folder = block(0.02, 2e-3, 160, progress=stop)
+    comm.barrier()
+    resume(folder, comm)
+    for done in (whole, Done(folder, comm)):
+        said = done.decision("inertia")
+        assert not said["left_out"] and said["undone"].startswith("time 0: ") and float(said["undone"][8:]) > 1e-2
+        assert "inertia is put back" in done.log
+        moving = np.flatnonzero(done.time == 0.0)[-1]  # the state at rest comes twice, without inertia and with it
+        np.testing.assert_allclose(done.time[moving:], full.time, rtol=1e-12)
+        np.testing.assert_allclose(done.top[moving:], full.top, atol=1e-9 * np.abs(full.top).max())
+
+
+@pytest.mark.parametrize("model", ["full", "report"])
+def test_full_and_report_leave_nothing_out(block, comm, model):
+    found = Done(block(1.6, 7e-3, 1, model), comm)
+    assert not found.decision("inertia")["left_out"]
+    assert not found.decision("new factors in every iteration")["left_out"]
+    assert not found.decision("rock, condensed to its joints")["left_out"]
