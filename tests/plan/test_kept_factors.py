@@ -1,0 +1,129 @@
+"""Factors that serve on after joints have changed lead to the same results, with fewer factorisations."""
+
+import numpy as np
+import pytest
+
+from fracflow.coupling import kept_factors
+from fracflow.output import read_history
+from fracflow.run import run
+from fracflow.scene import load
+
+ROCK = """
+[output]
+pictures = false
+[rock.rock]
+youngs_modulus = "10 GPa"
+poissons_ratio = 0.25
+density = 2500
+[fracture.default]
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "0.3 mm"
+friction_angle_deg = 30
+"""
+INJECTION = f"""{ROCK}
+[geometry]
+domain = [[0, 0], [100, 0], [100, 100], [0, 100]]
+size = 25
+[[geometry.fracture]]
+name = "main"
+points = [[25, 50], [75, 50]]
+[initial_stress]
+xx = "-8 MPa"
+yy = "-12 MPa"
+[fluid]
+viscosity = 1e-3
+specific_weight = 9810
+initial_pressure = "3 MPa"
+[[support]]
+on = ["east", "west", "north", "south"]
+[[well]]
+name = "in"
+at = {{fracture = "main", end = "end"}}
+flow_rate = {{time = [0, 800], value = [0, 4e-6]}}
+[[well]]
+name = "out"
+at = {{fracture = "main", end = "start"}}
+pressure = "3 MPa"
+[[probe]]
+name = "here"
+at = [50, 50]
+on = "main"
+[[stage]]
+kind = "quasi-static"
+time_step = 100
+steps = 8
+"""
+SLIDING = f"""{ROCK}
+[geometry]
+domain = [[0, 0], [10, 0], [10, 10], [0, 10]]
+size = 5
+[[geometry.fracture]]
+name = "joint"
+points = [[0, 5], [10, 5]]
+[initial_stress]
+yy = "-1 MPa"
+[[support]]
+on = ["south"]
+[[load]]
+on = "north"
+traction = "initial-stress"
+[[load]]
+on = "north"
+traction = [{{time = [0, 0.02], value = [0, 1e6]}}, 0]
+[[probe]]
+name = "here"
+at = [5, 5]
+on = "joint"
+[[stage]]
+kind = "dynamic"
+time_step = 1e-3
+steps = 40
+"""
+
+
+@pytest.fixture
+def history(shared_tmp, comm):
+    """Function (text, factors) -> history of a run, on all ranks. Collective."""
+
+    def once(text, factors):
+        file = shared_tmp / f"{factors}.toml"
+        if comm.rank == 0:
+            file.write_text(text)
+        comm.barrier()
+        folder = shared_tmp / factors
+        run(load(file, [f'method.factors="{factors}"', 'method.coupling="whole-lu"']), folder, comm)
+        return comm.bcast(read_history(folder / "history.h5") if comm.rank == 0 else None)
+
+    return once
+
+
+@pytest.mark.parametrize(("text", "moved"), [(INJECTION, "opening"), (SLIDING, "slip")], ids=["injection", "sliding"])
+def test_kept_factors_change_nothing_but_the_work(history, monkeypatch, text, moved):
+    new = history(text, "new")
+    monkeypatch.setattr(kept_factors, "LEAST_WORTH", 0.0)
+    kept = history(text, "kept")
+    found, sought = (each[f"probe/here/{moved}"] for each in (kept, new))
+    assert np.abs(sought).max() > 1e-7
+    if moved == "slip":
+        assert new["step/slipping"].max() > 0
+    np.testing.assert_allclose(found, sought, rtol=0.0, atol=1e-8 * np.abs(sought).max())
+    made, before = (each["step/factorisations"].sum() for each in (kept, new))
+    assert made < 0.7 * before
+    assert kept["step/newton"].sum() <= 1.6 * new["step/newton"].sum()
+
+
+@pytest.mark.serial
+def test_factors_of_small_matrices_are_made_anew():
+    scene = load_text(SLIDING)
+    assert not kept_factors.are_kept(scene, 1000)
+    assert kept_factors.are_kept(scene, 100_000)
+
+
+def load_text(text):
+    """A scene from its text."""
+    import tomllib
+
+    from fracflow.scene import Scene
+
+    return Scene.from_data(tomllib.loads(text))
