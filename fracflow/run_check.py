@@ -60,6 +60,6 @@ def _cost(model: Model, steps: int) -> dict[str, str]:
     return {
         "memory, about": f"{memory / 1e9:.2g} GB",
         "time of the steps planned, at most about": (
-            f"{seconds:.2g} s: {ITERATIONS} iterations a step, each with a factorisation, of which one took {lasted:.2g} s here"
+            f"{seconds:.2g} CPU s: {ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here"
         ),
     }

@@ -60,7 +60,7 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
         )
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
-    if asks_period(scene):  # levels that the plan leaves inertia out of would not have steps halved from one to the next
+    if asks_period(scene):  # levels without inertia would not have steps halved from one to the next
         scene = scene.model_copy(update={"model": "full"})
     spots: dict[str, Spot] = {}
     for number in range(count):

@@ -1,0 +1,57 @@
+"""Each decision says by which criterion it was taken, and none is taken that would save nothing."""
+
+import json
+
+import pytest
+from test_kept_factors import INJECTION, SLIDING, load_text
+from typer.testing import CliRunner
+
+from fracflow.card.number import Number
+from fracflow.cli import app
+from fracflow.plan import Facts, as_lines, decide, with_undone
+
+pytestmark = pytest.mark.serial
+
+
+def decisions(text, card=(), **facts):
+    return {each.part: each for each in decide(Facts(load_text(text), **facts).with_card(card))}
+
+
+def test_fluid_parts_that_hardly_matter_are_kept_where_that_costs_nothing():
+    """d^3 kappa^2 k_tot, dt = 1000 tau_d and k_n d/K_f = 1e-5 would allow all three to be left out."""
+    weak = [
+        Number("coupling, transient", "", 1e-4),
+        Number("coupling, steady", "", 1e-4),
+        Number("film ringing", "", 500.0),
+    ]
+    weak.append(Number("fluid compressibility", "", 1e-5))
+    found = decisions(
+        INJECTION.replace("viscosity", "compressibility = 4e-10\nviscosity"), weak, unknowns=1000, pressures=10
+    )
+    for part in ("wall-to-flow coupling", "film storage", "compressibility"):
+        assert found[part].value < found[part].limit
+        assert not found[part].left_out and found[part].saves.startswith("nothing: kept")
+
+
+def test_dry_scene_leaves_out_the_flow():
+    found = decisions(SLIDING)
+    assert found["flow"].left_out and not decisions(INJECTION)["flow"].left_out
+    assert "film storage" not in found
+
+
+def test_what_was_undone_is_told():
+    taken = [each for each in decide(Facts(load_text(SLIDING))) if each.part == "inertia"]
+    (back,) = with_undone(taken, {f"inertia, {taken[0].stage}": "time 2: 0.5"})
+    assert not back.left_out and as_lines([back])[0].endswith("undone at time 2: 0.5")
+
+
+def test_check_prints_decisions_sizes_and_cost(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text(INJECTION)
+    done = CliRunner().invoke(app, ["check", str(file)])
+    assert done.exit_code == 0, done.output
+    for word in ("plan: film storage", "; saves ", "displacement unknowns", "memory, about", "CPU s: "):
+        assert word in done.output
+    told = json.loads(CliRunner().invoke(app, ["check", str(file), "--json"]).output)
+    keys = {"part", "left_out", "criterion", "value", "limit", "error", "saves", "stage", "undone"}
+    assert all(set(each) == keys for each in told["plan"])
