@@ -19,6 +19,7 @@ DENSE, ROWS = 0.04, 0.03  # an iteration on the jumps: its dense LU, and what go
 LEAST = 0.02  # an iteration on all unknowns, and a step on the joints, however small the rock is
 ENTRIES = 10.0  # numbers in both factors, of n log2 n
 ITERATIONS = 2  # of Newton's method in a step in which few joints change
+USUAL = 3  # iterations of FGMRES with factors made before joints changed
 
 
 def _factor(unknowns: int) -> float:
@@ -31,8 +32,10 @@ def _solve(unknowns: int) -> float:
 
 
 def full_step(unknowns: int, iterations: float = ITERATIONS) -> float:
-    """Cost of a step with a factorisation in every iteration [LU of REFERENCE]."""
-    return iterations * (_factor(unknowns) + BESIDES * _solve(unknowns) + LEAST)
+    """Cost of a step on all unknowns, whose factors are new in every iteration or kept [LU of REFERENCE]."""
+    besides = iterations * (BESIDES * _solve(unknowns) + LEAST)
+    served = (iterations - 1.0) * (USUAL + 1.0) * SHARED * _solve(unknowns)
+    return besides + min(iterations * _factor(unknowns), _factor(unknowns) + served)
 
 
 def condensed_step(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks: int = 1) -> float:

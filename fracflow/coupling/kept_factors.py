@@ -1,20 +1,18 @@
-"""The factors of Newton's matrix: new ones in every iteration that changes it, or kept as long as they serve.
+"""The factors of Newton's matrix: new ones in every iteration that changes it, or kept through a step while they serve.
 
 Kept factors precondition FGMRES on the matrix that there is now. Joints that change are few beside the rock, and a change
-of low rank costs at most about so many iterations (Saad 2003, 6.11); what Newton's method converges to is the same.
+of low rank costs at most about so many iterations (Saad 2003, 6.11); what Newton's method converges to is the same. A step
+begins with factors of its own, so that it does not depend on which steps this process has made before.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 from fracflow._petsc import PETSc
-from fracflow.coupling.condensed_cost import solves_per_factor
+from fracflow.coupling.condensed_cost import USUAL, solves_per_factor
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.scene import Scene
 
 LEAST_WORTH = 2.0  # solves in the time of a factorisation: below, nothing is saved
-USUAL = 3  # iterations that kept factors may take in a solve
 SHARP = 1e-5  # of the right side: what is left there costs Newton's method next to no iteration
 LONGEST_PAUSE = 32  # changes of the matrix
 
@@ -31,7 +29,10 @@ class NewFactors:
         """How often the solver was set up."""
         return self.matrix.fills
 
-    def changed(self, kind: Any, must: bool = False) -> None:
+    def begin(self) -> None:
+        """A step begins."""
+
+    def changed(self, must: bool = False) -> None:
         """Take notice of a matrix that was filled."""
 
     def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
@@ -43,10 +44,9 @@ class NewFactors:
 
 
 class KeptFactors:
-    """LU of the matrix as it once was.
+    """LU of the matrix as it was in an earlier iteration of the step.
 
     New factors are made
-    - for another rule or length of step;
     - where FGMRES takes so long that they would have been cheaper, in one solve, or by what solves have taken beyond
       ``USUAL`` since the last ones: so both together take about twice the time, at most, of who knows beforehand when;
     - for a while after they served in no solve: for twice as many changes each time.
@@ -58,25 +58,31 @@ class KeptFactors:
         self.factored = matrix.matrix.duplicate()
         self._worth = solves_per_factor(matrix.layout.total)
         self._most = max(int(self._worth), 2 * USUAL)
-        self._kind: Any = None
-        self._spent, self._is_fresh = 0.0, False
-        self._pause = self._wait = 0
+        self._fills = -1  # of the matrix, when it was factored
+        self.begin()
         solver.setType("fgmres")
         solver.setGMRESRestart(self._most)
         solver.setTolerances(rtol=SHARP, max_it=self._most)
 
-    def changed(self, kind: Any, must: bool = False) -> None:
-        """Take notice of a matrix that was filled; ``kind`` is what it depends on beside its joints and fluid. Collective.
+    def begin(self) -> None:
+        """A step begins: what served in the one before is forgotten."""
+        self._spent, self._is_fresh, self._is_first = 0.0, False, True
+        self._pause = self._wait = 0
+
+    def changed(self, must: bool = False) -> None:
+        """Take notice of a matrix that was filled. Collective.
 
         must  the old factors are not to serve
         """
-        if must or kind != self._kind or self._spent > self._worth or self._wait > 0:
-            self._kind, self._wait = kind, max(self._wait - 1, 0)
+        is_other, is_first = self._fills != self.matrix.fills, self._is_first
+        self._is_first = False
+        if is_other and (must or is_first or self._spent > self._worth or self._wait > 0):
+            self._wait = max(self._wait - 1, 0)
             self._renew()
 
     def _renew(self) -> None:
         self.matrix.matrix.copy(self.factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.made, self._spent, self._is_fresh = self.made + 1, 0.0, True
+        self.made, self._fills, self._spent, self._is_fresh = self.made + 1, self.matrix.fills, 0.0, True
 
     def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
         """Iterations of the solve that was made; it is repeated with new factors where it did not converge. Collective."""

@@ -75,6 +75,7 @@ class Newton:
         self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
         made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm
         self._rounds = Rounds(problem)
+        self.factors.begin()
         for _ in range(MOST_CHANGES):
             self._pack(problem)
             self._is_start, self._circles, self._polished = True, False, False
@@ -139,9 +140,8 @@ class Newton:
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
         if is_loose := self._floats(problem):
             moduli = softly_held(moduli, self.matrix.operators.scales)
-        kind = problem.alphas, problem.flow_scale()
-        self.matrix.fill(problem.alphas, moduli, problem.conduction, kind[1], self.only)
-        self.factors.changed(kind, must=is_loose)
+        self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
+        self.factors.changed(must=is_loose)
         self._is_filled = True
 
     def _floats(self, problem: StepProblem, without: Bools | None = None) -> bool:

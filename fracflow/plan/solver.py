@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import isfinite
 
-from fracflow.coupling.condensed_cost import solves_per_factor
+from fracflow.coupling.condensed_cost import USUAL, solves_per_factor
 from fracflow.coupling.condensed_plan import condensing, may_choose
-from fracflow.coupling.kept_factors import LEAST_WORTH, USUAL, are_kept
+from fracflow.coupling.kept_factors import LEAST_WORTH, are_kept
 from fracflow.plan.decision import Decision, Facts
 
 
