@@ -91,8 +91,9 @@ class Twins(NamedTuple):
 
 
 def full_of(scene: Scene) -> Scene:
-    """The scene with nothing left out, and the method that it has, whichever ``model`` that came from."""
+    """The scene with nothing left out, and the method that it has but for kept factors, whichever ``model`` that came from."""
     data = scene.model_dump(exclude_none=True)
+    data["method"].pop("factors")
     return Scene.from_data({**data, "model": "full"}, scene.folder / scene.source)
 
 

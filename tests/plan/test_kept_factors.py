@@ -5,7 +5,7 @@ import pytest
 
 from fracflow.coupling import kept_factors
 from fracflow.output import read_history
-from fracflow.run import run
+from fracflow.run import resume, run
 from fracflow.scene import load
 
 ROCK = """
@@ -111,6 +111,31 @@ def test_kept_factors_change_nothing_but_the_work(history, monkeypatch, text, mo
     made, before = (each["step/factorisations"].sum() for each in (kept, new))
     assert made < 0.7 * before
     assert kept["step/newton"].sum() <= 1.6 * new["step/newton"].sum()
+
+
+@pytest.mark.serial
+def test_a_resumed_run_makes_the_same_factors(tmp_path, monkeypatch):
+    """Cut in the middle of slip: every number of the history to the last bit."""
+    monkeypatch.setattr(kept_factors, "LEAST_WORTH", 0.0)
+    file, whole, cut = (tmp_path / name for name in ("scene.toml", "whole", "cut"))
+    file.write_text(SLIDING.replace("steps = 40", "steps = 28"))
+    scene = load(file, ['method.coupling="whole-lu"', "output.checkpoint_every=5"])
+    run(scene, whole)
+
+    def stop(step):
+        if step.state.time > 0.0225:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        run(scene, cut, progress=stop)
+    resume(cut)
+    sought, found = (read_history(folder / "history.h5") for folder in (whole, cut))
+    assert "resumed after" in (cut / "log.txt").read_text()
+    assert sought["step/slipping"].max() > 0
+    assert sought["step/factorisations"].sum() < sought["step/newton"].sum()
+    assert [
+        k for k in sought if k != "step/factorisations" and not np.array_equal(sought[k], found[k], equal_nan=True)
+    ] == []
 
 
 @pytest.mark.serial

@@ -109,7 +109,7 @@ def test_report_model_resolves_methods(make):
     assert (report.storage, report.conductance, report.newton_test) == ("report", "report", "out-of-balance")
     assert (report.tangent, report.open_strength, report.coupling) == ("decoupled", "cohesion", "auto")
     assert make("model=report", "method.tangent=consistent").method.tangent == "consistent"
-    assert make("model=full").method == default.model_copy(update={"events": "located"})
+    assert make("model=full").method == default.model_copy(update={"events": "located", "factors": "new"})
     assert None not in default.model_dump().values()
 
 
