@@ -17,7 +17,8 @@ from fracflow.scene_actions import Stage
 from fracflow.stepping import EXPLICIT
 from fracflow.tables_time import TimeTable
 
-FEWER = 3.0  # times fewer steps, at least: each costs about as much as one with inertia
+FEWER = 10.0  # times fewer steps, at least: each costs about as much as one with inertia, and all may have been in vain
+RATES = ("velocity", "acceleration", "slip_rate", "flow_rate")  # a small vibration is most of them
 CRITERION = "T max(change of load rate within T)/(pi range), T the longest period, joints sticking"
 
 
@@ -61,8 +62,13 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
         return "a start that is not at rest"
     if any(stage.kind == "dynamic" for stage in earlier):
         return "the stage before has inertia"
-    if any(each.wave is not None for each in scene.absorbing):
-        return "a wave comes in"
+    for probe in scene.probe:
+        if asked := sorted(set(RATES).intersection(probe.quantities or RATES)):
+            return (
+                f"probe {probe.name} measures {asked[0]}, of which vibration is all (its quantities may leave that out)"
+            )
+    if scene.absorbing:
+        return "absorbing sides, which give way to slow loads and stand still without inertia"
     if any(start <= time <= end for time in scene.jump_times):
         return "something prescribed jumps"
     pumped = [well.flow_rate for well in scene.well if well.flow_rate is not None]

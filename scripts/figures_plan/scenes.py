@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from sheets import ROOT
 
-KINDS = ("steady", "quasi-static", "dynamic", "auto", "search")
+KINDS = ("steady", "quasi-static", "dynamic", "slow", "auto", "search")
 LAWS = ("hyperbolic-coulomb", "slip-weakening", "linear")
 SIDES = ["west", "east", "south", "north"]
 SIDE, STEPS, START = 10.0, 20, 1e6
 YOUNG, POISSON, DENSITY = 30e9, 0.2, 2600.0
 PERIOD = 4.0 * SIDE / np.sqrt(YOUNG / DENSITY)
-EVERY_BLOCK, EVERY_TOLERANCE = 6, 4  # seeds that take a rigid block, or state a tolerance
+EVERY_BLOCK, EVERY_TOLERANCE = 7, 5  # seeds that take a rigid block, or state a tolerance
+PERIODS, PARTS = 55.0, 10  # that a slow dynamic stage lasts, and its steps in each: more than it needs
 Data = dict[str, Any]
 
 
@@ -27,7 +28,8 @@ def scene(seed: int) -> Data:
     kind = KINDS[seed % len(KINDS)]
     law = LAWS[seed // 2 % (2 if kind in ("search", "auto") else len(LAWS))]
     if seed % EVERY_BLOCK == 2:
-        return block(draw, "quasi-static" if kind in ("auto", "search") else kind, law)
+        kind = "quasi-static" if kind in ("auto", "search") else kind
+        return block(draw, "dynamic" if kind == "slow" else kind, law)
     return rock(draw, kind, law, wet=kind == "search" or seed % 3 > 0, exact=seed % EVERY_TOLERANCE == 1)
 
 
@@ -61,6 +63,16 @@ def rock(draw: np.random.Generator, kind: str, law: str, wet: bool, exact: bool)
     absorbs = kind in ("dynamic", "auto") and bool(draw.integers(2))
     if kind == "search":
         data["control"] = {"raise": {"increment": 0.1}}
+    if kind == "slow":
+        data["probe"][0]["quantities"] = [
+            "displacement",
+            "slip",
+            "opening",
+            "shear_traction",
+            "normal_traction",
+            *(["pressure"] if wet else []),
+        ]
+        data["probe"][1]["quantities"] = ["displacement", "strain", "stress"]
     if not wet:
         shift = float(draw.uniform(1.0, 2.5)) * press * SIDE / YOUNG
         data["support"] = [
@@ -130,6 +142,8 @@ def joint(draw: np.random.Generator, law: str, press: float, wet: bool) -> Data:
 
 def duration(draw: np.random.Generator, kind: str) -> float:
     """Of the loads: some periods of the rock with inertia, few or many; seconds to days without."""
+    if kind == "slow":
+        return float(PERIODS * PERIOD)
     if kind in ("dynamic", "search"):
         return float(PERIOD * 10.0 ** draw.uniform(0.0, 2.5))
     return float(10.0 ** draw.uniform(0.0, 5.0))
@@ -144,6 +158,8 @@ def stages(draw: np.random.Generator, kind: str, lasts: float) -> list[Data]:
         return [search, {"kind": "dynamic", "time_step": step, "steps": STEPS, **raised}]
     if kind == "auto":
         return [{"kind": "auto", "time_step": step, "dynamic_time_step": PERIOD / 40, "end": lasts, "at_rest": 0.01}]
+    if kind == "slow":
+        return [{"kind": "dynamic", "time_step": PERIOD / PARTS, "end": lasts}]
     return [{"kind": kind, "time_step": step, "steps": STEPS}]
 
 
