@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
+from fracflow.plan.tied import PART
 from fracflow.run_auto import run_auto
 from fracflow.run_equilibrate import equilibrate
 from fracflow.run_plan import planned
@@ -22,6 +23,7 @@ from fracflow.run_setup import Model, on_root, prepare
 from fracflow.run_stages import run_stage
 from fracflow.run_start import rest, settle
 from fracflow.run_steps import Step, Stepping, stepper_of
+from fracflow.run_tied import Untied, watch_tied
 from fracflow.run_totals import Totals
 from fracflow.run_watch import Watch, Wish
 from fracflow.scene import Scene, load
@@ -43,14 +45,35 @@ def run(
 
     show  is given the scene card before the first step, on rank 0
 
-    Raises InputError, SolveError and Interrupted, on every rank.
+    Where a fracture that the plan ties turns out to slip or open, all begins anew with no fracture tied: the steps of the
+    first try are gone, and ``progress`` sees those of both. Raises InputError, SolveError and Interrupted, on every rank.
     """
+    undone: dict[str, str] = {}
+    try:
+        return _run(scene, folder, comm, progress, show, undone)
+    except Untied as broken:
+        undone = broken.undone
+    return _run(scene, folder, comm, progress, None, undone)
+
+
+def _run(
+    scene: Scene,
+    folder: str | Path,
+    comm: MPI.Comm,
+    progress: Progress | None,
+    show: Show | None,
+    undone: Mapping[str, str],
+) -> Totals:
+    """The same, without what an earlier try had to take back. Raises Untied besides."""
     began = clock.perf_counter()
     model = prepare(scene, comm)
     settle(model)
-    model = planned(model)
+    model = planned(model, undone)
     state = rest(model)
     recorder = Recorder(model, Path(folder), comm)
+    for part, when in undone.items():
+        recorder.totals.undone[part] = when
+        recorder.log(f"plan: {part}: undone at {when}: the run has begun anew, with all fractures in it")
     if show is not None and recorder.files is not None:
         show(recorder.files.card)
     sizes = model.operators.blocks.sizes
@@ -87,14 +110,20 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5"))
     model = prepare(scene, comm, mesh, cell_rank)
     settle(model)
-    model = planned(model)
+    model = planned(
+        model, {PART: notes["totals"]["undone"][PART]} if PART in notes["totals"]["undone"] else None, cell_rank
+    )
     step = Step(
         restore_state(model.operators, arrays, notes),
         notes["stage"], 0.0, StepReport(), notes["progress"],
     )  # fmt: skip
     recorder = Recorder(model, folder, comm, notes)
     recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
-    return _go(model, recorder, step, began, progress)
+    try:
+        return _go(model, recorder, step, began, progress)
+    except Untied as broken:
+        undone = broken.undone
+    return _run(scene, folder, comm, progress, None, undone)
 
 
 def has_ended(folder: Path) -> bool:
@@ -154,6 +183,7 @@ def _steps(
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
                 for step in steps(stepping, state, number, recorder.log, going_on):
                     recorder.record(step)
+                    watch_tied(stepping.model, step.state)
                     if progress is not None:
                         progress(step)
                     state.destroy()
@@ -165,6 +195,10 @@ def _steps(
                         failure = Interrupted(f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps")
                         raise failure
                 going_on = {}
+        except Untied:
+            for each in {id(state): state, id(step.state): step.state}.values():
+                each.destroy()
+            raise
         except (SolveError, Interrupted) as error:  # raised on every rank: what follows stays collective
             failure = error if isinstance(error, Interrupted) else of_stage(stage, error)
             recorder.log(f"stopped: {failure}")

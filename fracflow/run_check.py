@@ -10,7 +10,7 @@ from fracflow.card import Number, scene_card
 from fracflow.coupling.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
 from fracflow.mesh.split import summary
 from fracflow.plan import Decision, decide
-from fracflow.run_plan import find_facts, seconds_of_factors
+from fracflow.run_plan import planned, seconds_of_factors
 from fracflow.run_setup import Model, prepare
 from fracflow.run_start import settle
 from fracflow.scene import Scene
@@ -43,10 +43,11 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     pays = break_even(unknowns, sections)
     if sections and fits(unknowns, sections) and pays < math.inf:
         found["steps from which a condensed rock pays"] = pays
-    card = scene_card(scene, model.mesh, model.placed.wells)
-    decisions = decide(find_facts(model).with_card(card))
+    card, notes = scene_card(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
+    model = planned(model)
+    assert model.facts is not None
     found |= _cost(model, steps)
-    return found, [*model.mesh.notes, *model.placed.notes], card, decisions
+    return found, notes, card, decide(model.facts.with_card(card))
 
 
 def _cost(model: Model, steps: int) -> dict[str, str]:

@@ -3,29 +3,43 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from time import process_time
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.period import longest_period
+from fracflow.mesh.data import Ints
 from fracflow.plan.decision import Facts
 from fracflow.plan.inertia import asks_period, reduced
+from fracflow.plan.tied import PART
+from fracflow.run_idle import without_idle
 from fracflow.run_setup import Model
-from fracflow.run_start import rest
+from fracflow.run_start import rest, settle
+from fracflow.run_tied import find_shut, tied
 from fracflow.state import State
 
 LARGEST = PETSc.NormType.INFINITY
 
 
-def planned(model: Model) -> Model:
-    """The model without what its scene does not need; ``facts`` say why. It was settled before. Collective."""
-    facts = find_facts(model)
+def planned(model: Model, undone: Mapping[str, str] | None = None, cell_rank: Ints | None = None) -> Model:
+    """The model without what its scene does not need; ``facts`` say why. It was settled before. Collective.
+
+    undone     what an earlier try of the same run has taken back
+    cell_rank  partition of an earlier run, on rank 0
+    """
+    shut, undone = find_shut(model, Facts(model.scene)), undone or {}
+    if shut.names and PART not in undone:
+        model = tied(model, shut.names, cell_rank)
+        settle(model)
+    model, parts = without_idle(model)
+    facts = replace(find_facts(model), shut=shut, parts=parts, undone=undone)
     return replace(model, scene=reduced(facts), facts=facts)
 
 
 def find_facts(model: Model) -> Facts:
-    """What decisions look at, but for the scene card. Collective."""
+    """What decisions look at, but for the scene card, tied fractures and parts of the rock. Collective."""
     ops, scene = model.operators, model.scene
     facts = Facts(
         scene,

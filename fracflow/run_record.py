@@ -165,10 +165,10 @@ class Files:
         if notes is not None:
             read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
         self.folder = RunFolder(folder, resume=notes is not None)
-        self.card = scene_card(model.stated, self.mesh, self.placed.wells)
+        self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
         if notes is None:
-            save_mesh(self.mesh, self.folder / "mesh.h5")
+            save_mesh(model.stated_mesh, self.folder / "mesh.h5")
             self.folder.write_text("scene.toml", model.stated.dump_toml(folder.resolve()))
             self.write_plan(self.decisions)
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))

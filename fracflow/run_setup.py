@@ -54,7 +54,10 @@ class Placed:
 
 @dataclass(frozen=True)
 class Model:
-    """A scene made ready: ``mesh`` is on rank 0 only; ``facts`` are what its plan was made from."""
+    """A scene made ready: ``mesh`` is on rank 0 only; ``facts`` are what its plan was made from.
+
+    ``whole`` is the model with the fractures that the plan ties; None where it ties none.
+    """
 
     scene: Scene
     mesh: SplitMesh | None
@@ -62,11 +65,19 @@ class Model:
     operators: Operators
     loads: Loads
     facts: Facts | None = None
+    whole: Model | None = None
 
     @property
     def stated(self) -> Scene:
         """The scene as its file has it, where ``scene`` is what the plan leaves of it."""
         return self.scene if self.facts is None else self.facts.scene
+
+    @property
+    def stated_mesh(self) -> SplitMesh:
+        """The mesh with all fractures, on rank 0."""
+        mesh = (self.whole or self).mesh
+        assert mesh is not None
+        return mesh
 
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:

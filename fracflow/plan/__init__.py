@@ -12,23 +12,24 @@ from fracflow.plan import flow, outputs, solver
 from fracflow.plan.decision import Decision, Facts
 from fracflow.plan.inertia import decide_inertia
 from fracflow.plan.solver import factorisations
+from fracflow.plan.tied import decide_parts, decide_tied
 
 __all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations", "with_undone"]
 
 DECISIONS = (
     flow.flow_block, flow.one_way, flow.film_storage, flow.compressibility, flow.fluid_inertia,
-    decide_inertia, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
+    decide_inertia, decide_tied, decide_parts, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
 )  # fmt: skip
 
 
 def decide(facts: Facts) -> list[Decision]:
     """All decisions, before the first step."""
-    return [decision for find in DECISIONS for decision in find(facts)]
+    return with_undone((decision for find in DECISIONS for decision in find(facts)), facts.undone)
 
 
 def with_undone(decisions: Iterable[Decision], undone: Mapping[str, str]) -> list[Decision]:
-    """The same with what was taken back since: "part, stage" -> when and why."""
-    keys = ((each, f"{each.part}, {each.stage}") for each in decisions)
+    """The same with what was taken back since: "part, stage", or of the whole run "part" -> when and why."""
+    keys = ((each, f"{each.part}, {each.stage}" if each.stage else each.part) for each in decisions)
     return [replace(each, left_out=False, undone=undone[key]) if key in undone else each for each, key in keys]
 
 

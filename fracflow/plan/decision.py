@@ -34,6 +34,37 @@ class Decision:
 
 
 @dataclass(frozen=True)
+class Shut:
+    """The fractures that can neither slip, open nor conduct.
+
+    names       of them; empty where the plan ties none
+    share       of the jumps of all joints, theirs [1]
+    jumps       components that they have
+    compliance  E'/(k L), the largest of those named [1]
+    use         of the strength under what the scene's loads may add, the largest of those named [1]
+    stress      what that is, the most at one of those named [stress]
+    why         none are tied, or why not more
+    """
+
+    names: tuple[str, ...] = ()
+    share: float = 0.0
+    jumps: int = 0
+    compliance: float = 0.0
+    use: float = 0.0
+    stress: float = 0.0
+    why: str = "not asked"
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The parts of the rock that hang together with no other, and how many of them something loads; unknowns of the rest."""
+
+    count: int = 1
+    loaded: int = 1
+    unknowns: int = 0
+
+
+@dataclass(frozen=True)
 class Facts:
     """A scene as it is stated, and what its model tells of it.
 
@@ -43,6 +74,9 @@ class Facts:
     jumps       components of the jumps of all joint sections
     damps       some sides absorb waves
     card        numbers of the scene card by their names; on rank 0 only
+    shut        fractures that are tied, also where that was undone
+    parts       parts of the rock, also where all of them are kept
+    undone      what was taken back in an earlier try of the run: "part, stage" -> when and why
     """
 
     scene: Scene
@@ -54,6 +88,9 @@ class Facts:
     ranks: int = 1
     damps: bool = False
     card: Mapping[str, Number] = field(default_factory=dict)
+    shut: Shut = Shut()
+    parts: Parts = Parts()
+    undone: Mapping[str, str] = field(default_factory=dict)
 
     def with_card(self, numbers: Sequence[Number]) -> Facts:
         """The same with the scene card."""
