@@ -29,7 +29,10 @@ def planned(model: Model, undone: Mapping[str, str] | None = None, cell_rank: In
     undone     what an earlier try of the same run has taken back
     cell_rank  partition of an earlier run, on rank 0
     """
-    shut, undone = find_shut(model, Facts(model.scene)), undone or {}
+    shut, undone = (
+        find_shut(model, Facts(model.scene, unknowns=int(model.operators.layout.solid_starts[-1]))),
+        undone or {},
+    )
     if shut.names and PART not in undone:
         model = tied(model, shut.names, cell_rank)
         settle(model)

@@ -8,8 +8,10 @@ from math import inf
 import numpy as np
 from scipy.spatial import KDTree
 
+from fracflow.assembly.contact_mass import redistributes
 from fracflow.assembly.properties import initial_pressure
 from fracflow.elements import joint, solid
+from fracflow.laws import JOINT_LAWS
 from fracflow.laws.elastic import plane_strain_stiffness
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.glue import glued, groups
@@ -64,7 +66,7 @@ def _largest(model: Model, values: Floats, count: int) -> Floats:
 
 def find_shut(model: Model, facts: Facts) -> Shut:
     """The fractures of a settled model that may be tied. Collective."""
-    if why := why_none(model.scene):
+    if why := why_none(facts):
         return Shut(why=why)
     ops, comm, scene = model.operators, model.operators.layout.comm, model.scene
     known = comm.bcast(on_root(comm, lambda: _of_mesh(model)), root=0)
@@ -109,6 +111,8 @@ def _of_mesh(model: Model) -> Fractures:
     barred = np.zeros(count, dtype=bool)
     barred[fracture[np.isin(mesh.joint_flow, named).any(axis=1)]] = True
     barred[fracture[~deforms(mesh, scene)[mesh.joint_cells].all(axis=1)]] = True
+    if redistributes(scene):
+        barred |= np.array([JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures], dtype=bool)
     nodes = [np.unique(mesh.joint_flow[group[fracture] == number]) for number in range(group.max(initial=-1) + 1)]
     away = [KDTree(places[each]).query(places)[0] for each in nodes]  # (g, q) from every flow node
     apart = np.full((len(nodes), count), inf)

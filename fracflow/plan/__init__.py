@@ -1,6 +1,13 @@
 """What a scene needs and what it does not: model no more than that, say so, and look again while it runs.
 
-What would save no work is not left out: the record says so.
+What would save no work is not left out: the record says so. What is decided, each in a function of DECISIONS:
+
+flow       the pressures; what walls that move do to them; storage of the film; compressibility; inertia of the fluid
+inertia    of the rock, in stages whose loads are slow; put back at the first step that swings
+tied       fractures that can neither slip, open nor conduct; the run begins anew with them where one might
+parts      of the rock, which nothing loads; exact
+solver     factors of matrices that joints have changed since; the unknowns of the rock, condensed to the joints; exact
+outputs    fields of steps that nobody asks for; rock beyond absorbing sides
 """
 
 from __future__ import annotations
@@ -11,8 +18,9 @@ from dataclasses import asdict, replace
 from fracflow.plan import flow, outputs, solver
 from fracflow.plan.decision import Decision, Facts
 from fracflow.plan.inertia import decide_inertia
+from fracflow.plan.parts import decide_parts
 from fracflow.plan.solver import factorisations
-from fracflow.plan.tied import decide_parts, decide_tied
+from fracflow.plan.tied import decide_tied
 
 __all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations", "with_undone"]
 

@@ -28,7 +28,12 @@ SHARE = 0.2  # of all jumps: fewer would save little
 USE = 0.9  # of the strength, before a run and in every step of it
 NEARBY = 2.0  # what corners of the rock, ends of fractures and neighbours may make of a stress
 AT_ONCE = 2.0  # what a load that comes at once does, over what it does slowly (Biggs 1964, 2.3)
+LEAST = 2000  # displacements: fewer are solved for sooner than set up anew
 CELLS = 10.0  # cells that resolve a wave
+BARRED = (
+    "each is too soft, or a probe, a well or rigid rock is on it, or on what it meets,"
+    ' or method.contact = "redistributed" moves the mass of its walls'
+)
 LISTED = 5  # names that a record lists
 
 Use = Callable[[Floats], Floats]
@@ -45,7 +50,7 @@ class Fractures:
     facet      mean length of its facets [length]
     stiffness  the least at the start [stress/length]
     shear      largest initial shear traction [stress]
-    barred     a well, a probe or rigid rock meets it
+    barred     a well, a probe or rigid rock meets it, or its walls' mass is carried by the rock behind
     apart      (g, f) distance from each group [length]
     reach      (g,) half the extent of each group [length]
     area, size of the rock: its area, and its smaller extent [length^2, length]
@@ -69,12 +74,13 @@ class Fractures:
     impedance: float
 
 
-def why_none(scene: Scene) -> str:
+def why_none(facts: Facts) -> str:
     """Why no fracture may be tied, whatever its stress; empty where that decides."""
+    scene = facts.scene
     if scene.model != "default":
         return f'model = "{scene.model}" leaves nothing out'
-    if not scene.stage:
-        return "no stage"
+    if facts.unknowns < LEAST:
+        return f"{facts.unknowns} displacements are solved for in no time, below {LEAST}"
     if scene.initial is not None or scene.equilibrates or scene.carries_unbalanced:
         return "a start that is not at rest"
     if scene.output.fields_every:
@@ -142,7 +148,7 @@ def compliance(rock: Fractures, inertia: bool) -> Floats:
 def choose(facts: Facts, rock: Fractures, start: Mapping[str, float], use: Use) -> Shut:
     """The fractures that may be tied, by whole groups. Collective if ``use`` is."""
     scene, groups = facts.scene, len(rock.reach)
-    if why := why_none(scene) or ("" if groups else "there are none"):
+    if why := why_none(facts) or ("" if groups else "there are none"):
         return Shut(why=why)
     soft = compliance(rock, scene.has_dynamics)
     kept = np.zeros(groups, dtype=bool)
@@ -152,13 +158,15 @@ def choose(facts: Facts, rock: Fractures, start: Mapping[str, float], use: Use) 
     order = np.argsort(adds, kind="stable")
     kept[order[np.cumsum(adds[order]) > facts.tolerance]] = True
     if kept.all():
-        return Shut(why="each that may be is named, pumped into, or too soft", compliance=float(soft.min()))
+        return Shut(why=BARRED, compliance=float(soft.min()))
     loads, fluid = stress_of_loads(scene, rock), pressure_of_wells(scene, start)
     factor = NEARBY * (AT_ONCE if scene.has_dynamics else 1.0)
     while True:
         lost = loads + fluid + float(rock.shear[kept[rock.group]].max(initial=0.0))
-        stress = factor * (loads + lost * shed(rock.apart[kept], rock.reach[kept, None]).sum(axis=0))
-        found = use(np.where(kept[rock.group], 0.0, stress))
+        shares = shed(rock.apart[kept], rock.reach[kept, None]).sum(axis=0)
+        shares[kept[rock.group]] = 0.0
+        stress = factor * (loads + lost * shares)
+        found = use(stress)
         fails = ~kept[rock.group] & (found > USE)
         if not fails.any():
             break
@@ -199,16 +207,4 @@ def decide_tied(facts: Facts) -> list[Decision]:
         Decision(
             PART, bool(shut.names), criterion, value if not shut.why or shut.share else shut.why, limit, error, saves
         )
-    ]
-
-
-def decide_parts(facts: Facts) -> list[Decision]:
-    """Parts of the rock on which nothing acts that changes: they stay as they are, exactly."""
-    parts = facts.parts
-    idle = parts.count - parts.loaded
-    value = f"{parts.loaded} of {parts.count}" if parts.count > 1 else "all of it is one"
-    saves = f"{parts.unknowns} unknowns, which are held" if idle else "nothing: each part is loaded"
-    criterion = "parts of the rock that hang together, and carry a load, a support that moves, a wave or a well"
-    return [
-        Decision("parts of the rock that nothing loads", idle > 0, criterion, value, "all parts", "none: exact", saves)
     ]
