@@ -84,6 +84,7 @@ class _Regimes:
             scene,
             scene.stage[number],
         )
+        self.kinks = scene.kink_times
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
         locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
@@ -132,13 +133,19 @@ class _Regimes:
         return found
 
     def _target(self, time: float, step: float) -> tuple[float, bool]:
-        """Where a step ends: just before the next jump of what is prescribed, or with the stage; and whether at a jump."""
+        """Where a step ends: just before the next jump of what is prescribed; and whether it is there.
+
+        Or else at its next kink, which may be the peak of a pulse, or with the stage.
+        """
         assert self.stage.end is not None and self.stage.time_step is not None
+        least = NEAR * self.stage.time_step
+        ends = [(self.stage.end, False)] if time + step > self.stage.end - NEAR * step else [(time + step, False)]
         for jump in self.scene.jump_times:
-            slack = max(NEAR * self.stage.time_step, 1e-11 * abs(jump))  # tables are sampled from the left there
-            if time < jump - 2.0 * slack and time + step > jump - 2.0 * slack:
-                return jump - slack, True
-        return (self.stage.end, False) if time + step > self.stage.end - NEAR * step else (time + step, False)
+            slack = max(least, 1e-11 * abs(jump))  # tables are sampled from the left there
+            if time < jump - 2.0 * slack and ends[0][0] > jump - 2.0 * slack:
+                ends.append((jump - slack, True))
+        ends += [(kink, False) for kink in self.kinks if time + least < kink < ends[0][0] - least]
+        return min(ends)
 
     def _attempt(self, state: State, time: float) -> tuple[State, StepReport] | str:
         """A step without inertia, or why there is none of its length."""

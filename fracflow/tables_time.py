@@ -13,6 +13,7 @@ Floats = NDArray[np.float64]
 Around = tuple[float, float]
 """Lengths of the step that ends at a time and of the one that follows; 0 where a stage begins or ends, or time has no part."""
 AT_ONCE: Around = (0.0, 0.0)
+STRAIGHT = 1e-9  # relative change of a slope that is round-off
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,18 @@ class TimeTable:
         found = np.diff(values)
         at = found != 0.0 if self.interpolation == "step" else (np.diff(times) == 0.0) & (found != 0.0)
         return times[1:][at], found[at]
+
+    @property
+    def kinks(self) -> Floats:
+        """Times at which its slope changes, but for jumps."""
+        times, values = np.array(self.times), np.array(self.values)
+        if self.interpolation == "step" or len(times) < 2:
+            return np.zeros(0)
+        length = np.diff(times)
+        slope = np.divide(np.diff(values), length, out=np.zeros_like(length), where=length > 0.0)
+        before, after = np.append(0.0, slope), np.append(slope, 0.0)
+        bends = np.abs(after - before) > STRAIGHT * np.maximum(np.abs(before), np.abs(after))
+        return np.setdiff1d(times[bends], self.jumps[0])
 
     def around(self, time: Floats | float, before: float, after: float) -> Floats:
         """Sample the table at times (n,) of steps: ``before`` is the length of the step that ends there, ``after`` of the next.

@@ -56,6 +56,18 @@ def test_a_slider_goes_as_far_and_as_often_as_its_spring_and_dashpot_say(shared_
     assert TOLD not in (shared_tmp / "log.txt").read_text()
 
 
+def test_a_pulse_shorter_than_a_slow_step_is_not_stepped_over(shared_tmp):
+    """Strength is reached where the pulse has 0.1 (k + k_s)/k_s; the event is over long before the pulse is."""
+    pulse = ("load.1.force=[[[0, 0], [100, 0], [250, 0.25], [400, 0]], 0]", "stage.push.end=500")
+    run(load(SCENE, [*ONE, *pulse]), shared_tmp, MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    history, rows = read_history(shared_tmp / "history.h5"), read_events(shared_tmp / "events.csv")
+    (event,) = [row for row in rows if row["kind"] == "event"]
+    assert event["start"] == pytest.approx(100.0 + 600.0 * 0.1 * (SPRING + STIFF) / STIFF, rel=5e-3)
+    at_rest = history["time"][history["step/kind"] == 1]
+    assert all(np.abs(at_rest - kink).min() < 1e-9 for kink in (100.0, 250.0, 400.0))
+
+
 def test_an_event_that_nothing_damps_is_told_of_once(shared_tmp):
     """m = 1, k = 1: without its dashpot the slider swings on past twenty periods of 2 pi."""
     undamped = ("absorbing=[]", "stage.push.end=550", "stage.push.dynamic_time_step=0.5")
