@@ -151,7 +151,8 @@ class Recorder:
         """Close the files, whatever happened."""
         if self.files is not None:
             self.files.history.close()
-            self.files.events.close()
+            catalogue = self.files.catalogue
+            self.files.events.close(catalogue.unfinished() if catalogue is not None else None)
             self.files.folder.close()
 
 

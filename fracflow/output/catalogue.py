@@ -64,6 +64,7 @@ class Catalogue:
         """Begin where nothing is under way."""
         self.ends, self.is_moving = ends, False
         self.before: dict[str, Any] = {}
+        self.now: Instant | None = None
         self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros(len(ends.length))
 
     def update(self, now: Instant, moves: bool) -> dict[str, Any] | None:
@@ -82,8 +83,14 @@ class Catalogue:
             self.before = {"slip": now.slip.tolist(), "traction": now.traction.tolist()}
             self.before |= {"energy": dict(now.energy), "injected": now.injected}
             self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros_like(self.peak)
-        self.is_moving = moves
+        self.is_moving, self.now = moves, now
         return row
+
+    def unfinished(self) -> dict[str, Any] | None:
+        """The row of an event under way as it was last seen, without an end."""
+        if self.now is None or not self.is_moving or self.first < 0:
+            return None
+        return self.row(self.now) | {"end": None}
 
     def row(self, now: Instant) -> dict[str, Any]:
         """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where the first slid."""

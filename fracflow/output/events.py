@@ -100,14 +100,18 @@ class EventLog:
 
     def add(self, event: Mapping[str, Any]) -> None:
         """A row of kind "event", of what ``Catalogue`` gives: ``place`` is the row of a node in the table of nodes."""
-        self.rows.append(
-            {"kind": "event", **self._place(event["place"])} | {k: v for k, v in event.items() if k != "place"}
-        )
+        self.rows.append(self._of(event))
         self._write()
 
-    def close(self) -> None:
-        """Write the file with the latest slip of events still under way."""
-        self._write()
+    def close(self, unfinished: Mapping[str, Any] | None = None) -> None:
+        """Write the file with the latest slip of what is under way, and the row of an ``unfinished`` event.
+
+        That row is no part of the memory: a run that goes on puts another in its place.
+        """
+        self._write([self._of(unfinished)] if unfinished is not None else [])
+
+    def _of(self, event: Mapping[str, Any]) -> dict[str, Any]:
+        return {"kind": "event", **self._place(event["place"])} | {k: v for k, v in event.items() if k != "place"}
 
     def memory(self) -> dict[str, Any]:
         """All that the log knows, as plain lists."""
@@ -143,14 +147,14 @@ class EventLog:
         row["slip"] = float(plastic_slip[i] - running.slip_before[i])
         row["peak_slip_rate"] = float(running.peak_rate[i])
 
-    def _write(self) -> None:
+    def _write(self, besides: Sequence[dict[str, Any]] = ()) -> None:
         for kind, running in self._running.items():
             for i in np.flatnonzero(running.row >= 0):
                 self._measure(kind, int(i), self._plastic_slip)
         text = io.StringIO()
         table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
         table.writeheader()
-        table.writerows(self.rows)
+        table.writerows([*self.rows, *besides])
         write_atomic(self.path, text.getvalue())
 
 

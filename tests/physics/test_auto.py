@@ -7,7 +7,7 @@ from fracflow._petsc import MPI
 from fracflow.coupling.period import longest_period
 from fracflow.errors import InputError
 from fracflow.output import read_events, read_history
-from fracflow.run import run
+from fracflow.run import resume, run
 from fracflow.run_setup import prepare
 from fracflow.run_start import rest
 from fracflow.scene import load
@@ -28,6 +28,10 @@ ONE = (
     "stage.push.time_step=500",
     "output.event_length=2",
 )
+
+
+class Stop(Exception):
+    """Out of a run, as a fault would."""
 
 
 def test_a_slider_goes_as_far_and_as_often_as_its_spring_and_dashpot_say(shared_tmp):
@@ -66,6 +70,27 @@ def test_a_pulse_shorter_than_a_slow_step_is_not_stepped_over(shared_tmp):
     assert event["start"] == pytest.approx(100.0 + 600.0 * 0.1 * (SPRING + STIFF) / STIFF, rel=5e-3)
     at_rest = history["time"][history["step/kind"] == 1]
     assert all(np.abs(at_rest - kink).min() < 1e-9 for kink in (100.0, 250.0, 400.0))
+
+
+def test_an_event_under_way_has_a_row_without_end_that_going_on_replaces(shared_tmp):
+    """It starts at 408 and lasts 3.6: cut at 409 it has slipped a part of what it does in the end."""
+
+    def stop(step):
+        if step.state.time > 409.0:
+            raise Stop
+
+    every = ("output.checkpoint_every=1", "stage.push.end=450")
+    with pytest.raises(Stop):
+        run(load(SCENE, [*ONE, *every]), shared_tmp, MPI.COMM_WORLD, stop)
+    MPI.COMM_WORLD.barrier()
+    (begun,) = [row for row in read_events(shared_tmp / "events.csv") if row["kind"] == "event"]
+    MPI.COMM_WORLD.barrier()
+    resume(shared_tmp, MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    (event,) = [row for row in read_events(shared_tmp / "events.csv") if row["kind"] == "event"]
+    assert begun["end"] is None and event["end"] == pytest.approx(event["start"] + 3.63, rel=0.01)
+    assert begun["start"] == event["start"] and 0.0 < begun["slip"] < 0.5 * event["slip"]
+    assert begun["unclosed"] <= 1e-6 and abs(begun["dropped"]) <= 1e-9 and begun["moment"] < 0.5 * event["moment"]
 
 
 def test_an_event_that_nothing_damps_is_told_of_once(shared_tmp):
