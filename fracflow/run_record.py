@@ -264,7 +264,6 @@ class Files:
 
         # A tip has no jump: what its law does with a stress past its strength is no slip.
         parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
-
         is_open = parts & brought("open", True).astype(bool)
         if told := self.chatter.update(step.stage, is_open):
             self.folder.log(

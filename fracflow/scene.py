@@ -188,7 +188,7 @@ class Scene(Part):
     @property
     def kink_times(self) -> tuple[float, ...]:
         """Instants, ascending, at which the slope of a table in time changes [time]."""
-        return tuple(sorted({float(time) for table in _tables(self) for time in table.kinks}))
+        return tuple(sorted({float(time) for table in self.time_tables for time in table.kinks}))
 
     @property
     def driving_tables(self) -> tuple[TimeTable, ...]:
