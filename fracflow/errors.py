@@ -13,6 +13,10 @@ class NotConverged(SolveError):
     """An iteration did not converge; a shorter step may."""
 
 
+class Restless(NotConverged):
+    """Joint sections kept changing their status, whatever the linear solver; a shorter step may converge."""
+
+
 class Unsolved(NotConverged):
     """A linear solve left too much."""
 

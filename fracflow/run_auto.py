@@ -99,10 +99,11 @@ class _Regimes:
         while True:
             time, jumps = self._target(state.time, course.step)
             dt = time - state.time
-            tried = self._attempt(state, time)
+            brief = min(dt, course.step) > course.least * (1.0 + NEAR)
+            tried = self._attempt(state, time, brief)
             if not isinstance(tried, str):
                 break
-            if min(dt, course.step) <= course.least * (1.0 + NEAR):
+            if not brief:
                 self.log(f"time {state.time:.9g}: an event begins: {tried}")
                 return None, StepReport(), course
             course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
@@ -147,11 +148,11 @@ class _Regimes:
         ends += [(kink, False) for kink in self.kinks if time + least < kink < ends[0][0] - least]
         return min(ends)
 
-    def _attempt(self, state: State, time: float) -> tuple[State, StepReport] | str:
-        """A step without inertia, or why there is none of its length."""
+    def _attempt(self, state: State, time: float, brief: bool = False) -> tuple[State, StepReport] | str:
+        """A step without inertia, or why there is none of its length; a ``brief`` one is given up early."""
         dt, allowed = time - state.time, self.scene.accuracy.step_error
         try:
-            new, report = self.stepping.step(state, self.still, time, dt, state.controls)
+            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=brief)
         except NotConverged as failure:
             return str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0]
         why = runs_away(self.model, state, new, dt)

@@ -132,6 +132,7 @@ class Stepping:
         lacking: float = 0.0,
         hold: bool = False,
         ahead: float | None = None,
+        brief: bool = False,
     ) -> tuple[State, StepReport]:
         """One step to ``time``, by default under the loads of the scene and no restraint.
 
@@ -141,6 +142,7 @@ class Stepping:
         lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
         hold     all joint sections keep their status
         ahead    length of the step that follows, 0 where the stage ends; by default as long as this one
+        brief    what takes long is given up, for it will be shortened
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         if isinstance(stepper, Explicit) and (count := self.explicit.count(dt)) > 1:
@@ -154,16 +156,15 @@ class Stepping:
             )
         rule = stepper if state.memory.time_step > 0.0 else first(stepper)
         loads = loads or self.model.loads
-        new, report = self._step_by(rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold, ahead)
+        given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief)
+        new, report = self._step_by(rule, state, *given)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
         if left < NARROWS:
             new.destroy()
             what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
             self.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
             rule = first(stepper)
-            new, report = self._step_by(
-                rule, state, stepper, time, dt, controls, loads, restraint, lacking, hold, ahead
-            )
+            new, report = self._step_by(rule, state, *given)
         self.network.tell(time)
         return new, report
 
@@ -180,6 +181,7 @@ class Stepping:
         lacking: float,
         hold: bool,
         ahead: float | None,
+        brief: bool,
     ) -> tuple[State, StepReport]:
         last = state.memory.time_step
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
@@ -200,6 +202,7 @@ class Stepping:
             problem = (StepProblem if explicit is None else ExplicitProblem)(
                 self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial, hold, around
             )
+            problem.brief = brief
             try:
                 report = (explicit or self._coupling(closed)).solve(problem)
                 new = accept(problem, state.energy)

@@ -9,7 +9,7 @@ from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.newton_methods import NewtonReport
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import NotConverged
+from fracflow.errors import NotConverged, Restless
 from fracflow.scene import Scene
 from fracflow.state import StepReport
 
@@ -79,7 +79,9 @@ class Auto(WholeLU):
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
         try:
             return super().solve(problem)
-        except NotConverged:
+        except NotConverged as failure:
+            if problem.brief and isinstance(failure, Restless):
+                raise
             self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
         start_again(problem)
         problem.evaluate()

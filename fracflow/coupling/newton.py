@@ -21,13 +21,14 @@ from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.coupling.newton_failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
 from fracflow.coupling.newton_methods import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.errors import NotConverged, SolveError
+from fracflow.errors import NotConverged, Restless, SolveError
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
 PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
+BRIEF = 25  # iterations of a step that had better be shortened
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -248,6 +249,7 @@ class Newton:
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
         assert problem is not None
+        most = min(accuracy.max_iterations, BRIEF) if problem.brief else accuracy.max_iterations
         self._out_of_balance.append(problem.residual.out_of_balance)
         if iteration == 0:
             self._inner.begin()
@@ -259,9 +261,9 @@ class Newton:
         # one more where little runs beside what full pressure would drive: wells are to work by what runs
         more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
         self._polished = self._balanced(problem, iteration)
-        if self._polished and not (more and 0 < iteration < accuracy.max_iterations):
+        if self._polished and not (more and 0 < iteration < most):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
-        return int(reasons.DIVERGED_MAX_IT if iteration >= accuracy.max_iterations else reasons.ITERATING)
+        return int(reasons.DIVERGED_MAX_IT if iteration >= most else reasons.ITERATING)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual
@@ -284,7 +286,9 @@ class Newton:
         if is_loose and problem.residual.solid <= SLACK * self.scene.accuracy.residual and self.floating is not None:
             return NotConverged(describe_floating(self.scene, problem, self.floating, self._round_off(problem)))
         loose = self.floating if is_loose else None
-        return NotConverged(describe_failure(self.scene, problem, restless, flipped, why, iterations, loose))
+        changes = self.matrix.layout.comm.allreduce(bool((restless | flipped).any()), op=MPI.LOR)
+        failure = Restless if changes else NotConverged
+        return failure(describe_failure(self.scene, problem, restless, flipped, why, iterations, loose))
 
     def destroy(self) -> None:
         """Free the solver. Collective."""
