@@ -107,6 +107,8 @@ class Floating:
         self.natural = joint.RULES[quadrature][0]
         joints = blocks.joints
         self.sides = np.stack([block.piece[joints.bottom[:, 0]], block.piece[joints.top[:, 0]]], axis=1)
+        apart = self.sides[:, 0] != self.sides[:, 1]  # walls of one block hold nothing that floats
+        self.holds = np.repeat(apart, len(self.natural))[:, None]
         ends = block.points[joints.bottom]
         self.frame = joint.frame(ends)[0]
         self.places = on_joints(ends, self.natural).reshape(-1, 2)
@@ -122,8 +124,7 @@ class Floating:
         tangent = sections.tangent
         carried = np.any(tangent != 0.0, axis=1)  # (s, 2): along, across
         carried[:, -1] |= is_filled
-        if without is not None:
-            carried &= ~without
+        carried &= self.holds if without is None else self.holds & ~without
         same = self._carried is not None and np.array_equal(carried, self._carried)
         if not self.operators.layout.comm.allreduce(int(not same)):
             return self.motions
