@@ -15,13 +15,16 @@ CLOSED = 1e-6  # of an event's energy
 LEAST_EVENTS, FELT = 3, 2.0  # so many of that magnitude; what comes to nothing is an event too
 
 
-def draw(folder: Path, found: Path | None = None) -> list[Check]:
-    """Run the scene unless a run is ``found``, draw ``cycle`` into ``folder`` and return the bars."""
-    if found is None:
-        scene = fracflow.load(ROOT / "meshes" / "injection_cycle" / "scene.toml", ["output.pictures=false"])
-        run = fracflow.run(scene, folder / "run")
-    else:
-        run = fracflow.open(found)
+def ran(folder: Path, found: Path | None = None) -> Run:
+    """Run the scene, in ``folder``, unless a run is ``found``."""
+    if found is not None:
+        return fracflow.open(found)
+    scene = fracflow.load(ROOT / "meshes" / "injection_cycle" / "scene.toml", ["output.pictures=false"])
+    return fracflow.run(scene, folder / "run")
+
+
+def draw(run: Run, folder: Path) -> list[Check]:
+    """Draw ``cycle`` into ``folder`` and return the bars."""
     events = run.events[run.events["kind"] == "event"]
     days = run.times / DAY
     names = sorted(run.probes)
