@@ -149,7 +149,7 @@ class _Regimes:
         return min(ends)
 
     def _attempt(self, state: State, time: float, brief: bool = False) -> tuple[State, StepReport] | str:
-        """A step without inertia, or why there is none of its length; a ``brief`` one is given up early."""
+        """A step without inertia, or why there is none of its length; ``brief`` as in ``Stepping.step``."""
         dt, allowed = time - state.time, self.scene.accuracy.step_error
         try:
             new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=brief)

@@ -142,7 +142,7 @@ class Stepping:
         lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
         hold     all joint sections keep their status
         ahead    length of the step that follows, 0 where the stage ends; by default as long as this one
-        brief    what takes long is given up, for it will be shortened
+        brief    it will be shortened where sections keep changing, and not be given to another solver
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         if isinstance(stepper, Explicit) and (count := self.explicit.count(dt)) > 1:

@@ -28,7 +28,6 @@ from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
 PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
-BRIEF = 25  # iterations of a step that had better be shortened
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -249,7 +248,6 @@ class Newton:
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
         assert problem is not None
-        most = min(accuracy.max_iterations, BRIEF) if problem.brief else accuracy.max_iterations
         self._out_of_balance.append(problem.residual.out_of_balance)
         if iteration == 0:
             self._inner.begin()
@@ -261,9 +259,9 @@ class Newton:
         # one more where little runs beside what full pressure would drive: wells are to work by what runs
         more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
         self._polished = self._balanced(problem, iteration)
-        if self._polished and not (more and 0 < iteration < most):
+        if self._polished and not (more and 0 < iteration < accuracy.max_iterations):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
-        return int(reasons.DIVERGED_MAX_IT if iteration >= most else reasons.ITERATING)
+        return int(reasons.DIVERGED_MAX_IT if iteration >= accuracy.max_iterations else reasons.ITERATING)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual
