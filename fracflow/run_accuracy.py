@@ -17,6 +17,7 @@ from fracflow.state import State
 from fracflow.stepping import Rates, Stepper, storage_error
 
 FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
+LATE = 2.0  # as much less a film may be wrong, over what is allowed at the end of a stage, than as it begins
 LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
 
 
@@ -66,7 +67,8 @@ class Judge:
     With ``accuracy.step_error`` the error that a part adds is held to that. With ``accuracy.tolerance`` it is held to a
     share of it: with inertia dt/(length of the stage), for what is wrong stays wrong, and errors add up; without, where
     only what the fractures store remembers, dt/(time since the stage began), for a film drains, and forgets the earlier
-    errors as it goes on. Neither: nothing is judged.
+    errors as it goes on, and down to a third of that towards the end of the stage, as errors made there stay. Neither:
+    nothing is judged.
 
     A part's own end, and what was refused, show how far the motion will go; but that is believed only until what is
     accepted has come as far, for a long part may end on the peak of a load that is over at once.
@@ -127,7 +129,8 @@ class Judge:
         size = self._size(new)
         largest = max(self.largest, self.guess, size)
         if self.of_film:
-            error, span = self._film_error(dt, old, new), new.time - self.start
+            since = new.time - self.start
+            error, span = self._film_error(dt, old, new), since * (1.0 + LATE * since / (self.length or np.inf))
         else:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length

@@ -5,6 +5,7 @@ Parts are powers of 1/2 of a step, or of what is left of it after an event, each
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,9 @@ from fracflow.scene import Scene
 from fracflow.state import State, StepReport
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
+MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
+LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/2) in a film that a jump enters
+DEEPEST = 6  # halvings at once
 AT_A_JUMP = 1e-9  # of a step: times so near are one
 EFFORT = 20  # Newton iterations of a part from which on the next one is shorter
 
@@ -39,12 +43,14 @@ class Rules:
     order    order of the local error in its length, 0 where nothing controls it
     events   events in a step that parts end at; later ones are taken as they fall
     finest   times that it may be halved to be accurate, where that is not ``most``: it is then halved on from there
+    prompt   the next part is twice as long as soon as it may be: no factors are kept that would serve again
     """
 
     most: int
     order: int = 0
     events: int = 0
     finest: int = 0
+    prompt: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,7 +125,10 @@ def in_parts(
     place = place or Place()
     while place.fraction < 1.0:
         most = rules.most + (place.level if rules.finest else 0)
+        refused: dict[int, float] = {}
         for level, size in _sizes(place, max(most, rules.finest)):
+            if level < min(place.level, rules.finest):
+                continue
             start, end = place.fraction, replace(place, part=place.part + size).fraction
             try:
                 found = attempt(state, start, end, place.events < rules.events)
@@ -131,12 +140,22 @@ def in_parts(
                 raise NotConverged(f"{error}{tried}") from error
             if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
-                place = replace(place, level=level + 1, calm=0)
+                refused[level] = found.error
+                place = replace(place, level=level + (_halvings(refused, rules.order) if rules.finest else 1), calm=0)
                 continue
             break
         place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
         yield PartOfStep(found.state, found.report, start, place)
         state = found.state
+
+
+def _halvings(refused: Mapping[int, float], order: int) -> int:
+    """How many more a part needs whose errors, over what is allowed, at levels so far were these: as they fell, they fall."""
+    (level, error), *before = reversed(refused.items())
+    falls = float(order)
+    if before:
+        falls = math.log2(before[0][1] / error) / (level - before[0][0])
+    return max(1, min(DEEPEST, math.ceil(math.log2(error) / max(LEAST_ORDER, falls))))
 
 
 def _sizes(place: Place, most: int) -> Iterator[tuple[int, float]]:
@@ -157,6 +176,9 @@ def _after(place: Place, size: float, found: Attempted, end: float, rules: Rules
         return place
     if found.report.newton > EFFORT and place.level < rules.most:
         return replace(place, level=place.level + 1, calm=0)
+    if rules.prompt:
+        longer = found.error < MARGIN * 0.5**rules.order
+        return replace(place, level=max(place.level - longer, 0))
     calm = place.calm + 1 if found.error < 0.5 ** (rules.order + 1) else 0
     return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)
 

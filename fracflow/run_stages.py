@@ -149,6 +149,7 @@ def run_stage(
         judge.order,
         model.scene.accuracy.max_events if locates else 0,
         judge.finest,
+        judge.of_film,
     )
     fills = stepper.storage and model.operators.flow is not None
     # what may jump in any step is sampled by means, as all is where events are not located

@@ -33,11 +33,12 @@ def storage_error(stepper: Stepper, dt: float, rates: Rates) -> Any:
 
     With divided differences for the derivatives: backward Euler leaves dt^2/2 of the second one, the trapezoid dt^3/12
     of the third, BDF2 dt^2 (dt + last)^2/(6 (2 dt + last)) of it (Hairer, Norsett and Wanner 1993, III.5). Rules with a
-    memory begin by backward Euler.
+    memory begin by backward Euler. Of a stage's first step, whose rate at its start nobody knows, it is about a third of
+    what is stored in it: a half where the rate rises evenly, 0.19 where a pressure jumps (erfc against its exponential).
     """
     last = rates.last
     if last == 0.0:
-        return 0.5 * dt * (rates.new - rates.old)
+        return dt * (rates.new - rates.old) / 3.0
     before = 2.0 / last * (rates.old - rates.mean_last)  # the second derivative that the rule itself had
     if isinstance(stepper, Trapezoid):
         return dt**3 / 6.0 / (dt + last) * ((rates.new - rates.old) / dt - before)

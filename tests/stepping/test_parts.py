@@ -125,3 +125,17 @@ def test_a_tolerance_halves_on_where_convergence_gives_up():
     assert taken(wrong, rules, place)[0][:2] == (0.0, 1 / 128)
     with pytest.raises(NotConverged, match="after 2 halvings"):
         taken(reaching(longest=1 / 256), rules, place)
+
+
+def test_a_tolerance_comes_at_once_to_where_errors_fall_to():
+    """Of errors that fall with dt^(1/2) from 48, 2304 parts are right; the rule's order says 7, what was tried the rest."""
+    attempt = reaching(error=lambda size: 48.0 * size**0.5)
+    first = taken(attempt, Rules(6, order=2, finest=24))[0]
+    assert [end for _, end in attempt.tried[:3]] == [1.0, 1 / 8, 1 / 512] and first[:2] == (0.0, 1 / 4096)
+
+
+def test_prompt_parts_double_as_their_errors_foretell():
+    """A part of 1/2 is allowed, one of 1 is not; each length is left as soon as the next one fits the place."""
+    rules = Rules(6, order=2, finest=24, prompt=True)
+    ends = [part[1] for part in taken(reaching(error=lambda size: (size / 0.6) ** 2), rules, Place(level=6))]
+    assert ends == [1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0]
