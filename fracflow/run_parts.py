@@ -17,6 +17,7 @@ CALM = 2  # parts in a row that could have been twice as long, before the next o
 MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
 LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/2) in a film that a jump enters
 DEEPEST = 6  # halvings at once
+HOPELESS = 1e100  # times what is allowed: errors beyond are as large as each other
 AT_A_JUMP = 1e-9  # of a step: times so near are one
 EFFORT = 20  # Newton iterations of a part from which on the next one is shorter
 
@@ -125,9 +126,9 @@ def in_parts(
     place = place or Place()
     while place.fraction < 1.0:
         most = rules.most + (place.level if rules.finest else 0)
-        refused: dict[int, float] = {}
+        refused: list[tuple[int, float]] = []
         for level, size in _sizes(place, max(most, rules.finest)):
-            if level < min(place.level, rules.finest):
+            if rules.finest and level < place.level:
                 continue
             start, end = place.fraction, replace(place, part=place.part + size).fraction
             try:
@@ -140,8 +141,9 @@ def in_parts(
                 raise NotConverged(f"{error}{tried}") from error
             if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
-                refused[level] = found.error
-                place = replace(place, level=level + (_halvings(refused, rules.order) if rules.finest else 1), calm=0)
+                refused.append((level, min(found.error, HOPELESS)))
+                deeper = min(level + _halvings(refused, rules.order), rules.finest) if rules.finest else level + 1
+                place = replace(place, level=deeper, calm=0)
                 continue
             break
         place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
@@ -149,12 +151,12 @@ def in_parts(
         state = found.state
 
 
-def _halvings(refused: Mapping[int, float], order: int) -> int:
-    """How many more a part needs whose errors, over what is allowed, at levels so far were these: as they fell, they fall."""
-    (level, error), *before = reversed(refused.items())
+def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:
+    """How many more a part needs that had these errors, over what is allowed, at these levels: as they fell, they fall."""
+    level, error = refused[-1]
     falls = float(order)
-    if before:
-        falls = math.log2(before[0][1] / error) / (level - before[0][0])
+    if len(refused) > 1:
+        falls = math.log2(refused[-2][1] / error) / (level - refused[-2][0])
     return max(1, min(DEEPEST, math.ceil(math.log2(error) / max(LEAST_ORDER, falls))))
 
 
