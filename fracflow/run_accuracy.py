@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.compression import compression_of
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats
+from fracflow.run_prescribed import AT_A_TIME, bends_of, latest
 from fracflow.run_setup import Model
 from fracflow.scene_actions import Stage
 from fracflow.state import State
@@ -67,8 +69,8 @@ class Judge:
     With ``accuracy.step_error`` the error that a part adds is held to that. With ``accuracy.tolerance`` it is held to a
     share of it: with inertia dt/(length of the stage), for what is wrong stays wrong, and errors add up; without, where
     only what the fractures store remembers, dt/(time since the stage began), for a film drains, and forgets the earlier
-    errors as it goes on, and down to a third of that towards the end of the stage, as errors made there stay. Neither:
-    nothing is judged.
+    errors as it goes on, and down to a third of that towards the end of the stage, as errors made there stay; where
+    something prescribed jumps or bends in it, from there on anew. Neither: nothing is judged.
 
     A part's own end, and what was refused, show how far the motion will go; but that is believed only until what is
     accepted has come as far, for a long part may end on the peak of a load that is over at once.
@@ -83,6 +85,8 @@ class Judge:
         self.by_step, self.tolerance = asked.step_error, asked.tolerance
         by_sum = self.by_step is None and self.tolerance is not None
         self.of_film = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
+        # where a film begins anew, for what was before says nothing of what follows
+        self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_film and self.tolerance else {}
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
         self.last = progress.get("last", 0.0)  # length of the last part [time]
@@ -129,14 +133,19 @@ class Judge:
         size = self._size(new)
         largest = max(self.largest, self.guess, size)
         if self.of_film:
-            since = new.time - self.start
-            error, span = self._film_error(dt, old, new), since * (1.0 + LATE * since / (self.length or np.inf))
+            error, span = self._film_error(dt, old, new), self._span(old.time, new.time)
         else:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length
         self.tried = _Tried(new.time, size, error)
         allowed = self.tolerance * largest * min(1.0, dt / span)
         return error / max(allowed, float(np.finfo(float).tiny))
+
+    def _span(self, begin: float, end: float) -> float:
+        """Time over which a film's part gets its share of what is allowed; anew from each bend, by its size."""
+        since, bend = end - self.start, latest(self.bends, begin)
+        anew = since if bend is None or bend < self.start else (end - bend) / self.bends[bend]
+        return min(since, anew) * (1.0 + LATE * since / (self.length or np.inf))
 
     def _refuse(self) -> None:
         """Learn from what was tried last and not followed: of two parts that end alike the later, shorter one knows more."""
@@ -190,6 +199,9 @@ class Judge:
             last = old.memory.time_step
             passing = new.memory.velocity, new.memory.uptake
             passed = (old.memory.velocity, old.memory.uptake) if last > 0.0 else before
+        bend = latest(self.bends, old.time)
+        if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
+            last = 0.0
         rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
         wrong: Floats = storage_error(self.stepper, dt, rates)
         wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step

@@ -12,6 +12,7 @@ from fracflow.run_accuracy import step_error
 from fracflow.run_events import to_first_event
 from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
 from fracflow.run_plan import swing
+from fracflow.run_prescribed import prescribed
 from fracflow.run_steps import Progress, Step, Stepping, stepper_of
 from fracflow.run_unrest import Course, begin, may_rest, runs_away, weak_waves
 from fracflow.state import State, StepReport
@@ -19,6 +20,7 @@ from fracflow.stepping import Explicit
 
 NEAR = 1e-9  # of a step: times so near are one
 ROUND_OFF = 1e-14  # of a time
+SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
 REST, WAVES = "quasi-static", "dynamic"
 Log = Callable[[str], None]
 
@@ -84,7 +86,9 @@ class _Regimes:
             scene,
             scene.stage[number],
         )
-        self.kinks = scene.kink_times
+        share = scene.accuracy.tolerance or SEEN
+        self.prescribed = prescribed(scene, inertia=False, splits=True, share=share)
+        self.corners = sorted({*self.prescribed.ends} - {*scene.jump_times})
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
         locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
@@ -136,7 +140,7 @@ class _Regimes:
     def _target(self, time: float, step: float) -> tuple[float, bool]:
         """Where a step ends: just before the next jump of what is prescribed; and whether it is there.
 
-        Or else at its next kink, which may be the peak of a pulse, or with the stage.
+        Or else at the next corner of its table, which may be the peak of a pulse, or with the stage.
         """
         assert self.stage.end is not None and self.stage.time_step is not None
         least = NEAR * self.stage.time_step
@@ -145,8 +149,11 @@ class _Regimes:
             slack = max(least, 1e-11 * abs(jump))  # tables are sampled from the left there
             if time < jump - 2.0 * slack and ends[0][0] > jump - 2.0 * slack:
                 ends.append((jump - slack, True))
-        ends += [(kink, False) for kink in self.kinks if time + least < kink < ends[0][0] - least]
-        return min(ends)
+        ends += [(bend, False) for bend in self.corners if time + least < bend < ends[0][0] - least]
+        end, jumps = min(ends)
+        while not self.prescribed.is_straight(time, end):
+            end, jumps = 0.5 * (time + end), False
+        return end, jumps
 
     def _attempt(self, state: State, time: float, brief: bool = False) -> tuple[State, StepReport] | str:
         """A step without inertia, or why there is none of its length; ``brief`` as in ``Stepping.step``."""

@@ -24,12 +24,16 @@ EFFORT = 20  # Newton iterations of a part from which on the next one is shorter
 
 @dataclass(frozen=True)
 class Attempted:
-    """Where an attempt came to: state and cost, the fraction of the step, and its error over what is allowed."""
+    """Where an attempt came to: state and cost, the fraction of the step, and its error over what is allowed.
+
+    foreseen  it ends early because something prescribed jumps or bends there, which is no event
+    """
 
     state: State
     report: StepReport
     fraction: float
     error: float = 0.0
+    foreseen: bool = False
 
 
 Attempt = Callable[[State, float, float, bool], Attempted]
@@ -117,10 +121,16 @@ def most_halvings(scene: Scene) -> int:
 
 
 def in_parts(
-    attempt: Attempt, state: State, rules: Rules, log: Callable[[str], None], place: Place | None = None
+    attempt: Attempt,
+    state: State,
+    rules: Rules,
+    log: Callable[[str], None],
+    place: Place | None = None,
+    is_straight: Callable[[float, float], bool] = lambda start, end: True,
 ) -> Iterator[PartOfStep]:
     """The whole step or the fewest parts of it that ``rules`` ask for, from ``place`` in it.
 
+    A part that may be halved to be accurate is, untried, where what is prescribed in it is not straight.
     Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
     """
     place = place or Place()
@@ -131,6 +141,9 @@ def in_parts(
             if rules.finest and level < place.level:
                 continue
             start, end = place.fraction, replace(place, part=place.part + size).fraction
+            if level < rules.finest and not is_straight(start, end):
+                place = replace(place, level=level + 1, calm=0)
+                continue
             try:
                 found = attempt(state, start, end, place.events < rules.events)
             except NotConverged as error:
@@ -172,7 +185,7 @@ def _sizes(place: Place, most: int) -> Iterator[tuple[int, float]]:
 def _after(place: Place, size: float, found: Attempted, end: float, rules: Rules) -> Place:
     """The place after a part: at an event the rest of the step is divided anew."""
     if found.fraction < end:
-        return replace(place, base=found.fraction, part=0.0, events=place.events + 1)
+        return replace(place, base=found.fraction, part=0.0, events=place.events + (not found.foreseen))
     place = replace(place, part=place.part + size)
     if not rules.order:
         return place

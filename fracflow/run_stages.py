@@ -9,6 +9,7 @@ from fracflow.errors import SolveError
 from fracflow.run_accuracy import Judge
 from fracflow.run_events import to_first_event
 from fracflow.run_parts import (
+    AT_A_JUMP,
     Attempted,
     Place,
     Rules,
@@ -18,6 +19,7 @@ from fracflow.run_parts import (
     on_the_way,
     still_lacking,
 )
+from fracflow.run_prescribed import prescribed
 from fracflow.run_setup import Model
 from fracflow.run_steps import DONE, Progress, Step, Stepping, stepper_of
 from fracflow.scene_actions import Stage
@@ -154,11 +156,14 @@ def run_stage(
     fills = stepper.storage and model.operators.flow is not None
     # what may jump in any step is sampled by means, as all is where events are not located
     splits = bool(rules.events) and not model.scene.jumps_anywhere
-    jumps = model.scene.jump_times if splits else ()
+    cuts = judge.finest > 0 and not stepper.inertia
+    given = prescribed(model.scene, stepper.inertia, splits, judge.tolerance if judge.finest else None)
 
     def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
-        jump = next_jump(jumps, start + (n - 1) * whole_step, dt, begin, end)
-        end = end if jump is None else jump
+        at = start + (n - 1) * whole_step
+        cut = next_jump(given.ends, at, dt, begin, end)
+        end = end if cut is None else cut
+        jumps = cut is not None and next_jump(given.jumps, at, dt, begin, end) is not None
         whole = dt * (end - begin)
 
         def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
@@ -169,8 +174,11 @@ def run_stage(
                 on_the_way(old.controls, controls, begin, to),
                 start + (n - 1 + to * (dt / whole_step)) * whole_step,
             )
-            if splits:  # parts end at jumps, which are then no matter of means
+            ahead: float | None
+            if splits or cuts:  # parts end at jumps, which are then no matter of means
                 ahead = 0.0
+            elif not stepper.inertia:
+                ahead = None
             elif to == 1.0:
                 ahead = 0.0 if n == count else stage.step_length(start, n + 1)
             else:
@@ -181,20 +189,27 @@ def run_stage(
             to_first_event(stepping, state, take, whole) if may_stop else (*take(state, 1.0, False), 1.0)
         )
         error = judge.error(share * whole, stepping.explicit.part(stepper, share * whole), state, new)
-        if share == 1.0 and jump is not None and not (n == count and end == 1.0):
+        if share == 1.0 and jumps and not (n == count and end == 1.0):
             left = new
             try:
                 new = stepping.enter(left, stepper, dt)
             finally:
                 left.destroy()
-        return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin), error)
+        at_cut = cut is not None and share == 1.0
+        return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin), error, at_cut)
+
+    def is_straight(begin: float, end: float) -> bool:
+        at = start + (n - 1) * whole_step
+        cut = next_jump(given.ends, at, dt, begin, end)
+        inside = begin + 2.0 * AT_A_JUMP, (end if cut is None else cut) - 2.0 * AT_A_JUMP
+        return given.is_straight(*(at + fraction * dt for fraction in inside))
 
     while count is None or n < count:
         n += 1
         dt = stage.step_length(start, n)
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + n * stage.increment_per_step)
-        for part in in_parts(attempt, state, rules, log, place):
+        for part in in_parts(attempt, state, rules, log, place, is_straight):
             state = part.state
             failed = utilisation(model, state) >= 1.0
             if failed and stage.then == "hold" and not held:

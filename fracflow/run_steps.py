@@ -141,7 +141,8 @@ class Stepping:
 
         lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
         hold     all joint sections keep their status
-        ahead    length of the step that follows, 0 where the stage ends; by default as long as this one
+        ahead    length of the step that follows, 0 where the stage ends or this one is cut at a jump; by default as long as
+                 this one, and without inertia what jumps at its end is in the midst of that
         brief    it will be shortened where sections keep changing, and not be given to another solver
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
@@ -185,7 +186,7 @@ class Stepping:
     ) -> tuple[State, StepReport]:
         last = state.memory.time_step
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
-        around = (dt, dt if ahead is None else ahead) if rule.inertia else AT_ONCE
+        around = (dt, dt if ahead is None else ahead) if rule.inertia or ahead == 0.0 else AT_ONCE
         loads = self._standing(loads) if not rule.inertia else loads
         explicit = self.explicit.coupling if isinstance(rule, Explicit) else None
         weighs = alphas if rule.inertia and explicit is None else None

@@ -186,11 +186,6 @@ class Scene(Part):
         return tuple(sorted({float(time) for table in self.time_tables for time in table.jumps[0]}))
 
     @property
-    def kink_times(self) -> tuple[float, ...]:
-        """Instants, ascending, at which the slope of a table in time changes [time]."""
-        return tuple(sorted({float(time) for table in self.time_tables for time in table.kinks}))
-
-    @property
     def driving_tables(self) -> tuple[TimeTable, ...]:
         """Tables in time of what sends waves into the rock: loads, supports, waves that come in."""
         return tuple(_tables((self.load, self.support, self.absorbing)))

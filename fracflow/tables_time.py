@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,7 +13,6 @@ Floats = NDArray[np.float64]
 Around = tuple[float, float]
 """Lengths of the step that ends at a time and of the one that follows; 0 where a stage begins or ends, or time has no part."""
 AT_ONCE: Around = (0.0, 0.0)
-STRAIGHT = 1e-9  # relative change of a slope that is round-off
 
 
 @dataclass(frozen=True)
@@ -47,18 +46,40 @@ class TimeTable:
         return times[1:][at], found[at]
 
     @property
-    def kinks(self) -> Floats:
-        """Times at which its slope changes, but for jumps."""
-        times, values = np.array(self.times), np.array(self.values)
-        if self.interpolation == "step" or len(times) < 2:
-            return np.zeros(0)
-        length = np.diff(times)
-        slope = np.divide(np.diff(values), length, out=np.zeros_like(length), where=length > 0.0)
-        before, after = np.append(0.0, slope), np.append(slope, 0.0)
-        bends = np.abs(after - before) > STRAIGHT * np.maximum(np.abs(before), np.abs(after))
-        return np.setdiff1d(times[bends], self.jumps[0])
+    def spread(self) -> float:
+        """Largest value less the smallest one."""
+        return max(self.values) - min(self.values)
 
-    def around(self, time: Floats | float, before: float, after: float) -> Floats:
+    def bends(self, share: float) -> dict[float, float]:
+        """Times at which it leaves the straight line from one neighbour to the other, or jumps, by over a share of its spread.
+
+        With how much of it that is. Beyond its ends it goes on as far as between the last two.
+        """
+        if self.spread == 0.0:
+            return {}
+        if self.interpolation == "step":
+            at, off = self.jumps
+        else:
+            at, v = np.array(self.times, dtype=float), np.array(self.values, dtype=float)
+            t = np.concatenate([[2 * at[0] - at[1]], at, [2 * at[-1] - at[-2]]])
+            v = np.concatenate([v[:1], v, v[-1:]])
+            length = t[2:] - t[:-2]
+            along = np.divide(np.diff(t)[:-1], length, out=np.zeros_like(length), where=length > 0.0)
+            off = v[1:-1] - v[:-2] - along * (v[2:] - v[:-2])
+        sizes = np.abs(off) / self.spread
+        return {float(time): float(size) for time, size in zip(at, sizes, strict=True) if size > share}
+
+    def departs(self, begin: float, end: float) -> float:
+        """How far the table leaves the straight line between its values at two times, over its spread, between them."""
+        times = np.array(self.times)
+        times = times[(times > begin) & (times < end)]
+        if not len(times):
+            return 0.0
+        first, last = self.around([begin, end], *AT_ONCE)
+        share = (times - begin) / (end - begin)
+        return float(np.abs(self.around(times, *AT_ONCE) - first - share * (last - first)).max()) / (self.spread or 1.0)
+
+    def around(self, time: Floats | Sequence[float] | float, before: float, after: float) -> Floats:
         """Sample the table at times (n,) of steps: ``before`` is the length of the step that ends there, ``after`` of the next.
 
         A jump enters with the share of [time - before/2, time + after/2] that comes after it: at the jump itself the mean

@@ -31,14 +31,19 @@ def modes(pressure, time):
     return pressure * (1 - (np.exp(-np.outer(time, rate)) / (N * np.tan(k / 2 / N))) @ np.sin(np.outer(k, x)))
 
 
-def error_of_film(text, pressure, *options):
-    """Largest error in time and along the film, and of the volume that is in a wrong place, of the largest there is."""
+def history_of_film(text, well, *options):
+    """Times (n,), pressures (n, N + 1) along the film, and the largest gap of the energy books."""
     x = np.linspace(0, 1, N + 1)
     probes = "".join(f'[[probe]]\nname = "{i}"\nat = [{at!r}, 0]\non = "film"\n' for i, at in enumerate(x.tolist()))
-    scene = text + injection(f"pressure = {pressure}", END, 1) + probes
-    history = solve(scene, *options, "method.coupling=whole-lu", mesh=winkler.mesh(x)).history
-    found = np.stack([history[f"probe/{i}/pressure"] for i in range(N + 1)], axis=1)
-    wrong = np.abs(found - modes(pressure, history["time"]))[1:] / pressure
+    found = solve(text + injection(well, END, 1) + probes, *options, "method.coupling=whole-lu", mesh=winkler.mesh(x))
+    pressures = np.stack([found.history[f"probe/{i}/pressure"] for i in range(N + 1)], axis=1)
+    return found.history["time"], pressures, found.open_books
+
+
+def error_of_film(text, pressure, *options):
+    """Largest error in time and along the film, and of the volume that is in a wrong place, of the largest there is."""
+    times, found, _ = history_of_film(text, f"pressure = {pressure}", *options)
+    wrong = np.abs(found - modes(pressure, times))[1:] / pressure
     return wrong.max(), wrong[:, 1:] @ np.array([1.0] * (N - 1) + [0.5]) / N
 
 
@@ -58,6 +63,30 @@ def test_of_a_fluid_that_is_stored_by_compression_alone():
     tolerances, rule = (1e-2, 1e-3), "method.film=bdf2"
     found = [error_of_film(text, 1e-4, rule, f"accuracy.tolerance={each}")[0] for each in tolerances]
     proportional(found, tolerances, 2.0)
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
+@pytest.mark.parametrize(
+    "rate", ["[[0, 0], [0.2, 0], [0.21, 1], [0.22, 0]]", "[[0.2, 0], [0.2, 1], [0.21, 1], [0.21, 0]]"]
+)
+def test_pulse_of_a_well_within_the_only_step(rate, tolerance):
+    """What it brings, 0.01, is there in the end: all of it stays in the film."""
+    *_, last = history_of_film(LINEAR, f"flow_rate = {rate}", "method.film=bdf2", f"accuracy.tolerance={tolerance}")[1]
+    assert (last.sum() - last[[0, -1]].mean()) / N == pytest.approx(0.01, rel=tolerance)
+
+
+@pytest.mark.parametrize("rule, tolerances", [("backward-euler", (1e-1,)), ("bdf2", TOLERANCES[:2])])
+def test_pressure_that_jumps_within_the_only_step(rule, tolerances):
+    """It is exact as from the start: parts end at the jump, and the rule begins anew there."""
+    jump = 0.15
+    for each in tolerances:
+        well, given = (
+            f"pressure = [[0, 0], [{jump}, 0], [{jump}, 1]]",
+            (f"method.film={rule}", f"accuracy.tolerance={each}"),
+        )
+        times, found, open_books = history_of_film(LINEAR, well, *given)
+        exact = np.where((times > jump)[:, None], modes(1.0, np.maximum(times - jump, 0.0)), 0.0)
+        assert times[1] == jump and np.abs(found - exact).max() <= 2.0 * each and open_books < 1e-9
 
 
 def oscillation(folder, *options):
@@ -93,6 +122,21 @@ def test_whole_step_that_ends_on_a_short_spike(shared_tmp):
     assert exact.max() == pytest.approx(0.04, rel=0.01) and error <= 2e-2
     told = re.findall(r"time steps made an error of (\S+) \(estimated\)", (shared_tmp / "run" / "log.txt").read_text())
     assert len(told) == 1 and error / 3.0 <= float(told[0]) <= 1e-2
+
+
+@pytest.mark.parametrize("push", [[[0, 0], [0.48, 0], [0.5, 2], [0.52, 0]], "bell"])
+def test_pulse_of_a_load_within_the_only_step(shared_tmp, push):
+    """Of a table with corners, at which parts end, and of one of a hundred points, which is followed as far as asked."""
+    if push == "bell":
+        at = np.linspace(0.3, 0.7, 101)
+        push = np.column_stack([at, np.cos(np.pi * (at - 0.5) / 0.4) ** 2]).tolist()
+    given = [f"load.0.traction=[{push}, 0]", "stage.0.time_step=1", "stage.0.end=1", "output.pictures=false"]
+    given += ["fracture.default.law=linear", "accuracy.tolerance=1e-2"]
+    found = run(load("meshes/report_5_2/scene.toml", given), shared_tmp / "run")
+    at, pushed = np.transpose([[0, 0], *push, [1, 0]])
+    slopes = np.divide(np.diff(pushed), np.diff(at), out=np.zeros(len(at) - 1), where=np.diff(at) > 0)
+    exact = spike(found.times, at, np.diff(slopes, prepend=0, append=0))
+    assert np.abs(found.probe("block")["displacement"][:, 0] - exact).max() <= 1e-2 * exact.max()
 
 
 def test_what_a_step_may_add_takes_its_place(shared_tmp):

@@ -36,13 +36,6 @@ def test_foot_pound_second(make):
     assert scene.fracture["fault"].aperture == pytest.approx(1e-3 / 0.3048, rel=1e-12)
 
 
-def test_kinks_of_a_table_are_where_its_slope_changes_and_no_jumps():
-    straight_between = TimeTable((0.0, 1.0, 2.0, 3.0, 3.0, 4.0), (0.0, 0.0, 1.0, 2.0, 5.0, 5.0))
-    assert straight_between.kinks.tolist() == [1.0] and straight_between.jumps[0].tolist() == [3.0]
-    assert TimeTable((1.0, 2.0), (0.0, 1.0)).kinks.tolist() == [1.0, 2.0]  # constant outside
-    assert TimeTable((1.0, 2.0), (0.0, 1.0), "step").kinks.tolist() == TimeTable.constant(2.0).kinks.tolist() == []
-
-
 def test_table_interpolates_and_takes_the_mean_at_jumps():
     linear = TimeTable((0.0, 1.0, 1.0, 2.0), (0.0, 1.0, 3.0, 4.0))
     assert [linear(t) for t in (-1, 0, 0.5, 1, 1 + 5e-13, 1.5, 2, 9)] == [0, 0, 0.5, 2, 2, 3.5, 4, 4]
