@@ -92,7 +92,7 @@ class _Regimes:
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
         locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
-            stepping.expect(self.waves, least)
+            stepping.couplings.expect(self.waves, least)
         facts = self.model.facts
         self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
         self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)

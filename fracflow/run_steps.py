@@ -11,16 +11,13 @@ from fracflow.assembly.energy import book, dissipated
 from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
-from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.accept import accept, remember
-from fracflow.coupling.condensed import Condensed
-from fracflow.coupling.condensed_plan import condensing, may_choose
-from fracflow.coupling.defaults import is_large, is_meant
 from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import check_digits
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Bools, Floats
+from fracflow.run_couplings import Couplings
 from fracflow.run_explicit import ExplicitSteps
 from fracflow.run_instants import change, enter
 from fracflow.run_network import Network
@@ -29,15 +26,12 @@ from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.state import Memory, State, StepReport
-from fracflow.stepping import Alphas, Explicit, Steady, Stepper, first, stepper_from
+from fracflow.stepping import Explicit, Steady, Stepper, first, stepper_from
 from fracflow.tables_time import AT_ONCE
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
-MOST_KEPT = (
-    4  # solvers for different sets of loads, with their factors: wells go from one limit to the next and seldom back
-)
 DONE: Progress = {"done": 1.0}
 
 
@@ -71,53 +65,19 @@ class Stepping:
     def __init__(self, model: Model) -> None:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
-        self._couplings: dict[Loads, Coupling] = {}  # the one used last comes last
-        self._expected: Alphas | None = None
         self.network = Network(model)
+        self.couplings = Couplings(model)
         self._network_version = 0
         self._at_rest: dict[Loads, Loads] = {}
         self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
         self.explicit = ExplicitSteps(model, lambda line: self.network.log(line))
-
-    def _way(self) -> str:
-        """Name of the coupling: the scene's, or the one that takes less time."""
-        operators, scene, name = self.model.operators, self.model.scene, self.model.scene.method.coupling
-        unknowns, comm = int(operators.layout.solid_starts[-1]), operators.layout.comm
-        if may_choose(scene, unknowns) and not (is_meant("monolithic") or is_meant("solid")):
-            jumps = comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
-            if condensing(scene, unknowns, jumps, comm.size, operators.damping is not None).any_worth:
-                return "condensed"
-        if operators.flow is None and name != "condensed":
-            return "monolithic"
-        return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
-
-    def expect(self, stepper: Stepper, dt: float) -> None:
-        """Prepare for steps by a rule of inertia of which nobody knows how many events will take. Collective."""
-        self._expected = stepper.alphas(dt)
-        for coupling in self._couplings.values():
-            if isinstance(coupling, Condensed):
-                coupling.expect(self._expected)
-
-    def _coupling(self, loads: Loads) -> Coupling:
-        coupling = self._couplings.pop(loads, None)
-        if coupling is None:
-            if len(self._couplings) == MOST_KEPT:
-                self._couplings.pop(next(iter(self._couplings))).destroy()
-            coupling = COUPLINGS[self._way()](self.model.scene, self.model.operators, loads)
-            if isinstance(coupling, Condensed) and self._expected is not None:
-                coupling.expect(self._expected)
-        self._couplings[loads] = coupling
-        return coupling
 
     def _closed(self, loads: Loads, stores: bool) -> Loads:
         """The loads with what nothing drains closed; solvers for parts of the network that are no more are freed."""
         found = self.network.close(loads, stores)
         if self.network.version != self._network_version:
             self._network_version = self.network.version
-            for known, coupling in list(self._couplings.items()):
-                if known.closures:
-                    coupling.destroy()
-                    del self._couplings[known]
+            self.couplings.forget_closures()
         return found
 
     def step(
@@ -205,7 +165,7 @@ class Stepping:
             )
             problem.brief = brief
             try:
-                report = (explicit or self._coupling(closed)).solve(problem)
+                report = (explicit or self.couplings.of(closed)).solve(problem)
                 new = accept(problem, state.energy)
                 self._refuse_jumps(state, new)
                 asked = self.model.scene.accuracy.digits
@@ -288,7 +248,6 @@ class Stepping:
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
-        for coupling in self._couplings.values():
-            coupling.destroy()
+        self.couplings.destroy()
         self.explicit.destroy()
         self.network.destroy()

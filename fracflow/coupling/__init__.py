@@ -5,6 +5,7 @@ from typing import Protocol
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.condensed import Condensed
+from fracflow.coupling.condensed_plan import Condensing
 from fracflow.coupling.fixed_point import FixedPoint
 from fracflow.coupling.monolithic import Auto, Monolithic, WholeLU
 from fracflow.coupling.step_problem import StepProblem
@@ -19,6 +20,9 @@ class Coupling(Protocol):
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
+
+    def expect(self, planned: Condensing) -> None:
+        """Know which steps are planned, before the first and again where events add to them."""
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""

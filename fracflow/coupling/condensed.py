@@ -16,7 +16,7 @@ from fracflow.assembly.clusters import Clusters
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.condensed_cost import fits
-from fracflow.coupling.condensed_plan import Key, condensing, key_of
+from fracflow.coupling.condensed_plan import Condensing, Key, key_of
 from fracflow.coupling.condensed_rock import Rock
 from fracflow.coupling.explicit_film import ExplicitFilm
 from fracflow.coupling.monolithic import Auto, Monolithic
@@ -26,7 +26,6 @@ from fracflow.errors import InputError, NotConverged
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Scene
 from fracflow.state import StepReport
-from fracflow.stepping import Alphas
 
 MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
 MOST_CYCLES = 3  # each takes away what round-off of the one before has left
@@ -112,7 +111,7 @@ class Condensed:
         self.full = (Monolithic if operators.flow is None else Auto)(scene, operators, loads)
         self._is_asked = scene.method.coupling == "condensed"
         self._damps = operators.damping is not None and not loads.at_rest
-        self._plan = condensing(scene, unknowns, self._jumps, operators.layout.comm.size, self._damps)
+        self._planned = Condensing({}, np.inf)
         self._kept: dict[Key, Kept] = {}  # the one used last comes last
         start = joints.respond(np.zeros((len(joints.weights), joints.dim)), joints.rest()).tangent
         self._at_rest = start
@@ -122,7 +121,7 @@ class Condensed:
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
-        key, done, given_up = self._key(problem.alphas), (0, 1), ""
+        key, done, given_up = key_of(problem.alphas, self._damps), (0, 1), ""
         start = problem.increment.getArray().copy(), problem.pressure.getArray().copy()
         is_new = key not in self._kept
         try:
@@ -138,20 +137,15 @@ class Condensed:
         newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)
         return replace(report, newton=newton, factorisations=factors, cycles=done[1], handed_over=given_up)
 
-    def expect(self, alphas: Alphas) -> None:
-        """Plan for steps by a rule that events make as many of as they last."""
-        key = self._key(alphas)
-        self._plan = replace(self._plan, steps={**self._plan.steps, key: np.inf})
-
-    def _key(self, alphas: Alphas) -> Key:
-        """What of a rule of stepping A depends on."""
-        return key_of(alphas, self._damps)
+    def expect(self, planned: Condensing) -> None:
+        """Condense those of the planned steps that are worth it, or all where that is asked for."""
+        self._planned = planned
 
     def _is_meant(self, key: Key, problem: StepProblem) -> bool:
         """Whether a step is of those that are condensed. Collective."""
         if self._is_asked:
-            return key in self._plan.steps
-        if not self._plan.is_worth(key):
+            return key in self._planned.steps
+        if not self._planned.is_worth(key):
             return False
         changes = self.operators.flow is not None or not np.array_equal(problem.state.sections.tangent, self._at_rest)
         return self.operators.layout.comm.allreduce(changes, op=MPI.LOR)

@@ -16,6 +16,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.accept import start_again, step_report
+from fracflow.coupling.condensed_plan import Condensing
 from fracflow.coupling.contraction import (
     Prediction,
     add_diagonal,
@@ -102,6 +103,9 @@ class FixedPoint:
         self.flow = solver_of(self.network, "flow_fieldsplit_flow_")
         self.monolithic: Newton | None = None
         self.linearised: Linearised | None = None
+
+    def expect(self, planned: Condensing) -> None:
+        """Nothing here depends on which steps are planned."""
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Cycle until converged; hand over where the scene says so. Raises SolveError, on every rank. Collective."""

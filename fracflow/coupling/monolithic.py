@@ -5,6 +5,7 @@ from __future__ import annotations
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.accept import start_again, step_report, without_suction
+from fracflow.coupling.condensed_plan import Condensing
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.newton_methods import NewtonReport
@@ -24,6 +25,9 @@ class Monolithic:
         self.scene, self.matrix = scene, JoinedMatrix(operators, loads)
         self.newton = Newton(scene, self.matrix, self.prefix if operators.flow is not None else "solid")
         self.rock: Newton | None = None
+
+    def expect(self, planned: Condensing) -> None:
+        """Nothing here depends on which steps are planned."""
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""

@@ -1,0 +1,74 @@
+"""The couplings that solve the steps of a run, kept for the loads they were made with; and which steps they condense."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from fracflow.assembly.loads import Loads
+from fracflow.coupling import COUPLINGS, Coupling
+from fracflow.coupling.condensed_plan import condensing, key_of, may_choose
+from fracflow.coupling.defaults import is_large, is_meant
+from fracflow.run_setup import Model
+from fracflow.stepping import Stepper
+
+MOST_KEPT = (
+    4  # solvers for different sets of loads, with their factors: wells go from one limit to the next and seldom back
+)
+
+
+class Couplings:
+    """Makes the coupling of each set of loads when a step first needs it."""
+
+    def __init__(self, model: Model) -> None:
+        """Plan which steps are condensed. Collective."""
+        self.model = model
+        operators = model.operators
+        self._unknowns = int(operators.layout.solid_starts[-1])
+        self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
+        self._damps = operators.damping is not None
+        ranks = operators.layout.comm.size
+        self._planned = condensing(model.scene, self._unknowns, self._jumps, ranks, self._damps)
+        self._kept: dict[Loads, Coupling] = {}  # the one used last comes last
+
+    def expect(self, stepper: Stepper, dt: float) -> None:
+        """Prepare for steps by a rule of inertia of which nobody knows how many events will take. Collective."""
+        key = key_of(stepper.alphas(dt), self._damps)
+        self._planned = replace(self._planned, steps={**self._planned.steps, key: math.inf})
+        for coupling in self._kept.values():
+            coupling.expect(self._planned)
+
+    def of(self, loads: Loads) -> Coupling:
+        """The coupling for a set of loads. Collective."""
+        coupling = self._kept.pop(loads, None)
+        if coupling is None:
+            if len(self._kept) == MOST_KEPT:
+                self._kept.pop(next(iter(self._kept))).destroy()
+            name = self._way()
+            coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
+            coupling.expect(self._planned)
+        self._kept[loads] = coupling
+        return coupling
+
+    def forget_closures(self) -> None:
+        """Free solvers for parts of the network that are no more. Collective."""
+        for loads in [each for each in self._kept if each.closures]:
+            self._kept.pop(loads).destroy()
+
+    def _way(self) -> str:
+        """Name of the coupling: the scene's, or the one that takes less time."""
+        scene, name, unknowns = self.model.scene, self.model.scene.method.coupling, self._unknowns
+        if (
+            may_choose(scene, unknowns)
+            and not (is_meant("monolithic") or is_meant("solid"))
+            and self._planned.any_worth
+        ):
+            return "condensed"
+        if self.model.operators.flow is None and name != "condensed":
+            return "monolithic"
+        return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
+
+    def destroy(self) -> None:
+        """Free the solvers. Collective."""
+        for coupling in self._kept.values():
+            coupling.destroy()
