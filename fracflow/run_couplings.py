@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 from fracflow.assembly.loads import Loads
 from fracflow.coupling import COUPLINGS, Coupling
-from fracflow.coupling.condensed_plan import condensing, key_of, may_choose
+from fracflow.coupling.condensed_plan import condensing, key_of, may_choose, planned
 from fracflow.coupling.defaults import is_large, is_meant
 from fracflow.run_setup import Model
 from fracflow.stepping import Stepper
@@ -20,9 +21,9 @@ MOST_KEPT = (
 class Couplings:
     """Makes the coupling of each set of loads when a step first needs it."""
 
-    def __init__(self, model: Model) -> None:
-        """Plan which steps are condensed. Collective."""
-        self.model = model
+    def __init__(self, model: Model, log: Callable[[str], None]) -> None:
+        """Plan which steps are condensed; where any are, the first coupling that is made tells the log. Collective."""
+        self.model, self.log, self._told = model, log, False
         operators = model.operators
         self._unknowns = int(operators.layout.solid_starts[-1])
         self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
@@ -47,6 +48,9 @@ class Couplings:
             name = self._way()
             coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
             coupling.expect(self._planned)
+            if name == "condensed" and not self._told:
+                self.log(self._as_line())
+                self._told = True
         self._kept[loads] = coupling
         return coupling
 
@@ -67,6 +71,25 @@ class Couplings:
         if self.model.operators.flow is None and name != "condensed":
             return "monolithic"
         return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
+
+    def _as_line(self) -> str:
+        """Which stages are condensed, from what to what, and from how many steps on that pays."""
+        scene, plan = self.model.scene, self._planned
+        is_asked = scene.method.coupling == "condensed"
+        stages = [
+            stage.title + (f" ({count:.0f} steps)" if count < math.inf else "")
+            for stage, alphas, count in planned(scene)
+            if is_asked or plan.is_worth(key_of(alphas, self._damps))
+        ]
+        pays = (
+            f"pays from {plan.pays:.0f} steps of one length on"
+            if plan.pays < math.inf
+            else "never pays, but is asked for"
+        )
+        return (
+            f"rock condensed to its joints, {self._unknowns} displacements to {self._jumps} jumps, which {pays}:"
+            f" stage {', '.join(stages) or 'none'}"
+        )
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""

@@ -66,7 +66,7 @@ class Stepping:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
         self.network = Network(model)
-        self.couplings = Couplings(model)
+        self.couplings = Couplings(model, lambda line: self.network.log(line))
         self._network_version = 0
         self._at_rest: dict[Loads, Loads] = {}
         self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}

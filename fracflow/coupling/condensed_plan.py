@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from fracflow.coupling.condensed_cost import break_even, fits
 from fracflow.coupling.defaults import is_large
 from fracflow.scene import Scene
+from fracflow.scene_actions import Stage
 from fracflow.scene_checks import against_condensing
 from fracflow.stepping import EXPLICIT, Alphas, stepper_from
 
@@ -48,7 +49,7 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
     """What is planned, for so many displacements and jumps of joints."""
     pays = break_even(unknowns, jumps, ranks=ranks) if jumps and fits(unknowns, jumps) else math.inf
     steps: dict[Key, float] = {}
-    for alphas, count in _planned(scene):
+    for _, alphas, count in planned(scene):
         key = key_of(alphas, damps)
         steps[key] = steps.get(key, 0.0) + count
     return Condensing(steps, pays, any(stage.kind == "auto" for stage in scene.stage))
@@ -62,12 +63,13 @@ def may_choose(scene: Scene, unknowns: int) -> bool:
     return scene.model == "default" and method.coupling == "auto" and suits
 
 
-def _planned(scene: Scene) -> Iterator[tuple[Alphas, float]]:
+def planned(scene: Scene) -> Iterator[tuple[Stage, Alphas, float]]:
+    """Stages, the rule of their steps and the number of these, infinite where it is not known; no explicit ones."""
     time, name = 0.0, scene.method.stepper
     for stage in scene.stage:
         count = stage.step_count(time)
         time, number = stage.finish(time), math.inf if count is None else float(count)
         if stage.kind != "dynamic":
-            yield Alphas(), number
+            yield stage, Alphas(), number
         elif stage.time_step is not None and name not in EXPLICIT:
-            yield stepper_from(name, scene.method).alphas(stage.time_step), number
+            yield stage, stepper_from(name, scene.method).alphas(stage.time_step), number

@@ -1,5 +1,6 @@
 """coupling = "condensed": the same steps as of Newton's method on all unknowns, with the rock factored once."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from fracflow.coupling.condensed_cost import break_even, condensed_step, condens
 from fracflow.coupling.condensed_rock import Rock
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.errors import InputError, NotConverged
+from fracflow.run import run
 from fracflow.run_setup import prepare
 from fracflow.run_stages import run_stage
 from fracflow.run_start import rest
@@ -163,3 +165,14 @@ def test_break_even_is_where_the_costs_meet(unknowns, jumps):
         assert (steps - 1) * full < condensing(unknowns, jumps) + (steps - 1) * short
     assert fits(unknowns, jumps)
     assert break_even(unknowns, 100 * jumps) == np.inf and not fits(unknowns, 100 * jumps)
+
+
+def test_the_log_says_what_is_condensed(shared_tmp):
+    stages = [{**MOVES, "name": "shaking", "steps": 3}, {**STEADY, "name": "after", "steps": 2}]
+    for coupling in ("condensed", "monolithic"):
+        run(_scene(coupling, stage=stages, method=AT_ENDS, initial_stress={}, load=[], **HELD), shared_tmp / coupling)
+    logs = {path.parent.name: path.read_text() for path in shared_tmp.glob("*/log.txt")}
+    nodes, joints = re.search(r"(\d+) nodes, (\d+) joints", logs["condensed"]).groups()
+    told = f"rock condensed to its joints, {2 * int(nodes)} displacements to {4 * int(joints)} jumps, which pays from"
+    assert logs["condensed"].count(told) == 1 and ": stage shaking (3 steps), after (2 steps)\n" in logs["condensed"]
+    assert "condensed" not in logs["monolithic"]
