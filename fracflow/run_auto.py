@@ -9,7 +9,7 @@ from fracflow.coupling.period import longest_period
 from fracflow.errors import NotConverged
 from fracflow.plan.inertia import next_kink, slow_stages
 from fracflow.run_accuracy import step_error
-from fracflow.run_events import to_first_event
+from fracflow.run_events import take_part
 from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
 from fracflow.run_plan import swing
 from fracflow.run_prescribed import prescribed
@@ -178,15 +178,13 @@ class _Regimes:
         whole = min(course.least, self.stage.end - start)
 
         def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
-            def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
-                to = end if share == 1.0 else begin + share * (end - begin)
-                dt, ahead = share * (end - begin) * whole, whole * (1.0 - to if to < 1.0 else 1.0)
-                return self.stepping.step(old, self.waves, start + to * whole, dt, old.controls, hold=hold, ahead=ahead)
-
             length = (end - begin) * whole
-            found = to_first_event(self.stepping, state, take, length) if may_stop else (*take(state, 1.0, False), 1.0)
-            new, report, share = found
-            return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin))
+
+            def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
+                time, ahead = start + to * whole, whole * (1.0 - to if to < 1.0 else 1.0)
+                return self.stepping.step(old, self.waves, time, share * length, old.controls, hold=hold, ahead=ahead)
+
+            return take_part(self.stepping, state, reach, begin, end, length, may_stop)
 
         for part in in_parts(attempt, state, self.rules, self.log, place):
             yield part, whole * (part.end - part.start)

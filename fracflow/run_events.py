@@ -10,6 +10,7 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.coupling.events import Event, first_event
 from fracflow.errors import NotConverged
+from fracflow.run_parts import Attempted
 from fracflow.run_steps import Stepping
 from fracflow.state import State, StepReport
 
@@ -20,6 +21,26 @@ MANY = 16  # sliding sections: a crack, whose front passes sections one by one, 
 
 Take = Callable[[State, float, bool], tuple[State, StepReport]]
 """(state, fraction of the step, hold) -> the state there, with every status held or free to change."""
+Reach = Callable[[State, float, float, bool], tuple[State, StepReport]]
+"""(state, fraction of the part, the same as a fraction of the step, hold) -> the state there."""
+
+
+def take_part(
+    stepping: Stepping, state: State, reach: Reach, begin: float, end: float, dt: float, may_stop: bool
+) -> Attempted:
+    """The part of a step, ``dt`` long, between two fractions of it, or up to the first event in it if it may stop there.
+
+    Raises SolveError, on every rank. Collective.
+    """
+
+    def place(share: float) -> float:
+        return end if share == 1.0 else begin + share * (end - begin)
+
+    def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
+        return reach(old, share, place(share), hold)
+
+    new, report, share = to_first_event(stepping, state, take, dt) if may_stop else (*take(state, 1.0, False), 1.0)
+    return Attempted(new, report, place(share))
 
 
 def to_first_event(stepping: Stepping, state: State, take: Take, dt: float) -> tuple[State, StepReport, float]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.run_accuracy import Judge
-from fracflow.run_events import to_first_event
+from fracflow.run_events import take_part
 from fracflow.run_parts import (
     AT_A_JUMP,
     Attempted,
@@ -166,8 +167,7 @@ def run_stage(
         jumps = cut is not None and next_jump(given.jumps, at, dt, begin, end) is not None
         whole = dt * (end - begin)
 
-        def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
-            to = end if share == 1.0 else begin + share * (end - begin)
+        def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
             # what jumps while a film fills is there at once: spread over a halved step, it would come half a step late
             lacking = 0.0 if stepper.inertia or fills else still_lacking(begin, to)
             now, time = (
@@ -185,18 +185,16 @@ def run_stage(
                 ahead = share * whole if share == 1.0 else (1.0 - to) * dt
             return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead)
 
-        new, report, share = (
-            to_first_event(stepping, state, take, whole) if may_stop else (*take(state, 1.0, False), 1.0)
-        )
-        error = judge.error(share * whole, stepping.explicit.part(stepper, share * whole), state, new)
-        if share == 1.0 and jumps and not (n == count and end == 1.0):
+        found = take_part(stepping, state, reach, begin, end, whole, may_stop)
+        new, length = found.state, dt * (found.fraction - begin)
+        error = judge.error(length, stepping.explicit.part(stepper, length), state, new)
+        if found.fraction == end and jumps and not (n == count and end == 1.0):
             left = new
             try:
                 new = stepping.enter(left, stepper, dt)
             finally:
                 left.destroy()
-        at_cut = cut is not None and share == 1.0
-        return Attempted(new, report, end if share == 1.0 else begin + share * (end - begin), error, at_cut)
+        return replace(found, state=new, error=error, foreseen=cut is not None and found.fraction == end)
 
     def is_straight(begin: float, end: float) -> bool:
         at = start + (n - 1) * whole_step
