@@ -18,7 +18,7 @@ from fracflow.assembly.operators import Operators
 from fracflow.coupling.condensed_cost import fits
 from fracflow.coupling.condensed_plan import Condensing, Key, key_of
 from fracflow.coupling.condensed_rock import Rock
-from fracflow.coupling.explicit_film import ExplicitFilm
+from fracflow.coupling.film_on_joints import FilmOnJoints
 from fracflow.coupling.monolithic import Auto, Monolithic
 from fracflow.coupling.section_solve import SectionSolver
 from fracflow.coupling.step_problem import StepProblem
@@ -31,7 +31,7 @@ MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
 MOST_CYCLES = 3  # each takes away what round-off of the one before has left
 
 
-class CondensedFilm(ExplicitFilm):
+class CondensedFilm(FilmOnJoints):
     """The film of an implicit step: its balance holds at the end of the step."""
 
     def given(self, problem: StepProblem) -> PETSc.Vec:

@@ -14,7 +14,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.clusters import Clusters
 from fracflow.assembly.operators import Operators
-from fracflow.coupling.explicit_film import ExplicitFilm
+from fracflow.coupling.film_on_joints import FilmOnJoints
 from fracflow.coupling.residual import over_ranks
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged
@@ -48,7 +48,7 @@ class _Rows:
 class SectionSolver:
     """Solves for what sections move in a step, and for the pressures."""
 
-    film_kind, most_changes = ExplicitFilm, MOST_CHANGES
+    film_kind, most_changes = FilmOnJoints, MOST_CHANGES
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""

@@ -1,6 +1,7 @@
-"""The film of an explicit step: its balance over the step, on pressures alone once the sections' answers are put in.
+"""The film of a step that is solved on the joints: its balance, on pressures alone once the sections' answers are put in.
 
-2/dt B' (u_new - u) + x'_new + K_F p_new = Q_new + Q - K_F p - x', the trapezoidal rule for what the walls really move.
+That of explicit steps is the trapezoidal rule for what the walls really move,
+2/dt B' (u_new - u) + x'_new + K_F p_new = Q_new + Q - K_F p - x'; condensed steps have another right side.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from fracflow.elements import flow as flow_element
 from fracflow.mesh.data import Floats, Ints
 
 
-class ExplicitFilm:
+class FilmOnJoints:
     """Balance, matrix and solver of the pressures; sections are joint ends, two a joint."""
 
     def __init__(self, operators: Operators, clusters: Clusters) -> None:
@@ -124,7 +125,7 @@ class ExplicitFilm:
         self.solver.setOperators(self.matrix)
         self.solver.solve(left, change)
         try:
-            check_solution(self.solver, change, left, f"time {problem.time:.6g}: pressures of an explicit step")
+            check_solution(self.solver, change, left, f"time {problem.time:.6g}: pressures of the film on the joints")
             found = network.at_ends(change).ravel()
             problem.pressure.axpy(1.0, change)
         finally:
