@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.output.events import read_events
+from fracflow.output.export import unit_of, units_of_run
 from fracflow.output.folder import to_json, write_atomic
 from fracflow.output.history import read_history
 
@@ -42,14 +43,14 @@ class Row:
 
     kind         "probe", "energy", "control" or "event"
     least        the least order that is expected of it, which is assumed where there are two levels
-    change       largest since the start, of the finest level, in the scene's units, as are all that follow; 0 for
-                 round-off
+    change       largest since the start, of the finest level, in ``unit``, as are all that follow; 0 for round-off
     differences  rms of q_k - q_(k+1), level by level
     order        observed between the last three levels, inf where the last two are the same; of two levels, and where
                  there is nothing to observe, nan
     error        estimated, of the finest level; nan where there is no estimate
     warning      why order and error are not to be trusted; "" where they are
     is_seen      whether differences are more than round-off
+    unit         of the scene; "" where there is none
     """
 
     kind: str
@@ -61,6 +62,7 @@ class Row:
     error: float = float("nan")
     warning: str = ""
     is_seen: bool = True
+    unit: str = ""
 
     @property
     def relative(self) -> float:
@@ -79,9 +81,11 @@ def compare(folders: Sequence[Path], order: int, has_tips: bool = False) -> list
     histories = [_by_time(read_history(folder / "history.h5")) for folder in folders]
     times = _common_times([history["time"] for history in histories])
     least = OF_TIPS if has_tips else min(float(order), ORDER_OF_MESH)
-    rows = list(_sampled(histories, times, least))
+    units = units_of_run(folders[-1])
+    rows = list(_sampled(histories, times, least, units))
     start, end = float(histories[-1]["time"][0]), float(histories[-1]["time"][-1])
-    return rows + list(_events(folders, least, start, (end - start) or 1.0))
+    events = _events(folders, least, start, (end - start) or 1.0)
+    return rows + [replace(row, unit=unit_of("time", units)) for row in events]
 
 
 def judged(row: Row, scale: float) -> Row:
@@ -129,7 +133,7 @@ def _common_times(times: list[Floats]) -> Floats:
     return within[shared] if shared.mean() >= MOST_COMMON else within
 
 
-def _sampled(histories: list[Histories], times: Floats, least: float) -> Iterator[Row]:
+def _sampled(histories: list[Histories], times: Floats, least: float, units: Mapping[str, str]) -> Iterator[Row]:
     """Rows of what has a history; components of a vector are taken together."""
     finest = histories[-1]
     keys = [key for key in finest if key.startswith(("probe/", "energy/", "step/control/"))]
@@ -146,7 +150,7 @@ def _sampled(histories: list[Histories], times: Floats, least: float) -> Iterato
         lowest = min(least, OF_GRADIENTS) if quantity in GRADIENTS else least
         sizes[key] = max(_rms(each[known]) for each in values)
         changes[key] = [_change(each[known]) for each in values]
-        rows[key] = Row(kind, f"{place} {quantity}".strip(), lowest, changes[key][-1], steps)
+        rows[key] = Row(kind, f"{place} {quantity}".strip(), lowest, changes[key][-1], steps, unit=unit_of(key, units))
     kinds = {key: (row.kind, row.name.rpartition(" ")[2] if row.kind == "probe" else "") for key, row in rows.items()}
     for key, row in rows.items():
         scale = max(size for name, size in sizes.items() if kinds[name] == kinds[key])
@@ -206,10 +210,11 @@ def write(rows: Sequence[Row], folder: Path, order: int, levels: Sequence[Path],
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     steps = [f"difference_{k}_{k + 1}" for k in range(len(levels) - 1)]
-    table.writerow(["kind", "name", "change", *steps, "order", "error", "error/change", "warning"])
+    table.writerow(["kind", "name", "unit", "change", *steps, "order", "error", "error/change", "warning"])
     for row in rows:
         differences = row.differences or (np.nan,) * len(steps)
-        table.writerow([row.kind, row.name, row.change, *differences, row.order, row.error, row.relative, row.warning])
+        told = (row.order, row.error, row.relative, row.warning)
+        table.writerow([row.kind, row.name, row.unit, row.change, *differences, *told])
     write_atomic(folder / "converge.csv", text.getvalue())
     found = {
         "levels": [path.name for path in levels],

@@ -32,7 +32,8 @@ def tell(rows: Sequence[Row], console: Console, levels: int, order: int, has_tip
     for row in seen[:MOST_ROWS]:
         moved = f"{row.differences[-1]:.2e}" if row.differences else "-"
         order_of = row.order if levels > 2 else row.least
-        cells = (row.kind, row.name, _short(row.change), moved, _short(order_of, ".2f"), _short(row.error, ".2e"))
+        name = f"{row.name} [{row.unit}]" if row.unit else row.name
+        cells = (row.kind, name, _short(row.change), moved, _short(order_of, ".2f"), _short(row.error, ".2e"))
         mark = "!" if row.warning else ""
         table.add_row(*map(escape, cells), f"{_short(row.relative, '.1e')} {mark}", style="bold" if mark else "")
     console.print(table)

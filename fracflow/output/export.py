@@ -55,13 +55,18 @@ def unit_of(key: str, units: Mapping[str, str]) -> str:
     return texts.get(KINDS.get(key.rsplit("/", 1)[-1], ""), "") if not key.startswith("step/control/") else ""
 
 
+def units_of_run(folder: Path) -> dict[str, str]:
+    """Names of length, force and time, as ``unit_of`` takes them; none where the scene has none."""
+    found: dict[str, str] = json.loads(read_attributes(folder / "history.h5").get("units", "{}"))
+    return found
+
+
 def tables(folder: str | Path) -> dict[str, Columns]:
     """Tables of a run by name: "steps", "energy", "probe_<name>"; each column (steps,), headed "name [unit]".
 
     Every table begins with the time. Raises InputError if there is no history.
     """
-    path = Path(folder) / "history.h5"
-    history, units = read_history(path), json.loads(read_attributes(path).get("units", "{}"))
+    history, units = read_history(Path(folder) / "history.h5"), units_of_run(Path(folder))
     found: dict[str, Columns] = {}
     for key, values in history.items():
         if key == "time":

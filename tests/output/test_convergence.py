@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fracflow.output.convergence import Row, compare, judged
+from fracflow.output.convergence import Row, compare, judged, write
 from fracflow.output.convergence_look import tell
 from fracflow.output.events import COLUMNS
 from fracflow.output.history import HistoryFile
@@ -40,10 +40,10 @@ def test_outside_the_asymptotic_range():
     assert not still.warning and not still.is_seen
 
 
-def folder(path, step, value, events=()):
+def folder(path, step, value, events=(), units=None):
     """A run to t = 1 whose history is value(t), with its events (kind, x, start)."""
     path.mkdir()
-    with HistoryFile(path / "history.h5") as history:
+    with HistoryFile(path / "history.h5", {"units": units} if units else {}) as history:
         for time in np.arange(0.0, 1.0 + step / 2, step):
             energies = {"energy/kinetic": 0.0, "energy/scheme": step}
             history.append({"time": time, "probe/a/slip": value(time), "probe/a/stress": 1e3 + value(time), **energies})
@@ -94,6 +94,23 @@ def test_what_slips_on_the_coarsest_level_only(tmp_path):
         found = {each.name: each for each in compare(runs[:count], 2)}["a slip"]
         assert found.warning == ("no change at level 1", "no change at level 1, 2")[count - 2]
         assert np.isnan(found.relative)
+
+
+def test_quantities_have_the_units_of_the_scene(tmp_path):
+    units = {"length": "ft", "force": "lbf", "time": "s"}
+    runs = [
+        folder(tmp_path / str(h), h, lambda t, h=h: (1 + h) * t, [("slip", 0.0, h)], units) for h in (1.0, 0.5, 0.25)
+    ]
+    rows = compare(runs, 1)
+    assert {row.name: row.unit for row in rows} == {
+        "a slip": "ft", "a stress": "lbf/ft^2", "kinetic": "lbf ft/ft", "fault slips first": "s",
+    }  # fmt: skip
+    text = io.StringIO()
+    tell(rows, Console(file=text, width=120), 3, 1)
+    assert all(f"{name} " in text.getvalue() for name in ("a slip [ft]", "a stress [lbf/ft^2]", "slips first [s]"))
+    write(rows, tmp_path, 1, runs)
+    named = [line.split(",")[1:3] for line in (tmp_path / "converge.csv").read_text().splitlines()]
+    assert named[0] == ["name", "unit"] and ["a stress", "lbf/ft^2"] in named
 
 
 def test_what_is_told():
