@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from grids import edges_of, msh, quads_of
 
 from fracflow._petsc import MPI
 from fracflow.output import list_steps, read_history, read_step
@@ -44,24 +45,11 @@ on = "top"
 
 def mesh(x):
     """Gmsh's format 2.2: cells on either side of the film y = 0 between the given x, its nodes; top and film are named."""
+    node = np.arange(3 * len(x)).reshape(3, -1)
+    below, above = (quads_of(node[row : row + 2]) for row in (0, 1))
+    film, top = (edges_of(nodes) for nodes in node[1:])
     points = np.array([[a, y] for y in (-1.0, 0.0, 1.0) for a in x])
-    n, rows = len(x), ("wall", "film", "springs", "top")
-    low = np.arange(1, n)
-    quads = [
-        np.stack([low + row * n, low + 1 + row * n, low + 1 + (row + 1) * n, low + (row + 1) * n], 1) for row in (0, 1)
-    ]
-    lines = [np.stack([low + row * n, low + 1 + row * n], 1) for row in (1, 2)]
-    groups = ((3, 1, quads[0]), (1, 2, lines[0]), (3, 3, quads[1]), (1, 4, lines[1]))
-    elements = [(kind, name, nodes) for kind, name, block in groups for nodes in block]
-    text = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", "4"]
-    text += [f'{dim} {number + 1} "{rows[number]}"' for number, dim in enumerate((2, 1, 2, 1))]
-    text += ["$EndPhysicalNames", "$Nodes", str(len(points))]
-    text += [f"{i + 1} {p[0]!r} {p[1]!r} 0" for i, p in enumerate(points.tolist())]
-    text += ["$EndNodes", "$Elements", str(len(elements))]
-    text += [
-        f"{i + 1} {kind} 2 {name} {name} {' '.join(map(str, nodes))}" for i, (kind, name, nodes) in enumerate(elements)
-    ]
-    return "\n".join([*text, "$EndElements", ""])
+    return msh(points, [("wall", below), ("film", film), ("springs", above), ("top", top)])
 
 
 def write(folder, comm, x, text):

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from _peers_grids import Floats, Grid, graded, grid
+from _peers_grids import Grid, grid
+from grids import Floats, graded
 from numpy.polynomial.legendre import leggauss
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -63,8 +64,8 @@ def h1(cells: int, kind: str) -> Problem:
     if kind == "graded":
         crack, growth = -np.cos(np.linspace(0.0, np.pi, cells + 1)), 1.0 + 12.0 / cells
     first = crack[1] - crack[0]
-    beyond = 1.0 + graded(first, growth, far - 1.0)[1:]
-    above = graded(first, growth, far)
+    beyond = 1.0 + graded(first, far - 1.0, growth, at_most=False)[1:]
+    above = graded(first, far, growth, at_most=False)
     x, y = np.concatenate([-beyond[::-1], crack, beyond]), np.concatenate([-above[:0:-1], above])
     made = grid(x, y, len(above) - 1, slice(len(beyond), len(beyond) + cells + 1))
     largest = 4.0 * (1.0 - poisson**2) / youngs * (shear + FRICTION * tension)

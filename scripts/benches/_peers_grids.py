@@ -7,11 +7,8 @@ from pathlib import Path
 
 import meshio
 import numpy as np
-from numpy.typing import NDArray
+from grids import Floats, Ints, edges_of, msh, quads_of, rims
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-SIDES = ("south", "north", "west", "east")
 PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0))
 
 
@@ -42,40 +39,16 @@ def grid(x: Floats, y: Floats, row: int, columns: slice = slice(None), heights: 
     number, cell = np.arange(p * q).reshape(q, p), np.arange((p - 1) * (q - 1)).reshape(q - 1, p - 1)
     tall = np.broadcast_to(y[:, None], (q, p)) if heights is None else heights
     points = np.stack([np.broadcast_to(x, (q, p)), tall], axis=-1).reshape(-1, 2)
-    quads = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
-    rims = dict(zip(SIDES, (number[0], number[-1], number[:, 0], number[:, -1]), strict=True))
-    owners = dict(zip(SIDES, (cell[0], cell[-1], cell[:, 0], cell[:, -1]), strict=True))
-    return Grid(points, quads, _edges(number[row, columns]), {k: _edges(v) for k, v in rims.items()}, owners)
-
-
-def _edges(nodes: Ints) -> Ints:
-    return np.stack([nodes[:-1], nodes[1:]], axis=1)
-
-
-def graded(first: float, growth: float, length: float) -> Floats:
-    """Distances from 0 to ``length`` whose steps grow from about ``first`` by the factor ``growth``."""
-    count = max(1, round(np.log1p((growth - 1.0) * length / first) / np.log(growth)))
-    steps = growth ** np.arange(count)
-    return np.concatenate([[0.0], np.cumsum(steps)]) * length / steps.sum()
+    sides = {name: edges_of(nodes) for name, nodes in rims(number).items()}
+    return Grid(points, quads_of(number), edges_of(number[row, columns]), sides, rims(cell))
 
 
 def write_msh(made: Grid, path: Path, names: dict[str, str], points: dict[str, int]) -> None:
     """Gmsh's format 2.2: the rock, the ``names`` of "fracture" and of sides, and named points."""
-    blocks = [("rock", 2, 3, made.quads)]
-    blocks += [(name, 1, 1, made.fracture if part == "fracture" else made.sides[part]) for part, name in names.items()]
-    blocks += [(name, 0, 15, np.array([[node]])) for name, node in points.items()]
-    groups = list(dict.fromkeys((dim, name) for name, dim, _, _ in blocks))
-    rows = [
-        f"{kind} 2 {groups.index((dim, name)) + 1} 1 {' '.join(map(str, nodes + 1))}"
-        for name, dim, kind, block in blocks
-        for nodes in block
-    ]
-    text = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", str(len(groups))]
-    text += [f'{dim} {tag} "{name}"' for tag, (dim, name) in enumerate(groups, 1)]
-    text += ["$EndPhysicalNames", "$Nodes", str(len(made.points))]
-    text += [f"{i} {x!r} {y!r} 0" for i, (x, y) in enumerate(made.points.tolist(), 1)]
-    text += ["$EndNodes", "$Elements", str(len(rows)), *(f"{i} {row}" for i, row in enumerate(rows, 1))]
-    path.write_text("\n".join([*text, "$EndElements", ""]), encoding="utf-8")
+    blocks = [("rock", made.quads)]
+    blocks += [(name, made.fracture if part == "fracture" else made.sides[part]) for part, name in names.items()]
+    blocks += [(name, np.array([[node]])) for name, node in points.items()]
+    path.write_text(msh(made.points, blocks), encoding="utf-8")
 
 
 def write_vtu(made: Grid, folder: Path, order: int, points: dict[str, int]) -> None:

@@ -13,7 +13,8 @@ from string import Template
 import meshio
 import numpy as np
 from _peers_cases import Found, Problem
-from _peers_grids import Floats, write_msh, write_vtu
+from _peers_grids import write_msh, write_vtu
+from grids import Floats
 
 from fracflow.output.fields import list_steps, read_mesh, read_step
 

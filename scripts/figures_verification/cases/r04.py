@@ -11,9 +11,9 @@ from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
+from grids import tensor
 
 from figures_verification.case import Bar, Case
-from figures_verification.grids import tensor
 from figures_verification.runs import Floats, solve
 
 Branch = tuple[int, int, int | str, int | str, int | str]

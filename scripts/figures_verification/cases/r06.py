@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from grids import tensor
 
 from figures_verification.case import Bar, Case
 from figures_verification.cases.r05 import BOOKS, SCENE, film, injection, similarity
-from figures_verification.grids import tensor
 from figures_verification.runs import solve
 
 APERTURE, STIFFNESS, VISCOSITY, AT_REST, PUMPED = 1e-5, 1e11, 1e-3, 11e6, 11.9e6

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from grids import Floats, graded, mirrored, onwards, tensor
 
 from figures_verification.case import Bar, Case
-from figures_verification.grids import Floats, graded, mirrored, onwards, tensor
 from figures_verification.runs import solve
 
 HALF, YOUNG, POISSON = 1.0, 50e9, 0.25

@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from grids import Floats, graded, mirrored, onwards, tensor
 from numpy.polynomial.legendre import leggauss
 from scipy.optimize import brentq
 from scipy.special import erfc
 
 from figures_verification.case import Bar, Case
-from figures_verification.grids import Floats, graded, mirrored, onwards, tensor
 from figures_verification.runs import Found, solve
 
 SHEAR, POISSON, FRICTION, STRESS, PUMPED, DIFFUSIVITY = 30e9, 0.25, 0.6, 50e6, 10e6, 0.1

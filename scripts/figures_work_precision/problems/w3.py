@@ -8,8 +8,8 @@ until it comes to nothing and the bar leaves.
 from __future__ import annotations
 
 import numpy as np
-from figures_verification.grids import Floats, tensor
 from figures_verification.runs import solve
+from grids import Floats, tensor
 from scipy.integrate import trapezoid
 
 from figures_work_precision.problem import Answer, Method, Problem

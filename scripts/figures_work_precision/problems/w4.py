@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from figures_verification.cases.r04 import ENDS, FRACTURE, HEAD
-from figures_verification.grids import tensor
 from figures_verification.runs import solve
+from grids import tensor
 
 from figures_work_precision.problem import Answer, Method, Problem, nodes_of
 

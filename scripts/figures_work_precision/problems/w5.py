@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 from figures_verification.cases import r07
-from figures_verification.grids import graded, mirrored, tensor
 from figures_verification.runs import solve
+from grids import graded, mirrored, tensor
 
 from figures_work_precision.problem import Answer, Method, Problem, nodes_of
 

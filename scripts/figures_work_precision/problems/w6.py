@@ -9,8 +9,8 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from figures_verification.grids import Floats, tensor
 from figures_verification.runs import Found, solve
+from grids import Floats, tensor
 
 from figures_work_precision.problem import Answer, Method, Problem
 

@@ -11,8 +11,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from figures_verification.grids import Floats, tensor
 from figures_verification.runs import Found, solve
+from grids import Floats, tensor
 
 from figures_work_precision.problem import Answer, Method, Problem
 
