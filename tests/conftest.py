@@ -73,6 +73,7 @@ def pytest_collection_modifyitems(config, items):
 
 
 def pytest_collection_finish(session):
+    gc.freeze()  # what is imported stays: collecting after a test need not look through it
     found = ([item.nodeid for item in session.items], session.testsfailed)
     meet(PATIENCE, "while the tests were collected")
     if any(other != found for other in WORLD.allgather(found)):
