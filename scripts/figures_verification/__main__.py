@@ -48,9 +48,9 @@ def main() -> int:
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """All of it as Markdown, a line a case; variants that are all exact share one, and so do the books."""
-    books = [outcome._replace(case="Energy books") for outcome in outcomes if outcome.observable == BOOKS]
+    books = [outcome._replace(case=BOOKS.capitalize()) for outcome in outcomes if outcome.observable == BOOKS]
     rest = [outcome for outcome in outcomes if outcome.observable != BOOKS]
-    lines = ["| case | observable | error | order | bar | |", "|---|---|---|---|---|---|"]
+    lines = ["| case | observable | error | order | asked | bar | |", "|---|---|---|---|---|---|---|"]
     return "\n".join([*lines, *(row(name, list(group)) for name, group in groupby([*rest, *books], key=title))])
 
 
@@ -73,16 +73,24 @@ def row(name: str, group: Sequence[Outcome]) -> str:
     variants = len({outcome.case for outcome in group})
     orders = [f"{o.order:.2f}" for o in worst if o.order is not None]
     bars = [f"{o.most:.2g}" for o in worst]
-    least = {f"{o.least:g}" for o in worst if o.least is not None}
+    least = {f"{o.bar.order:g}" for o in worst if o.bar.order is not None}
     cells = (
         f"{name} ({variants} variants)" if variants > 1 else name,
         ", ".join(o.observable for o in worst),
         ", ".join(f"{o.errors[-1]:.1e}" for o in worst),
         ", ".join(orders),
+        ", ".join(asked(worst)),
         ", ".join(bars if len(set(bars)) > 1 else bars[:1]) + (f"; order {min(least)}" if least else ""),
         "ok" if all(o.ok for o in group) else "**missed**",
     )
     return "| " + " | ".join(cells) + " |"
+
+
+def asked(outcomes: Sequence[Outcome]) -> list[str]:
+    """What theory or a benchmark demands: exactness, orders, errors of observables."""
+    exact = ["exact"] if all(o.most <= EXACT for o in outcomes) else []
+    orders = sorted({f"order {o.bar.theory}" for o in outcomes if o.bar.theory})
+    return exact + orders + [f"{o.observable} to {o.bar.asked:g}" for o in outcomes if o.bar.asked is not None]
 
 
 def write(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -90,11 +98,12 @@ def write(outcomes: Sequence[Outcome], path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         file.writelines(f"# {line}\n" for line in (*made_with(), f"command: {COMMAND}"))
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["case", "observable", "by", "size", "error", "order", "bar", "least_order", "ok"])
+        rows.writerow(["case", "observable", "by", "size", "error", "order", "asked", "bar", "least_order", "ok"])
         for outcome in outcomes:
             for size, error in zip(outcome.sizes, outcome.errors, strict=True):
-                values = (f"{size:.9g}", f"{error:.9g}", outcome.order, outcome.most, outcome.least, outcome.ok)
-                rows.writerow([outcome.case, outcome.observable, outcome.by, *values])
+                held_to = ("; ".join(asked([outcome])), outcome.most, outcome.bar.order, outcome.ok)
+                values = (f"{size:.9g}", f"{error:.9g}", outcome.order)
+                rows.writerow([outcome.case, outcome.observable, outcome.by, *values, *held_to])
 
 
 def draw(outcomes: Sequence[Outcome], folder: Path) -> None:

@@ -13,11 +13,21 @@ Floats = NDArray[np.float64]
 
 
 class Bar(NamedTuple):
-    """Largest error of an observable at the smallest size of its case, and least order; without one, of no order."""
+    """Largest error of an observable at the smallest size of its case, and least order; without one, of no order.
+
+    Errors are held to little more than was reached, lest they grow. What is asked of the program is another thing: the whole
+    order above ``order``, which theory gives the method; exactness, where ``most`` is round-off; and ``asked``, if stated.
+    """
 
     observable: str
     most: float
     order: float | None = None
+    asked: float | None = None
+
+    @property
+    def theory(self) -> int:
+        """Order of the method; 0 where there is none."""
+        return int(np.ceil(self.order or 0.0))
 
 
 @dataclass(frozen=True)
@@ -37,21 +47,29 @@ class Case:
 
 
 class Outcome(NamedTuple):
-    """Errors of one observable by size, their order between the last two sizes (None where none is asked for), and the bars."""
+    """Errors of one observable by size, their order between the last two sizes (None where none is asked for), and the bars.
+
+    most  of the error at the smallest of the sizes
+    """
 
     case: str
-    observable: str
+    bar: Bar
     by: str
     sizes: Floats
     errors: Floats
     order: float | None
     most: float
-    least: float | None
+
+    @property
+    def observable(self) -> str:
+        """What the errors are of."""
+        return self.bar.observable
 
     @property
     def ok(self) -> bool:
         """Whether error and order are within their bars."""
-        slow = self.least is not None and (self.order is None or self.order < self.least)
+        least = self.bar.order
+        slow = least is not None and (self.order is None or self.order < least)
         return bool(self.errors[-1] <= self.most) and not slow
 
 
@@ -63,6 +81,6 @@ def measure(case: Case, quick: bool = False) -> list[Outcome]:
     for bar, values in zip(case.bars, errors.T, strict=True):
         ratio = sizes[-2:] if bar.order is not None and len(sizes) > 1 and values[-1] > 0 else None
         order = None if ratio is None else float(np.log(values[-2] / values[-1]) / np.log(ratio[0] / ratio[1]))
-        most = bar.most * (sizes[-1] / case.sizes[-1]) ** np.ceil(bar.order or 0.0)
-        found.append(Outcome(case.name, bar.observable, case.by, sizes, values, order, most, bar.order))
+        most = bar.most * (sizes[-1] / case.sizes[-1]) ** bar.theory
+        found.append(Outcome(case.name, bar, case.by, sizes, values, order, most))
     return found

@@ -25,3 +25,9 @@ def marked(case):
 def test_case(case):
     missed = [outcome for outcome in measure(case, quick=True) if not outcome.ok]
     assert not missed
+
+
+@pytest.mark.serial
+def test_bars_are_no_looser_than_what_is_asked():
+    bars = [bar for case in CASES for bar in case.bars if bar.asked is not None]
+    assert {bar.asked for bar in bars} == {0.002, 0.01, 0.02} and all(bar.most <= bar.asked for bar in bars)

@@ -122,10 +122,18 @@ def errors(kind: str, period: float, mesh: str = "quads") -> Callable[[float], t
 SIZES, QUICK = (0.2, 0.1, 0.05), (0.2, 0.1)
 BARS = (Bar("w(0)", 4e-3, 1.7), Bar("w on x < 0.9 a", 4e-3, 1.7), Bar("volume", 6e-3, 1.7))
 LOOSE = tuple(bar._replace(most=2 * bar.most, order=1.6) for bar in BARS)
+ASKED = 0.01  # of w(0) under pressure, on a graded mesh
+
+
+def sneddon(bars: tuple[Bar, ...]) -> tuple[Bar, ...]:
+    """The same where the opening in the middle is asked for."""
+    return bars[0]._replace(asked=ASKED), *bars[1:]
+
+
 CASES = (
-    Case("R07 Sneddon, row, Q4", BARS, errors("blown", 10.0), SIZES, QUICK),
-    Case("R07 Sneddon, row, T3", BARS, errors("blown", 10.0, "triangles"), SIZES, QUICK),
-    Case("R07 Sneddon, row, unstructured", LOOSE, errors("blown", 10.0, "unstructured"), SIZES, QUICK),
+    Case("R07 Sneddon, row, Q4", sneddon(BARS), errors("blown", 10.0), SIZES, QUICK),
+    Case("R07 Sneddon, row, T3", sneddon(BARS), errors("blown", 10.0, "triangles"), SIZES, QUICK),
+    Case("R07 Sneddon, row, unstructured", sneddon(LOOSE), errors("blown", 10.0, "unstructured"), SIZES, QUICK),
     Case("R07 friction crack, row, Q4", BARS, errors("sheared", 10.0), SIZES, QUICK),
     Case("R07 friction crack, row, unstructured", LOOSE, errors("sheared", 10.0, "unstructured"), SIZES, QUICK),
     Case("R07 crack on springs, Q4", BARS, errors("springs", 200.0), SIZES, QUICK),

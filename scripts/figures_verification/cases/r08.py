@@ -111,7 +111,7 @@ def errors(stress: float, coupled: bool, triangles: bool = False) -> Callable[[f
     return at
 
 
-BARS = (Bar("lambda", 0.01), Bar("slip", 0.01))
+BARS = (Bar("lambda", 0.01, asked=0.02), Bar("slip", 0.01))
 LOADS = (0.2, 0.5, 0.8)
 SIZES = (0.1, 0.05, 0.025)
 CASES = (
