@@ -55,7 +55,10 @@ def pytest_sessionstart(session):
 
 
 def pytest_collection_modifyitems(config, items):
-    """What needs one process runs on one; whole applications run on one and two, and parts of the program on any number."""
+    """Serial tests run on one rank; whole applications on one and two, and parts of the program on any number.
+
+    Serial is what needs one process or knows of no ranks, and orders in time, of steps that other tests take on ranks.
+    """
     tests = Path(__file__).parent
 
     def runs_elsewhere(number, item):

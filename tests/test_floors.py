@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.serial
+
 PACKAGE = Path(__file__).parents[1] / "fracflow"
 LONGEST = 300
 

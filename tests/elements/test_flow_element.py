@@ -9,6 +9,8 @@ from fracflow.elements import flow, joint
 from fracflow.errors import InputError
 from fracflow.laws.cubic_flow import MEANS, conductance
 
+pytestmark = pytest.mark.serial
+
 LENGTH = np.array([2.0, 5.0])
 
 

@@ -8,6 +8,8 @@ import pytest
 from fracflow.elements import joint
 from fracflow.errors import InputError
 
+pytestmark = pytest.mark.serial
+
 ANGLES = np.radians([0.0, 30.0, 90.0, 135.0, 200.0, -70.0])
 # dofs of the report's nodes 1, 2, 3, 4 (bottom 1, bottom 2, top 2, top 1) in our order
 REPORT_NODES = np.array([0, 1, 3, 2])

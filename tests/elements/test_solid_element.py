@@ -9,6 +9,8 @@ from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.laws.elastic import plane_strain_stiffness
 
+pytestmark = pytest.mark.serial
+
 # a unit square with one inner node off centre; (points, cells)
 POINTS = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.6, 0.45]], dtype=float)
 TRIANGLES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])

@@ -26,6 +26,7 @@ def waited(shared_tmp):
     return FOUND[0]
 
 
+@pytest.mark.serial
 def test_is_the_event_that_inertia_all_along_makes(shared_tmp, waited):
     """Cut short by the energy of an instant it loses 11 %, in the catalogue's own model of it."""
     (event,) = [row for row in waited[1] if row["kind"] == "event"]

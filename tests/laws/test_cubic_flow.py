@@ -8,6 +8,8 @@ from scipy.integrate import quad
 
 from fracflow.laws.cubic_flow import MEANS, conductance, exact_mean_cube, report_mean_cube
 
+pytestmark = pytest.mark.serial
+
 WALLS = [(1.0, 0.2), (0.3, 1.7), (1.0, 1.0), (2e-6, 5e-4)]
 
 

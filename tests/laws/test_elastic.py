@@ -1,8 +1,11 @@
 """Plane strain moduli."""
 
 import numpy as np
+import pytest
 
 from fracflow.laws.elastic import out_of_plane_stress, plane_strain_stiffness
+
+pytestmark = pytest.mark.serial
 
 
 def test_inverse_is_the_plane_strain_compliance():

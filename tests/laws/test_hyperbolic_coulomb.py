@@ -10,6 +10,8 @@ from scipy.integrate import quad
 
 from fracflow.laws import HyperbolicCoulomb
 
+pytestmark = pytest.mark.serial
+
 LAW = HyperbolicCoulomb(
     normal_stiffness=1e8,
     shear_stiffness=1e8,

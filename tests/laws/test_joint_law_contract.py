@@ -10,6 +10,8 @@ import pytest
 from fracflow.laws import JOINT_LAWS, keys_of
 from fracflow.scene_materials import Fracture
 
+pytestmark = pytest.mark.serial
+
 SECTIONS = 40
 SAMPLES = {
     "hyperbolic-coulomb": dict(

@@ -9,6 +9,8 @@ import pytest
 
 from fracflow.laws import SlipWeakening
 
+pytestmark = pytest.mark.serial
+
 K, D_C, F_N = 1e9, 2e-3, -1e6
 LAW = SlipWeakening(
     normal_stiffness=1e10,

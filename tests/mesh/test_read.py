@@ -14,6 +14,8 @@ from fracflow.mesh import gmsh
 from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh, side_names
 from fracflow.mesh.split import split, summary
 
+pytestmark = pytest.mark.serial
+
 SQUARE = np.array([[0, 0], [4, 0], [4, 4], [0, 4]], dtype=float)
 
 # A fault in pieces that run against each other; a curve in two groups, a clockwise surface, an unused point,

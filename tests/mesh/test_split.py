@@ -15,6 +15,8 @@ from fracflow.mesh.facets import components
 from fracflow.mesh.orient import orient
 from fracflow.mesh.split import split, summary
 
+pytestmark = pytest.mark.serial
+
 ALONG_X = [(0, 2), (1, 2), (2, 2), (3, 2), (4, 2)]
 ALONG_Y = [(2, 0), (2, 1), (2, 2), (2, 3), (2, 4)]
 LOOP = [(1, 1), (2, 1), (3, 1), (3, 2), (3, 3), (2, 3), (1, 3), (1, 2), (1, 1)]

@@ -6,6 +6,8 @@ import pytest
 from fracflow.errors import InputError
 from fracflow.output.events import EventLog, FractureNodes, read_events
 
+pytestmark = pytest.mark.serial
+
 NODES = FractureNodes(
     ["A", "A", "B, lower"], np.array([7, 3, 5]), np.array([0.0, 1.0, 2.0]), np.zeros(3), ["", "mid", ""]
 )

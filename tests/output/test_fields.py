@@ -8,6 +8,8 @@ import pytest
 
 from fracflow.output.fields import FieldWriter, list_steps, read_mesh, read_step
 
+pytestmark = pytest.mark.serial
+
 POINTS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [2.0, 0.0]])
 CELLS = {
     "Mixed": (

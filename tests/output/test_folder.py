@@ -10,6 +10,8 @@ import pytest
 from fracflow.errors import InputError
 from fracflow.output.folder import RunFolder
 
+pytestmark = pytest.mark.serial
+
 
 def test_a_run_folder_holds_texts_and_a_log(tmp_path):
     folder = RunFolder(tmp_path / "deep" / "run")

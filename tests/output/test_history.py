@@ -11,6 +11,8 @@ import pytest
 from fracflow.errors import InputError
 from fracflow.output.history import HistoryFile, read_attributes, read_history
 
+pytestmark = pytest.mark.serial
+
 
 def record(i: int) -> dict[str, object]:
     displacement = np.array([i, -i])

@@ -8,6 +8,8 @@ from fracflow.errors import InputError
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
 from fracflow.output.pictures import draw
 
+pytestmark = pytest.mark.serial
+
 STEPS, STEADY, END = 240, 12, 0.02
 
 

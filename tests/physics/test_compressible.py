@@ -146,6 +146,7 @@ def test_pressure_spreads_by_the_diffusion_equation(shared_tmp):
     assert wrong[2] < 1e-3
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("film", [*FILM, "newmark"])
 def test_order_in_time(shared_tmp, film):
     """Against the finite series of the same nodes; a dynamic stage goes by Newmark's gamma."""

@@ -115,6 +115,7 @@ def transmitted(t, stiffness):
     return np.where(t <= 0.0, 0.0, within * np.exp(-a * np.clip(t - 1.0, 0.0, None)))
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("stiffness", [0.5, 5.0])
 def test_second_order_with_a_joint_at_cfl_1(bar, stiffness):
     errors = []

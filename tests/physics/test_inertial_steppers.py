@@ -114,6 +114,7 @@ def test_rod_with_a_joint_moves_as_the_scheme_says(run_scene, name):
     assert found.closes()
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("name, order", [("newmark", 2), ("hht", 2), ("generalised-alpha", 2), ("implicit-euler", 1)])
 def test_order_on_the_rod(run_scene, name, order):
     errors = []

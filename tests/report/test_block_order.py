@@ -1,7 +1,10 @@
 """R02: the block of 5.2 whose strength drops; of second order where events are located, see tests/reference."""
 
 import numpy as np
+import pytest
 from figures_time.events import exact, harmonic
+
+pytestmark = pytest.mark.serial
 
 STEPS = (0.2, 0.1, 0.05)
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from figures_time.events import Push, exact
 
+pytestmark = pytest.mark.serial
+
 PUSH, LASTS, END = 2.25, 3.4, 12.0
 RECTANGLE = Push("rectangle", lambda t: PUSH if t < LASTS - 1e-12 else 0.0, (LASTS,), END, 1.0)
 STEPS = np.array([0.1, 0.05, 0.025])

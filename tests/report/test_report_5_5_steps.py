@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.serial
+
 
 def _first_slips(ran, step, *overrides):
     """Start and slip of each node's first slip within 0.6 s."""

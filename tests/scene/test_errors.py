@@ -6,6 +6,8 @@ import pytest
 from fracflow.errors import InputError
 from fracflow.scene import load
 
+pytestmark = pytest.mark.serial
+
 CASES = {
     "fracture.fault.normal_stifness=1e8": 'fracture.fault.normal_stifness = 1e8: unknown key; did you mean "normal_stiffness"?',
     "zzz=1": "zzz = 1: unknown key; allowed: absorbing, accuracy, body_force, control,",

@@ -13,6 +13,8 @@ from fracflow.scene_schema import rows
 from fracflow.scene_toml import write_float, write_value
 from fracflow.tables import FractureEnd, TimeTable
 
+pytestmark = pytest.mark.serial
+
 SCENES = sorted((Path(__file__).parents[2] / "meshes").glob("*/scene.toml"))
 
 

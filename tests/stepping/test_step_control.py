@@ -32,6 +32,7 @@ def _exact(t):
     return np.where(t < 2.0, pushed, u * np.cos(t - 2.0) + v * np.sin(t - 2.0))
 
 
+@pytest.mark.serial
 def test_error_follows_what_is_asked_for_and_steps_are_powers_of_two(shared_tmp):
     asked, found, counts = (1e-2, 1e-3, 1e-4), [], []
     for wanted in asked:
@@ -47,6 +48,7 @@ def test_error_follows_what_is_asked_for_and_steps_are_powers_of_two(shared_tmp)
     assert np.polyfit(np.log(asked), np.log(counts), 1)[0] == pytest.approx(-1 / 3, abs=0.1), counts
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("beta, gamma, order", [(1 / 6, 0.5, 2), (0.36, 0.7, 1)])
 def test_error_follows_what_is_asked_for_whatever_beta_and_gamma(beta, gamma, order, shared_tmp):
     """A rule of order p has errors, and time steps, that fall with the power p/(p + 1), and 1/(p + 1), of what is asked."""

@@ -8,6 +8,8 @@ from fracflow.output import read_history
 from fracflow.run import run
 from fracflow.scene import load
 
+pytestmark = pytest.mark.serial
+
 GEO = """// A block of 1 x 0.6 on a wall, turned about the origin.
 c = {cos!r}; s = {sin!r}; l = {unit!r};
 Macro At

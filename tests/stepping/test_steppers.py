@@ -24,6 +24,8 @@ from fracflow.stepping import (
     velocity,
 )  # fmt: skip
 
+pytestmark = pytest.mark.serial
+
 
 @dataclass(frozen=True)
 class Motion:
