@@ -29,7 +29,7 @@ KEPT = (
 
 def _run(scene, ranks, folder):
     command = [sys.executable, "-m", "fracflow", "run", f"meshes/{scene}/scene.toml", "-o", str(folder)]
-    command += SHORTER.get(scene, ())
+    command += ["--set", "output.pictures=false", *SHORTER.get(scene, ())]
     mpirun = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
     clean = {k: v for k, v in os.environ.items() if k in KEPT}  # MPI, initialised here, has put more there
     done = subprocess.run(
