@@ -1,4 +1,4 @@
-"""The two ways a run can end badly; every message is one line that says what would be right."""
+"""The two ways a run can end badly; every message is one line that says what would be right. And two that are no failure."""
 
 
 class InputError(Exception):
@@ -19,6 +19,15 @@ class Restless(NotConverged):
 
 class Unsolved(NotConverged):
     """A linear solve left too much."""
+
+
+class PutBack(Exception):
+    """Something that the plan left out may matter: the run begins anew with it. ``undone``: "part, stage" -> when and why."""
+
+    def __init__(self, decision: str, time: float, why: str) -> None:
+        """Of a decision, by what a step has shown."""
+        self.undone = {decision: f"time {time:.9g}: {why}"}
+        super().__init__(f"{decision}: time {time:.9g}: {why}")
 
 
 class Interrupted(Exception):

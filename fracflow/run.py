@@ -11,10 +11,9 @@ from fracflow import __version__
 from fracflow._petsc import MPI
 from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
-from fracflow.errors import InputError, Interrupted, SolveError
+from fracflow.errors import InputError, Interrupted, PutBack, SolveError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
-from fracflow.plan.tied import PART
 from fracflow.run_auto import run_auto
 from fracflow.run_equilibrate import equilibrate
 from fracflow.run_plan import planned
@@ -23,7 +22,7 @@ from fracflow.run_setup import Model, on_root, prepare
 from fracflow.run_stages import run_stage
 from fracflow.run_start import rest, settle
 from fracflow.run_steps import Step, Stepping, stepper_of
-from fracflow.run_tied import Untied, watch_tied
+from fracflow.run_tied import watch_tied
 from fracflow.run_totals import Totals
 from fracflow.run_watch import Watch, Wish
 from fracflow.scene import Scene, load
@@ -45,15 +44,19 @@ def run(
 
     show  is given the scene card before the first step, on rank 0
 
-    Where a fracture that the plan ties turns out to slip or open, all begins anew with no fracture tied: the steps of the
-    first try are gone, and ``progress`` sees those of both. Raises InputError, SolveError and Interrupted, on every rank.
+    Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
+    gone, and ``progress`` sees those of both. Raises InputError, SolveError and Interrupted, on every rank.
     """
-    undone: dict[str, str] = {}
-    try:
-        return _run(scene, folder, comm, progress, show, undone)
-    except Untied as broken:
-        undone = broken.undone
-    return _run(scene, folder, comm, progress, None, undone)
+    return _tries(lambda undone: _run(scene, folder, comm, progress, None if undone else show, undone), {})
+
+
+def _tries(once: Callable[[Mapping[str, str]], Totals], undone: Mapping[str, str]) -> Totals:
+    """What comes of the first try that needs nothing of what the plan leaves out; each puts something back. Collective."""
+    while True:
+        try:
+            return once(undone)
+        except PutBack as needed:
+            undone = {**undone, **needed.undone}
 
 
 def _run(
@@ -64,7 +67,7 @@ def _run(
     show: Show | None,
     undone: Mapping[str, str],
 ) -> Totals:
-    """The same, without what an earlier try had to take back. Raises Untied besides."""
+    """The same, without what an earlier try had to take back. Raises PutBack besides."""
     began = clock.perf_counter()
     model = prepare(scene, comm)
     settle(model)
@@ -73,7 +76,7 @@ def _run(
     recorder = Recorder(model, Path(folder), comm)
     for part, when in undone.items():
         recorder.totals.undone[part] = when
-        recorder.log(f"plan: {part}: undone at {when}: the run has begun anew, with all fractures in it")
+        recorder.log(f"plan: {part}: undone at {when}: the run has begun anew with it")
     if show is not None and recorder.files is not None:
         show(recorder.files.card)
     sizes = model.operators.blocks.sizes
@@ -110,9 +113,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5"))
     model = prepare(scene, comm, mesh, cell_rank)
     settle(model)
-    model = planned(
-        model, {PART: notes["totals"]["undone"][PART]} if PART in notes["totals"]["undone"] else None, cell_rank
-    )
+    model = planned(model, notes["totals"]["undone"], cell_rank)
     step = Step(
         restore_state(model.operators, arrays, notes),
         notes["stage"], 0.0, StepReport(), notes["progress"],
@@ -121,9 +122,9 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
     try:
         return _go(model, recorder, step, began, progress)
-    except Untied as broken:
-        undone = broken.undone
-    return _run(scene, folder, comm, progress, None, undone)
+    except PutBack as needed:
+        undone = {**notes["totals"]["undone"], **needed.undone}
+    return _tries(lambda undone: _run(scene, folder, comm, progress, None, undone), undone)
 
 
 def has_ended(folder: Path) -> bool:
@@ -195,7 +196,7 @@ def _steps(
                         failure = Interrupted(f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps")
                         raise failure
                 going_on = {}
-        except Untied:
+        except PutBack:
             for each in {id(state): state, id(step.state): step.state}.values():
                 each.destroy()
             raise

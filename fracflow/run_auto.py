@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from fracflow.coupling.period import longest_period
-from fracflow.errors import NotConverged
-from fracflow.plan.inertia import next_kink, slow_stages
+from fracflow.errors import NotConverged, PutBack
+from fracflow.plan.inertia import key_of, next_kink, slow_stages
 from fracflow.run_accuracy import step_error
 from fracflow.run_events import take_part
 from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
-from fracflow.run_plan import swing
+from fracflow.run_plan import why_inertia
 from fracflow.run_prescribed import prescribed
 from fracflow.run_steps import Progress, Step, Stepping, stepper_of
 from fracflow.run_unrest import Course, begin, may_rest, runs_away, weak_waves
@@ -33,7 +33,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
     """
     model, stage = stepping.model, stepping.model.scene.stage[number]
     course, place = (Course.of(progress), Place.of(progress)) if progress else (begin(model, state, stage), Place())
-    regimes = _Regimes(stepping, number, log, course.least)
+    regimes = _Regimes(stepping, number, log, course.least, course.period)
     if not progress:
         log(
             f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
@@ -47,13 +47,6 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
                 entered = stepping.enter(state, regimes.waves, course.least)
                 period = longest_period(model.operators, model.loads, state.sections)
                 course = course.onset(entered, period, weak_waves(model, state, period))
-                yield Step(entered, number, 0.0, StepReport(), course.as_progress(), WAVES)
-                state = entered
-                continue
-            if swings := regimes.swings(state, found, course):
-                found.destroy()
-                entered = stepping.enter(state, regimes.waves, course.least)
-                course = replace(course.onset(entered, course.period, 0.0), swing=swings)
                 yield Step(entered, number, 0.0, StepReport(), course.as_progress(), WAVES)
                 state = entered
                 continue
@@ -77,7 +70,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
 class _Regimes:
     """Steps of both regimes of one stage."""
 
-    def __init__(self, stepping: Stepping, number: int, log: Log, least: float) -> None:
+    def __init__(self, stepping: Stepping, number: int, log: Log, least: float, period: float) -> None:
         scene = stepping.model.scene
         self.stepping, self.model, self.log, self.scene, self.stage = (
             stepping,
@@ -95,6 +88,7 @@ class _Regimes:
             stepping.couplings.expect(self.waves, least)
         facts = self.model.facts
         self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
+        self.period = period
         self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
 
     def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
@@ -122,20 +116,15 @@ class _Regimes:
             course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
         return new, report, course
 
-    def swings(self, old: State, new: State, course: Course) -> float:
-        """The vibration of a step that the plan would leave out, where that is more than it may; else 0. Collective."""
+    def _must_not_matter(self, old: State, new: State) -> None:
+        """Raise PutBack, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
         if self.most is None:
-            return 0.0
+            return
         assert self.stage.end is not None
         left = next_kink(self.scene, new.time, self.stage.end) - new.time
-        found = swing(old, new, course.period, left)
-        if found <= self.most:
-            return 0.0
-        self.log(
-            f"time {old.time:.9g}: stage {self.stage.title}: inertia is put back: a vibration of {found:.3g} of the"
-            f" displacement would be left out, above {self.most:g}; the step is repeated with it"
-        )
-        return found
+        if why := why_inertia(old, new, self.period, left, self.most):
+            new.destroy()
+            raise PutBack(key_of(self.stage), old.time, why)
 
     def _target(self, time: float, step: float) -> tuple[float, bool]:
         """Where a step ends: just before the next jump of what is prescribed; and whether it is there.
@@ -161,7 +150,10 @@ class _Regimes:
         try:
             new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=brief)
         except NotConverged as failure:
+            if self.most is not None:
+                raise PutBack(key_of(self.stage), state.time, "there is no step without it") from failure
             return str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0]
+        self._must_not_matter(state, new)
         why = runs_away(self.model, state, new, dt)
         if not why and allowed is not None and state.motion.velocity.norm() > 0.0:
             error = step_error(self.model.operators, self.still, dt, state, new)

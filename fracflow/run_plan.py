@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from time import process_time
 
+import numpy as np
+
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.period import longest_period
@@ -69,6 +71,21 @@ def _unrest(model: Model, state: State) -> float:
     found = float(jump.norm(LARGEST)) / model.operators.scales.force
     jump.destroy()
     return found
+
+
+def why_inertia(old: State, new: State, period: float, left: float, most: float) -> str:
+    """Why a step that the plan leaves without inertia should have it: something fails, or swings; empty if nothing. Collective.
+
+    ``left`` and the vibration as in ``swing``, which may come to ``most``.
+    """
+    changed = np.any(new.sections.is_open != old.sections.is_open)
+    changed |= np.any(
+        new.sections.is_sliding | np.any(new.sections.inelastic[:, :-1] != old.sections.inelastic[:, :-1], axis=1)
+    )
+    if new.motion.velocity.comm.tompi4py().allreduce(bool(changed), op=MPI.LOR):
+        return "joints slip or open"
+    found = swing(old, new, period, left)
+    return f"a vibration of {found:.3g} of the displacement would be left out, above {most:g}" if found > most else ""
 
 
 def swing(old: State, new: State, period: float, left: float) -> float:

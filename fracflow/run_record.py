@@ -24,7 +24,7 @@ from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
 from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
-from fracflow.plan import Decision, Facts, as_records, decide, factorisations, with_undone
+from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
 from fracflow.run_catalogue import brought, catalogue_of, instant
 from fracflow.run_setup import Model, on_root
@@ -78,8 +78,6 @@ class Recorder:
         self.totals.newton += step.report.newton
         self.totals.factorisations += step.report.factorisations
         self._tell_coupling(step)
-        if swing := (step.progress or {}).get("swing"):
-            self.totals.undo(f"inertia, {self.model.scene.stage[step.stage].title}", step.state.time, swing)
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
@@ -145,7 +143,7 @@ class Recorder:
             self.log(line)
         if self.files is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
-            self.files.write_plan([*with_undone(self.files.decisions, self.totals.undone), done])
+            self.files.write_plan([*self.files.decisions, done])
 
     def close(self) -> None:
         """Close the files, whatever happened."""

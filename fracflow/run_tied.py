@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from fracflow.assembly.contact_mass import redistributes
 from fracflow.assembly.properties import initial_pressure
 from fracflow.elements import joint, solid
+from fracflow.errors import PutBack
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.elastic import plane_strain_stiffness
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
@@ -23,16 +24,6 @@ from fracflow.run_setup import Model, on_root, prepare
 from fracflow.state import State
 
 PRESSED = 1e-12  # of the natural pressure: the least that a wall is pressed by when its strength is asked for
-
-
-class Untied(Exception):
-    """A tied fracture may slip or open: the run is to begin anew, with ``undone`` in its plan."""
-
-    def __init__(self, time: float, value: float, fracture: str) -> None:
-        self.undone = {PART: f"time {time:.9g}: {value:.3g} of the strength of {fracture} used, above {USE:g}"}
-        super().__init__(
-            f"time {time:.9g}: {fracture} is tied and would use {value:.3g} of its strength, above {USE:g}"
-        )
 
 
 def use_of_strength(model: Model, added: Floats) -> Floats:
@@ -151,7 +142,7 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
 
 
 def watch_tied(model: Model, state: State) -> None:
-    """Raise Untied, on every rank, where rock beside tied fractures carries more than USE of their strength. Collective."""
+    """Raise PutBack, on every rank, where rock beside tied fractures carries more than USE of their strength. Collective."""
     whole, facts = model.whole, model.facts
     if whole is None or facts is None:
         return
@@ -165,7 +156,8 @@ def watch_tied(model: Model, state: State) -> None:
         found = np.maximum(found, _largest(whole, use_of_strength(whole, here), len(names)))
     found[~np.isin(np.array(names), facts.shut.names)] = 0.0
     if found.max() > USE:
-        raise Untied(state.time, float(found.max()), names[int(found.argmax())])
+        use, name = float(found.max()), names[int(found.argmax())]
+        raise PutBack(PART, state.time, f"{use:.3g} of the strength of {name} would be used, above {USE:g}")
 
 
 def _displacement(model: Model, state: State) -> Floats | None:

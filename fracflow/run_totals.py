@@ -32,10 +32,6 @@ class Totals:
     injected: float = 0.0
     undone: dict[str, str] = field(default_factory=dict)
 
-    def undo(self, decision: str, time: float, value: float) -> None:
-        """Note that a decision was taken back, the first time."""
-        self.undone.setdefault(decision, f"time {time:.9g}: {value:.3g}")
-
     def last_words(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
         """What the log ends with, after so many ``seconds``."""
         if self.narrowest < NARROW:

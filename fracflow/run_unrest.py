@@ -38,7 +38,6 @@ class Course:
     creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]
     peak    largest one since
     loud    when it was last above the share of its peak that counts as rest [time]
-    swing   of a stage that the plan runs without inertia: the vibration for which inertia was put back for good, else 0 [1]
     """
 
     least: float
@@ -51,7 +50,6 @@ class Course:
     creep: float = 0.0
     peak: float = 0.0
     loud: float = 0.0
-    swing: float = 0.0
 
     def as_progress(self, place: Place | None = None) -> dict[str, float]:
         """What a checkpoint keeps of it, and of the place in a step with inertia."""
@@ -77,7 +75,7 @@ class Course:
 
     def is_quiet(self, state: State, stage: Stage) -> bool:
         """Whether kinetic energy has been low for long enough."""
-        return not self.swing and state.time - self.loud >= stage.rest_periods * self.period
+        return state.time - self.loud >= stage.rest_periods * self.period
 
     def restless(self, before: float, now: float, absorbs: bool) -> str:
         """What the log tells of an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing."""

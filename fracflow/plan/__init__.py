@@ -3,7 +3,7 @@
 What would save no work is not left out: the record says so. What is decided, each in a function of DECISIONS:
 
 flow       the pressures; what walls that move do to them; storage of the film; compressibility; inertia of the fluid
-inertia    of the rock, in stages whose loads are slow; put back at the first step that swings
+inertia    of the rock, in stages whose loads are slow; the run begins anew with it where one swings, slips or opens
 tied       fractures that can neither slip, open nor conduct; the run begins anew with them where one might
 parts      of the rock, which nothing loads; exact
 solver     factors of matrices that joints have changed since; the unknowns of the rock, condensed to the joints; exact
@@ -12,7 +12,7 @@ outputs    fields of steps that nobody asks for; rock beyond absorbing sides
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 
 from fracflow.plan import flow, outputs, solver
@@ -22,7 +22,7 @@ from fracflow.plan.parts import decide_parts
 from fracflow.plan.solver import factorisations
 from fracflow.plan.tied import decide_tied
 
-__all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations", "with_undone"]
+__all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations"]
 
 DECISIONS = (
     flow.flow_block, flow.one_way, flow.film_storage, flow.compressibility, flow.fluid_inertia,
@@ -31,14 +31,12 @@ DECISIONS = (
 
 
 def decide(facts: Facts) -> list[Decision]:
-    """All decisions, before the first step."""
-    return with_undone((decision for find in DECISIONS for decision in find(facts)), facts.undone)
-
-
-def with_undone(decisions: Iterable[Decision], undone: Mapping[str, str]) -> list[Decision]:
-    """The same with what was taken back since: "part, stage", or of the whole run "part" -> when and why."""
-    keys = ((each, f"{each.part}, {each.stage}" if each.stage else each.part) for each in decisions)
-    return [replace(each, left_out=False, undone=undone[key]) if key in undone else each for each, key in keys]
+    """All decisions, before the first step; not left out is what was put back in an earlier try."""
+    found = [decision for find in DECISIONS for decision in find(facts)]
+    keys = ((each, f"{each.part}, {each.stage}" if each.stage else each.part) for each in found)
+    return [
+        replace(each, left_out=False, undone=facts.undone[key]) if key in facts.undone else each for each, key in keys
+    ]
 
 
 def as_records(decisions: Iterable[Decision]) -> list[dict[str, object]]:

@@ -19,6 +19,7 @@ from fracflow.tables_time import TimeTable
 
 FEWER = 10.0  # times fewer steps, at least: each costs about as much as one with inertia, and all may have been in vain
 RATES = ("velocity", "acceleration", "slip_rate", "flow_rate")  # a small vibration is most of them
+PART = "inertia"
 CRITERION = "T max(change of load rate within T)/(pi range), T the longest period, joints sticking"
 
 
@@ -97,7 +98,7 @@ def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: flo
     limit, error = facts.tolerance, "the vibration that slow loads set off, relative to what they do"
 
     def kept(why: str, value: float | str, criterion: str = CRITERION) -> Decision:
-        return Decision("inertia", False, criterion, value, limit, error, f"nothing: {why}", stage.title)
+        return Decision(PART, False, criterion, value, limit, error, f"nothing: {why}", stage.title)
 
     if not facts.leaves_out:
         return kept(f'model = "{facts.scene.model}" leaves nothing out', "not asked")
@@ -117,9 +118,7 @@ def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: flo
     fewer = longest_step(facts, value, stage, start, end) / (stage.time_step or 1.0)
     if fewer < FEWER:
         return kept(f"steps without inertia would be only {fewer:.3g} times longer", value)
-    return Decision(
-        "inertia", True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", stage.title
-    )
+    return Decision(PART, True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", stage.title)
 
 
 def decide_inertia(facts: Facts) -> list[Decision]:
@@ -134,18 +133,27 @@ def decide_inertia(facts: Facts) -> list[Decision]:
     kinds = ", ".join(sorted({stage.kind for stage in facts.scene.stage}))
     return [
         Decision(
-            "inertia", not facts.scene.has_dynamics, "a dynamic stage in the scene", f"stages {kinds}", "dynamic, auto",
+            PART, not facts.scene.has_dynamics, "a dynamic stage in the scene", f"stages {kinds}", "dynamic, auto",
             "slip in stages without inertia is that of a slow process: up to half of the dynamic one",
             "what the scene does not ask for",
         )
     ]  # fmt: skip
 
 
+def key_of(stage: Stage) -> str:
+    """What the decision on a stage is called where it is undone."""
+    return f"{PART}, {stage.title}"
+
+
 def slow_stages(facts: Facts) -> dict[int, Stage]:
-    """Number -> the stage auto that takes the place of a dynamic one."""
+    """Number -> the stage auto that takes the place of a dynamic one, where that was not undone."""
     found = {}
     for number, stage, start, end in spans(facts.scene) if facts.leaves_out else ():
-        if stage.kind != "dynamic" or not (decision := decide_stage(facts, number, stage, start, end)).left_out:
+        if (
+            stage.kind != "dynamic"
+            or key_of(stage) in facts.undone
+            or not (decision := decide_stage(facts, number, stage, start, end)).left_out
+        ):
             continue
         assert isinstance(decision.value, float)
         step = longest_step(facts, decision.value, stage, start, end)

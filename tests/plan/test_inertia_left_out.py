@@ -16,7 +16,7 @@ from fracflow.tables_time import TimeTable
 BLOCK = """
 [output]
 pictures = false
-checkpoint_every = 1
+checkpoint_every = 0
 [geometry]
 domain = [[0, 0], [10, 0], [10, 10], [0, 10]]
 size = 5
@@ -74,12 +74,12 @@ def block(shared_tmp, comm):
     """Function (ramp, step, count, model, progress) -> folder of a run, ended or not. Collective."""
     counter = [0]
 
-    def once(ramp, step, count, model="default", progress=None):
+    def once(ramp, step, count, model="default", progress=None, change=("", "")):
         counter[0] += 1
         file, folder = shared_tmp / f"block{counter[0]}.toml", shared_tmp / f"run{counter[0]}"
         if comm.rank == 0:
             text = BLOCK.replace("RAMP", str(ramp)).replace("STEP", str(step)).replace("COUNT", str(count))
-            file.write_text(f'model = "{model}"\n{text}')
+            file.write_text(f'model = "{model}"\n{text.replace(*change)}')
         comm.barrier()
         try:
             run(load(file), folder, comm, progress)
@@ -118,28 +118,55 @@ def test_fast_ramp_keeps_inertia(block, comm):
     assert not Done(block(0.1, 2e-3, 3), comm).decision("inertia")["left_out"]
 
 
-def test_violated_decision_is_undone_and_the_run_is_that_with_inertia(block, comm, monkeypatch):
-    """The criterion is told that a ramp of half a period were slow; the first step tells otherwise. So after a resume."""
-    full = Done(block(0.02, 2e-3, 160, "full"), comm)
+@pytest.fixture
+def blind(monkeypatch):
+    """The criterion is told that any ramp were slow; the steps tell otherwise."""
     monkeypatch.setattr(inertia, "kick", lambda *_: 1e-3)
-    whole = Done(block(0.02, 2e-3, 160), comm)
+
+
+def stop_after(count):
     seen = []
 
     def stop(step):
         seen.append(step)
-        if len(seen) == 20:
+        if len(seen) == count:
             raise Interrupted("enough")
 
-    folder = block(0.02, 2e-3, 160, progress=stop)
+    return stop
+
+
+def same_as(done, full):
+    """Every number of the histories, on one rank to the last bit."""
+    assert done.history.keys() == full.history.keys()
+    for key in full.history:
+        if key != "step/factorisations":
+            size = np.nanmax(np.abs(full.history[key]), initial=0.0)
+            np.testing.assert_allclose(done.history[key], full.history[key], rtol=0.0, atol=1e-12 * size, err_msg=key)
+
+
+def test_violated_decision_is_undone_and_the_run_is_that_with_inertia(block, comm, blind):
+    """A ramp of half a period: the first step swings. So after a resume."""
+    full = Done(block(0.02, 5e-4, 640, "full"), comm)
+    whole = Done(block(0.02, 5e-4, 640), comm)
+    folder = block(0.02, 5e-4, 640, progress=stop_after(20), change=("every = 0", "every = 7"))
     comm.barrier()
     resume(folder, comm)
     for done in (whole, Done(folder, comm)):
         said = done.decision("inertia")
-        assert not said["left_out"] and said["undone"].startswith("time 0: ") and float(said["undone"][8:]) > 1e-2
-        assert "inertia is put back" in done.log
-        moving = np.flatnonzero(done.time == 0.0)[-1]  # the state at rest comes twice, without inertia and with it
-        np.testing.assert_allclose(done.time[moving:], full.time, rtol=1e-12)
-        np.testing.assert_allclose(done.top[moving:], full.top, atol=1e-9 * np.abs(full.top).max())
+        assert not said["left_out"] and said["undone"].startswith("time 0: a vibration of ")
+        assert float(said["undone"].split()[5]) > 1e-2
+        assert "inertia, push: undone at time 0" in done.log
+        same_as(done, full)
+
+
+def test_what_slips_is_run_with_inertia_from_the_start(block, comm):
+    """The shear traction reaches the strength, 1.155 MPa, in a slow ramp."""
+    slips = ("[0, 2e5]", "[0, 1.5e6]")
+    full, done = (Done(block(1.6, 2.5e-3, 640, model, change=slips), comm) for model in ("full", "default"))
+    said = done.decision("inertia")
+    assert "joints slip or open" in said["undone"] and 0.0 < float(said["undone"][5:].partition(":")[0]) < 1.6
+    assert done.history["step/slipping"].max() > 0
+    same_as(done, full)
 
 
 @pytest.mark.serial
