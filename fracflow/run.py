@@ -12,6 +12,7 @@ from fracflow._petsc import MPI
 from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, PutBack, SolveError
+from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.run_auto import run_auto
@@ -66,10 +67,11 @@ def _run(
     progress: Progress | None,
     show: Show | None,
     undone: Mapping[str, str],
+    mesh: SplitMesh | None = None,
 ) -> Totals:
-    """The same, without what an earlier try had to take back. Raises PutBack besides."""
+    """The same, without what an earlier try had to take back, on its ``mesh``. Raises PutBack besides."""
     began = clock.perf_counter()
-    model = prepare(scene, comm)
+    model = prepare(scene, comm, mesh)
     settle(model)
     model = planned(model, undone)
     state = rest(model)
@@ -124,7 +126,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
         return _go(model, recorder, step, began, progress)
     except PutBack as needed:
         undone = {**notes["totals"]["undone"], **needed.undone}
-    return _tries(lambda undone: _run(scene, folder, comm, progress, None, undone), undone)
+    return _tries(lambda undone: _run(scene, folder, comm, progress, None, undone, mesh), undone)
 
 
 def has_ended(folder: Path) -> bool:

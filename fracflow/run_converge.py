@@ -14,7 +14,9 @@ from fracflow.mesh.store import load_mesh
 from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_look import draw
 from fracflow.output.folder import MARKER, check_folder
+from fracflow.plan.decision import Facts
 from fracflow.plan.inertia import asks_period
+from fracflow.plan.tied import LEAST, why_none
 from fracflow.run import Progress, has_ended, resume, run
 from fracflow.run_setup import on_root, place, with_sizes
 from fracflow.run_totals import Totals
@@ -60,7 +62,8 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
         )
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
-    if asks_period(scene):  # levels without inertia would not have steps halved from one to the next
+    ties = not why_none(Facts(scene, unknowns=LEAST))
+    if ties or asks_period(scene):  # levels would differ by what is left out; without inertia steps are not halved
         scene = scene.model_copy(update={"model": "full"})
     spots: dict[str, Spot] = {}
     for number in range(count):

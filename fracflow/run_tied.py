@@ -23,6 +23,7 @@ from fracflow.plan.tied import PART, USE, Fractures, choose, why_none
 from fracflow.run_setup import Model, on_root, prepare
 from fracflow.state import State
 
+MOST = 1e7  # distances between fractures: some seconds
 PRESSED = 1e-12  # of the natural pressure: the least that a wall is pressed by when its strength is asked for
 
 
@@ -61,6 +62,8 @@ def find_shut(model: Model, facts: Facts) -> Shut:
         return Shut(why=why)
     ops, comm, scene = model.operators, model.operators.layout.comm, model.scene
     known = comm.bcast(on_root(comm, lambda: _of_mesh(model)), root=0)
+    if known is None:
+        return Shut(why=f"more than {MOST:g} distances between fractures would have to be found")
     count = len(known.names)
     if not count:
         return Shut(why="there are none")
@@ -87,8 +90,8 @@ def _well_points(model: Model) -> dict[str, Floats]:
     )
 
 
-def _of_mesh(model: Model) -> Fractures:
-    """What the mesh tells; stiffness and shear are left at 1 and 0. On rank 0."""
+def _of_mesh(model: Model) -> Fractures | None:
+    """What the mesh tells; stiffness and shear are left at 1 and 0. None of fractures too many to look at. On rank 0."""
     mesh, scene, placed = model.mesh, model.scene, model.placed
     assert mesh is not None
     count, fracture = len(mesh.fractures), mesh.joint_fracture
@@ -96,15 +99,17 @@ def _of_mesh(model: Model) -> Fractures:
     _, length = joint.frame(mesh.points[mesh.joint_bottom])
     joints, whole = (np.bincount(fracture, each, count).astype(float) for each in (np.ones_like(length), length))
     group = np.unique(groups(mesh), return_inverse=True)[1].ravel()
-    named = np.array(
-        [*placed.wells.values(), *(p.flow for p in placed.probes.values() if isinstance(p, FracturePlace))]
-    )
+    probed = [p.nodes[0] if isinstance(p, FracturePlace) else p.node for p in placed.probes.values()]
+    wells = mesh.flow_origin[np.array([*placed.wells.values()], dtype=np.int64)]
+    named = np.union1d(wells, mesh.origin[np.array(probed, dtype=np.int64)])
     barred = np.zeros(count, dtype=bool)
-    barred[fracture[np.isin(mesh.joint_flow, named).any(axis=1)]] = True
+    barred[fracture[np.isin(mesh.flow_origin[mesh.joint_flow], named).any(axis=1)]] = True
     barred[fracture[~deforms(mesh, scene)[mesh.joint_cells].all(axis=1)]] = True
     if redistributes(scene):
         barred |= np.array([JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures], dtype=bool)
     nodes = [np.unique(mesh.joint_flow[group[fracture] == number]) for number in range(group.max(initial=-1) + 1)]
+    if len(nodes) * len(places) > MOST:
+        return None
     away = [KDTree(places[each]).query(places)[0] for each in nodes]  # (g, q) from every flow node
     apart = np.full((len(nodes), count), inf)
     for row, distance in zip(apart, away, strict=True):
