@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from fracflow.card.number import Number
 from fracflow.cli import app
-from fracflow.plan import Facts, as_lines, decide, with_undone
+from fracflow.plan import Facts, as_lines, decide
 
 pytestmark = pytest.mark.serial
 
@@ -40,8 +40,8 @@ def test_dry_scene_leaves_out_the_flow():
 
 
 def test_what_was_undone_is_told():
-    taken = [each for each in decide(Facts(load_text(SLIDING))) if each.part == "inertia"]
-    (back,) = with_undone(taken, {f"inertia, {taken[0].stage}": "time 2: 0.5"})
+    (stage,) = [each.stage for each in decide(Facts(load_text(SLIDING))) if each.part == "inertia"]
+    back = decisions(SLIDING, undone={f"inertia, {stage}": "time 2: 0.5"})["inertia"]
     assert not back.left_out and as_lines([back])[0].endswith("undone at time 2: 0.5")
 
 
