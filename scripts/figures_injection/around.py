@@ -12,7 +12,7 @@ from fracflow.api import Run
 
 LEAD, WAIT = 2.0, 4.0  # of the run with inertia all along, before the event begins and after it ends [s]
 APART = 5e-3  # of the largest slip in the event on the same fault
-JOLTED = 1e-3  # of the largest slip of all: a fault that slips less has none to compare
+JOLTED = 0.1  # of the largest slip of all: a fault that slips less is shaken by the event; its slip counts over that
 COMMAND = "scripts/figures injection"
 
 
@@ -20,14 +20,14 @@ def compare(run: Run, folder: Path, found: Path | None = None) -> list[Check]:
     """Slip in the event at every probe against that of the other run, made in ``folder`` unless it is ``found``."""
     events = run.events[(run.events["kind"] == "event") & np.isfinite(run.events["end"])]
     event = events[events["moment"].argmax()]
-    begin, end = float(event["start"]) - LEAD, float(event["end"]) + WAIT
+    begin = float(run.times[run.times <= event["start"] - LEAD][-1])  # of which both runs have a record
+    end = float(event["end"]) + WAIT
     other = fracflow.open(found) if found is not None else _with_inertia(folder, begin, end)
     names = sorted(run.probes)
     slip = np.array([[_slip(each, name, begin, end) for name in names] for each in (run, other)])
     faults = np.array([name[0] for name in names])
     largest = np.array([np.abs(slip[:, faults == fault]).max() for fault in faults])
-    slipped = largest > JOLTED * largest.max()
-    apart = np.where(slipped, np.abs(slip[0] - slip[1]) / np.where(slipped, largest, 1.0), 0.0)
+    apart = np.abs(slip[0] - slip[1]) / np.maximum(largest, JOLTED * largest.max())
     table = {"slip": slip[0], "slip_with_inertia_all_along": slip[1], "apart_of_largest_on_fault": apart}
     when = f"event from {event['start']:.9g} to {event['end']:.9g} s"
     write_csv(folder, "around", table, [COMMAND], when, f"rows: probes {', '.join(names)}")
