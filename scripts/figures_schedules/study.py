@@ -40,7 +40,7 @@ class Schedule(NamedTuple):
             "method.stepper=generalised-alpha",  # the joints' own vibration is too fast for the steps
             "method.rho_infinity=0.5",
             "method.events=at-step-ends",
-            f'stage=[{{name="schedule", kind="auto", time_step={DURATION / 120}, at_rest=0.03, end={DURATION}}}]',
+            f'stage=[{{name="schedule", kind="auto", time_step={DURATION / 120}, at_rest=0.02, end={DURATION}}}]',
             "control.pumping.initial=1",
             f"mesh.refine={refine}",
             f"probe=[{probes}]",
