@@ -64,14 +64,14 @@ class CondensedSections(SectionSolver):
         summed = np.zeros((len(there), dim, dim))
         np.add.at(summed, like, moduli[changed])
         rows = (there[:, None] * dim + np.arange(dim)).ravel()
-        # as einsum("xmi,mij->xmj"), which takes five times longer
-        both = (compliance[:, there, i, None] * summed[:, i] for i in range(dim))
-        matrix = sum(both, np.zeros(1)).reshape(len(right), -1)
+        flat = compliance.reshape(len(right), -1)[:, rows]
+        own = np.einsum("xmi,mij->xmj", flat[rows].reshape(len(rows), -1, dim), summed).reshape(len(rows), -1)
         try:
-            answer = np.linalg.solve(np.eye(len(rows)) + matrix[rows], right[rows])
+            answer = np.linalg.solve(np.eye(len(rows)) + own, right[rows])
         except np.linalg.LinAlgError:
             answer = np.full((len(rows), right.shape[1]), np.nan)
-        return np.asarray(right - matrix @ answer)[None]
+        pulled = np.matmul(summed, answer.reshape(-1, dim, right.shape[1])).reshape(len(rows), -1)
+        return np.asarray(right - flat @ pulled)[None]
 
 
 def _alike(operators: Operators, clusters: Clusters) -> Ints:

@@ -36,6 +36,7 @@ steps = 6
 SHORT = ["stage.0.steps=2", "stage.1.steps=2"]
 SPIKE = ["load.0.traction=[[[0, 0], [0.98, 0], [1, 2], [1.02, 0]], 0]", "fracture.default.law=linear", "stage.0.end=2"]
 SPIKE += ["stage.0.time_step=1", "accuracy.tolerance=0.05"]
+JUMP = ["well.in.pressure=[[0, 2e6], [1.3e-4, 2e6], [1.3e-4, 3e6]]", "accuracy.tolerance=0.2"]  # step 6 ends there
 # scene, steps after which the run is stopped
 CASES = {
     "rigid rocks": ("report_5_2", ["stage.0.end=1"], (4,)),
@@ -56,7 +57,8 @@ CASES = {
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
     "parts of a step": ("failures/f6a_closing", ["accuracy.max_iterations=6"], (4, 7)),
-    "tolerance": (CRACK + QUASI + DYNAMIC, ["method.film=bdf2", "accuracy.tolerance=0.2", *SHORT], (4, 9)),
+    "tolerance": (CRACK + QUASI + DYNAMIC, ["method.film=bdf2", "accuracy.tolerance=0.2", *SHORT], (4, 8)),
+    "tolerance at a jump": (CRACK + QUASI, [*JUMP, "method.film=bdf2", "stage.0.steps=2"], (5, 6, 7)),
     "tolerance at a spike": ("report_5_2", SPIKE, (3, 12)),
     "slip weakening": (LAYER, ["stage.0.time_step=0.1"], (6, 9, 12)),
     "explicit": (CRACK + DYNAMIC, ["method.stepper=explicit", "stage.0.time_step=6e-4"], (1, 4)),
