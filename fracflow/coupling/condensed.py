@@ -60,6 +60,8 @@ class CondensedSections(SectionSolver):
     def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
         compliance, moduli, right = compliance[0], moduli[0], right[0]
         changed, dim = np.flatnonzero(moduli.any(axis=(1, 2))), moduli.shape[1]
+        if not len(changed):
+            return right[None]
         there, like = np.unique(self._like[changed], return_inverse=True)
         summed = np.zeros((len(there), dim, dim))
         np.add.at(summed, like, moduli[changed])

@@ -54,6 +54,7 @@ class SectionSolver:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
         self.scene, self.operators, self.clusters = scene, operators, clusters
         self.film = self.film_kind(operators, clusters) if operators.flow is not None else None
+        self._sizes = [np.abs(batch.compliance) for batch in clusters.batches]
         self._weights = clusters.exchange.there(operators.joints.weights[:, None])[:, 0]
         count, dim = len(operators.joints.weights), operators.joints.dim
         self.elastic = np.broadcast_to(np.asarray(elastic), (count, dim, dim))
@@ -160,11 +161,11 @@ class SectionSolver:
         there = np.split(self.clusters.exchange.there(rows), np.cumsum([dim, dim, dim, dim, dim**2]), axis=1)
         free, change, push, known, flat, slopes = there
         left, size = free - change, np.abs(free) + np.abs(change)
-        for batch in self.clusters.batches:
+        for batch, largest in zip(self.clusters.batches, self._sizes, strict=True):
             at, shape = batch.sections, (*batch.sections.shape, dim)
-            matrix, column = share * batch.compliance, (len(batch.sections), -1, 1)
-            left[at] -= (matrix @ push[at].reshape(column)).reshape(shape)
-            size[at] += (np.abs(matrix) @ known[at].reshape(column)).reshape(shape)
+            column = len(batch.sections), -1, 1
+            left[at] -= share * (batch.compliance @ push[at].reshape(column)).reshape(shape)
+            size[at] += share * (largest @ known[at].reshape(column)).reshape(shape)
         return _Rows(left, size, flat.reshape(-1, dim, dim), slopes)
 
     def _step(self, problem: StepProblem, rows: _Rows, own_slopes: Floats, share: float) -> Floats:
@@ -173,7 +174,8 @@ class SectionSolver:
         alone, by_pressure = np.zeros_like(rows.left), []
         for batch in self.clusters.batches:
             at, (clusters, members) = batch.sections, batch.sections.shape
-            compliance = share * batch.compliance.reshape(clusters, members * dim, members, dim)
+            scaled = batch.compliance if share == 1.0 else share * batch.compliance
+            compliance = scaled.reshape(clusters, members * dim, members, dim)
             right = rows.left[at].reshape(clusters, -1, 1)
             if self.film is not None:
                 right = np.concatenate([right, compliance[..., -1] * self._weights[at][:, None]], axis=2)
