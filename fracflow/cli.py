@@ -106,8 +106,8 @@ def check(
     """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
     from fracflow.card import as_records as card_records
     from fracflow.output.folder import to_json
-    from fracflow.output.tell import tell_card
-    from fracflow.plan import as_lines, as_records
+    from fracflow.output.tell import tell_card, tell_plan
+    from fracflow.plan import as_records
     from fracflow.run_check import set_up
     from fracflow.scene import load
     from fracflow.scene_advice import advice
@@ -119,9 +119,11 @@ def check(
         card = card_records(numbers)
         typer.echo(to_json({"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes}, indent=1))
         return
-    tell_card(card_records(numbers), Console(highlight=False, width=WIDTH))
-    for line in (*as_lines(decisions), *(f"{key}: {shown(value)}" for key, value in found.items())):
-        typer.echo(line)
+    console = Console(highlight=False, width=WIDTH)
+    tell_card(card_records(numbers), console)
+    tell_plan(as_records(decisions), console)
+    for key, value in found.items():
+        typer.echo(f"{key}: {shown(value)}")
     for note in notes:
         typer.echo(f"note: {note}")
 

@@ -116,3 +116,33 @@ def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
     for number in numbers:
         if number["out_of_range"]:
             console.print(f"! {number['name']}: {number['remedy']}", soft_wrap=True, markup=False)
+
+
+def tell_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the records of a plan, what is left out first."""
+    table = Table(title="Plan", title_style="bold", box=None, pad_edge=False)
+    for head, share in (
+        ("", 1),
+        ("part", 3),
+        ("criterion", 5),
+        ("value", 3),
+        ("limit", 2),
+        ("may err by", 4),
+        ("saves", 5),
+    ):
+        table.add_column(head, ratio=share, overflow="fold")
+    for each in sorted(decisions, key=lambda each: not each["left_out"]):
+        value, limit = (f"{x:.3g}" if isinstance(x, float) else str(x) for x in (each["value"], each["limit"]))
+        part = f"{each['part']}, stage {each['stage']}" if each["stage"] else each["part"]
+        error = each["error"] if each["left_out"] else ""
+        cells = (
+            "left out" if each["left_out"] else "kept",
+            part,
+            each["criterion"],
+            value,
+            limit,
+            error,
+            each["saves"],
+        )
+        table.add_row(*map(escape, cells), style="bold" if each["left_out"] else "")
+    console.print(table)

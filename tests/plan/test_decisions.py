@@ -50,7 +50,7 @@ def test_check_prints_decisions_sizes_and_cost(tmp_path):
     file.write_text(INJECTION)
     done = CliRunner().invoke(app, ["check", str(file)])
     assert done.exit_code == 0, done.output
-    for word in ("plan: film storage", "; saves ", "displacement unknowns", "memory, about", "CPU s: "):
+    for word in ("film storage", "may err by", "left out", "displacement unknowns", "memory, about", "CPU s: "):
         assert word in done.output
     told = json.loads(CliRunner().invoke(app, ["check", str(file), "--json"]).output)
     keys = {"part", "left_out", "criterion", "value", "limit", "error", "saves", "stage", "undone"}
