@@ -50,11 +50,11 @@ def run_command(
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
+    from fracflow.begin.setup import on_root
     from fracflow.card import as_records
     from fracflow.output.folder import check_folder
     from fracflow.output.tell import tell_card
     from fracflow.run import run
-    from fracflow.run_setup import on_root
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
@@ -83,9 +83,9 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
+    from fracflow.begin.setup import on_root
     from fracflow.output.folder import check_folder
     from fracflow.run import has_ended, require_run, resume
-    from fracflow.run_setup import on_root
     from fracflow.scene import load
 
     comm = MPI.COMM_WORLD
@@ -104,11 +104,11 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
 ) -> None:
     """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
+    from fracflow.begin.check import set_up
     from fracflow.card import as_records as card_records
     from fracflow.output.folder import to_json
     from fracflow.output.tell import tell_card, tell_plan
     from fracflow.plan import as_records
-    from fracflow.run_check import set_up
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
@@ -131,8 +131,8 @@ def check(
 @app.command("mesh")
 def mesh_command(scene: SceneFile, set_: Overrides = None) -> None:
     """Mesh and split only, with a summary."""
+    from fracflow.begin.setup import read_split
     from fracflow.mesh.split import summary
-    from fracflow.run_setup import read_split
     from fracflow.scene import load
 
     split = read_split(load(scene, set_ or []))

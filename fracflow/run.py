@@ -9,26 +9,26 @@ from pathlib import Path
 
 from fracflow import __version__
 from fracflow._petsc import MPI
+from fracflow.begin.planned import planned
+from fracflow.begin.setup import Model, on_root, prepare
+from fracflow.begin.start import rest, settle
+from fracflow.begin.tied import watch_tied
 from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, PutBack, SolveError
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
-from fracflow.run_auto import run_auto
-from fracflow.run_equilibrate import equilibrate
-from fracflow.run_plan import planned
-from fracflow.run_record import Recorder, watches_spurious
-from fracflow.run_setup import Model, on_root, prepare
-from fracflow.run_stages import run_stage
-from fracflow.run_start import rest, settle
-from fracflow.run_steps import Step, Stepping, stepper_of
-from fracflow.run_tied import watch_tied
-from fracflow.run_totals import Totals
-from fracflow.run_watch import Watch, Wish
+from fracflow.record.recorder import Recorder, watches_spurious
+from fracflow.record.totals import Totals
+from fracflow.record.watch import Watch, Wish
 from fracflow.scene import Scene, load
 from fracflow.scene_actions import Stage
+from fracflow.stages.auto import run_auto
+from fracflow.stages.equilibrate import equilibrate
+from fracflow.stages.plain import run_stage
 from fracflow.state import StepReport
+from fracflow.steps.step import Step, Stepping, stepper_of
 
 Progress = Callable[[Step], None]
 Show = Callable[[list[Number]], None]

@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import place, prepare, read_split
 from fracflow.card import film, scene_card
 from fracflow.card.number import FilmStage
 from fracflow.errors import InputError
-from fracflow.run_setup import place, prepare, read_split
 from fracflow.scene import Scene, load
 
 pytestmark = pytest.mark.serial

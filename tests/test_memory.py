@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from fracflow import run_instants
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import SolveError
 from fracflow.run import run
 from fracflow.scene import load
+from fracflow.steps import instants
 
 SHORT = {name: ["stage.1.steps=3"] for name in ("crossings", "report_5_3")}
 MESHES = Path(__file__).parents[1] / "meshes"
@@ -46,7 +46,7 @@ def test_nothing_is_left_to_a_collection(name, overrides, shared_tmp, capfd):
 @pytest.mark.parametrize("instant", [1, 2], ids=["a stage begins", "a joint slips"])
 def test_nothing_is_left_by_an_instant_that_is_not_found(instant, shared_tmp, capfd, monkeypatch):
     """First accelerations fail as the stage of 5.2 begins, or at its first event: what was made until then is freed."""
-    found, made_up = run_instants.initial_acceleration, "made up"
+    found, made_up = instants.initial_acceleration, "made up"
 
     def fail_at_last(*args):
         calls.append(args[-1])
@@ -55,7 +55,7 @@ def test_nothing_is_left_by_an_instant_that_is_not_found(instant, shared_tmp, ca
         found(*args)
 
     calls = []
-    monkeypatch.setattr(run_instants, "initial_acceleration", fail_at_last)
+    monkeypatch.setattr(instants, "initial_acceleration", fail_at_last)
     PETSc.garbage_cleanup()
     with pytest.raises(SolveError, match=made_up) as caught:
         run(load(MESHES / "report_5_2" / "scene.toml", ["output.pictures=false"]), shared_tmp / "out")

@@ -60,12 +60,12 @@ def scene_of(cells: int, joints: int, steps: int, method: dict[str, str]) -> dic
 def worker(name: str, cells: str, joints: str, steps: str, folder: str) -> None:
     """Make all steps by one method; write CPU seconds, iterations and sliding sections by step, and the displacements."""
     from fracflow._petsc import MPI
+    from fracflow.begin.setup import prepare
+    from fracflow.begin.start import rest
     from fracflow.errors import SolveError
-    from fracflow.run_setup import prepare
-    from fracflow.run_stages import run_stage
-    from fracflow.run_start import rest
-    from fracflow.run_steps import Stepping, stepper_of
     from fracflow.scene import Scene
+    from fracflow.stages.plain import run_stage
+    from fracflow.steps.step import Stepping, stepper_of
 
     scene = Scene.from_data(scene_of(int(cells), int(joints), int(steps), RIVALS[name]))
     model = prepare(scene, MPI.COMM_SELF)

@@ -59,8 +59,8 @@ def scene_of(unknowns: int, fault: str, drained: bool) -> dict[str, Any]:
 def worker(unknowns: str, fault: str, drained: str, result: str, apertures: str, blocks: str) -> None:
     """Measure all cases of a fault on this rank of several; rank 0 writes them."""
     from fracflow._petsc import MPI, PETSc
-    from fracflow.run_setup import prepare
-    from fracflow.run_start import rest
+    from fracflow.begin.setup import prepare
+    from fracflow.begin.start import rest
     from fracflow.scene import Scene
 
     comm, case = MPI.COMM_WORLD, {"fault": fault, "drained": json.loads(drained)}

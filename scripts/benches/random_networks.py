@@ -20,8 +20,8 @@ from fracflow._petsc import MPI
 from fracflow.errors import InputError, SolveError
 from fracflow.output import read_history
 from fracflow.run import run
-from fracflow.run_steps import Step
 from fracflow.scene import Scene
+from fracflow.steps.step import Step
 
 KINDS = ("quasi-static", "dynamic")
 STEPS = 5

@@ -21,8 +21,8 @@ from fracflow.errors import InputError, SolveError
 from fracflow.output import read_events, read_history
 from fracflow.output.export import KINDS
 from fracflow.run import run
-from fracflow.run_steps import Step
 from fracflow.scene import Scene
+from fracflow.steps.step import Step
 
 Floats = NDArray[np.float64]
 TOLERANCE = 1e-2  # of a scene that states none, or a larger one

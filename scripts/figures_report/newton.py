@@ -11,12 +11,12 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, STYLE, Check, Flo
 
 from figures_report.common import RECONSTRUCTED, Runner, command, probe, runner
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest
 from fracflow.errors import SolveError
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest
-from fracflow.run_steps import Stepping
 from fracflow.scene import load
 from fracflow.stepping import Steady
+from fracflow.steps.step import Stepping
 
 SCENE = "report_5_1"
 SPRINGS = 0.1  # (R) two of E = 0.05

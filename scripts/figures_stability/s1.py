@@ -17,14 +17,14 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from sheets import BLUE, HALO, INK, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import Model, prepare
+from fracflow.begin.start import rest
 from fracflow.coupling import Coupling
 from fracflow.coupling.accept import accept
 from fracflow.coupling.fixed_point import FixedPoint
 from fracflow.coupling.monolithic import Monolithic
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
-from fracflow.run_setup import Model, prepare
-from fracflow.run_start import rest
 from fracflow.scene import Scene
 from fracflow.state import State
 from fracflow.stepping import Newmark, Steady

@@ -13,11 +13,11 @@ from matplotlib.colors import LogNorm
 from sheets import HALO, INK, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.run_setup import Model, prepare
-from fracflow.run_start import rest, settle
-from fracflow.run_steps import Stepping
+from fracflow.begin.setup import Model, prepare
+from fracflow.begin.start import rest, settle
 from fracflow.scene import load
 from fracflow.stepping import STEPPERS
+from fracflow.steps.step import Stepping
 
 SCENE = ROOT / "meshes" / "failures" / "f3_winkler_film" / "scene.toml"
 PAIRS = {

@@ -20,14 +20,14 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, PINK, ROOT, Check, Floats, sa
 
 from fracflow._petsc import MPI
 from fracflow.assembly.joints import LawGroup
+from fracflow.begin.setup import Model, prepare
+from fracflow.begin.start import rest, settle
 from fracflow.errors import SolveError
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
-from fracflow.run_setup import Model, prepare
-from fracflow.run_start import rest, settle
-from fracflow.run_steps import Stepping
 from fracflow.scene import Scene
 from fracflow.scene_toml import read_toml
 from fracflow.stepping import Steady
+from fracflow.steps.step import Stepping
 
 FOLDER = ROOT / "meshes" / "failures" / "f6a_closing"
 D0 = 0.1

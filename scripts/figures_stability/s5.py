@@ -10,12 +10,12 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, sa
 
 from fracflow._petsc import MPI
 from fracflow.assembly.jump import jump_matrix
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest, settle
 from fracflow.card.rock import STIFF
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest, settle
-from fracflow.run_steps import Stepping
 from fracflow.scene import load
 from fracflow.stepping import Steady
+from fracflow.steps.step import Stepping
 
 SCENE = ROOT / "meshes" / "failures" / "f1_half_open" / "scene.toml"
 RULES = {"nodal": GREEN, "gauss2": BLUE, "one-point": ORANGE}

@@ -16,9 +16,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, INK, ORANGE, PALE, ROOT, SKY, Check, Floats, save, sheet, write_csv
 
+from fracflow.begin.setup import place, read_split
 from fracflow.card import scene_card
 from fracflow.laws import JOINT_LAWS
-from fracflow.run_setup import place, read_split
 from fracflow.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f5b_rupture" / "scene.toml"

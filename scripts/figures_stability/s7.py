@@ -19,9 +19,9 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, ROOT, Check, Floats, save, sh
 
 from fracflow._petsc import MPI
 from fracflow.assembly.flow import STORAGE as PAIRS
+from fracflow.begin.setup import Model, place, prepare, read_split
 from fracflow.card import scene_card
 from fracflow.elements.flow import conductivity, storage_matrix
-from fracflow.run_setup import Model, place, prepare, read_split
 from fracflow.scene import Scene, load
 
 SCENE = ROOT / "meshes" / "failures" / "f8_dissimilar" / "scene.toml"

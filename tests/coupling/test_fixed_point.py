@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest, settle
 from fracflow.card.film import coupling_factor
 from fracflow.coupling.fixed_point import FixedPoint
 from fracflow.coupling.fixed_point_failure import cycles_needed
@@ -14,11 +16,9 @@ from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.output import read_history
 from fracflow.run import run
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest, settle
-from fracflow.run_steps import Stepping
 from fracflow.scene import Scene, load
 from fracflow.stepping import BackwardEuler
+from fracflow.steps.step import Stepping
 
 LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest
 from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.step_problem import StepProblem
-from fracflow.run_network import Network
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest
 from fracflow.scene import load
 from fracflow.state import Memory
 from fracflow.stepping import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
+from fracflow.steps.network import Network
 
 
 @pytest.mark.parametrize("model", ["default", "report"])

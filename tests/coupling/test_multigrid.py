@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.begin.setup import prepare
 from fracflow.coupling import defaults
 from fracflow.coupling.near_null import near_null_space, rigid_motions
 from fracflow.output import read_history
 from fracflow.run import run
-from fracflow.run_setup import prepare
 from fracflow.scene import load
 
 FEW = 20  # Krylov iterations in a Newton iteration, beyond those with exact blocks

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest
 from fracflow.coupling.newton_methods import NEWTON_METHODS
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest
-from fracflow.run_steps import Stepping
 from fracflow.scene import load
 from fracflow.scene_tables import Method
 from fracflow.stepping import Steady
+from fracflow.steps.step import Stepping
 
 SLOW = "accuracy.max_iterations=1000"
 

@@ -7,12 +7,12 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest, settle
 from fracflow.cli import app
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest, settle
-from fracflow.run_steps import Stepping
 from fracflow.scene import load
 from fracflow.stepping import Steady
+from fracflow.steps.step import Stepping
 
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f1_half_open/scene.toml"

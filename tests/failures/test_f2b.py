@@ -59,7 +59,7 @@ def test_it_does_not_matter_which_node_gives_way(shared_tmp, monkeypatch):
     first = history(shared_tmp / "first")
     whole = components.find_parts
     turned = lambda *given: tuple(components.Part(p.nodes[::-1], p.fractures, p.center) for p in whole(*given))  # noqa: E731
-    monkeypatch.setattr("fracflow.run_network.find_parts", turned)
+    monkeypatch.setattr("fracflow.steps.network.find_parts", turned)
     last = history(shared_tmp / "last")
     for key in ("probe/in/pressure", "probe/out/pressure"):
         assert last[key] == pytest.approx(first[key], rel=1e-12)

@@ -9,11 +9,11 @@ from scipy import sparse
 
 from fracflow._petsc import MPI
 from fracflow.assembly.floating import Floating, null_motions
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest
 from fracflow.errors import SolveError
 from fracflow.output import read_history
 from fracflow.run import run
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest
 from fracflow.scene import load
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6b_lifted" / "scene.toml"

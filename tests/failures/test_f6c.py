@@ -7,15 +7,15 @@ import pytest
 from scipy.optimize import nnls
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest
 from fracflow.coupling.line_search import by_energy, by_residual
 from fracflow.errors import SolveError
 from fracflow.output import read_history
 from fracflow.run import run
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest
-from fracflow.run_steps import Stepping
 from fracflow.scene import load
 from fracflow.stepping import Steady
+from fracflow.steps.step import Stepping
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6c_bending" / "scene.toml"
 

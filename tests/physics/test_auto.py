@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest
 from fracflow.coupling.period import longest_period
 from fracflow.errors import InputError
 from fracflow.output import read_events, read_history
 from fracflow.run import resume, run
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest
 from fracflow.scene import load
 
 STIFF, SPRING, DAMPING, DROP, RATE = 50.0, 1.0, 1.0, 0.6, 1.0 / 4000.0

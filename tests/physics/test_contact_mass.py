@@ -5,12 +5,12 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.assembly.solid import mass
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest
 from fracflow.errors import InputError
-from fracflow.run_setup import prepare
-from fracflow.run_start import rest
-from fracflow.run_steps import Stepping
 from fracflow.scene import Scene
 from fracflow.stepping import STEPPERS
+from fracflow.steps.step import Stepping
 
 ROCK = {"youngs_modulus": 1.0, "poissons_ratio": 0.25, "density": 2.0}
 JOINT = {"normal_stiffness": 100.0, "shear_stiffness": 50.0, "aperture": 1.0, "friction_coefficient": 0.5}

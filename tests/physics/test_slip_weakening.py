@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
 from fracflow.errors import InputError, SolveError
-from fracflow.run_setup import prepare
 from fracflow.scene import load
 
 K_S, ROCK = 2e9, 5e9 / 2.0  # of the joint; of the rock, G over its height [Pa/m]

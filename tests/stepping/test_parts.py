@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from fracflow.errors import NotConverged
-from fracflow.run_parts import Attempted, Place, Rules, in_parts
 from fracflow.state import StepReport
+from fracflow.steps.parts import Attempted, Place, Rules, in_parts
 
 pytestmark = pytest.mark.serial
 

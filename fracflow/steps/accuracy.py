@@ -11,12 +11,12 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.compression import compression_of
 from fracflow.assembly.operators import Operators
+from fracflow.begin.setup import Model
 from fracflow.mesh.data import Floats
-from fracflow.run_prescribed import AT_A_TIME, bends_of, latest
-from fracflow.run_setup import Model
 from fracflow.scene_actions import Stage
 from fracflow.state import State
 from fracflow.stepping import Rates, Stepper, storage_error
+from fracflow.steps.prescribed import AT_A_TIME, bends_of, latest
 
 FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
 LATE = 2.0  # as much less a film may be wrong, over what is allowed at the end of a stage, than as it begins

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from fracflow.assembly.contact_mass import redistributes
 from fracflow.assembly.properties import initial_pressure
+from fracflow.begin.setup import Model, on_root, prepare
 from fracflow.elements import joint, solid
 from fracflow.errors import PutBack
 from fracflow.laws import JOINT_LAWS
@@ -20,7 +21,6 @@ from fracflow.mesh.locate import FracturePlace
 from fracflow.output.rock import deforms, per_cell, properties, strain, stress_change, tensors
 from fracflow.plan.decision import Facts, Shut
 from fracflow.plan.tied import PART, USE, Fractures, choose, why_none
-from fracflow.run_setup import Model, on_root, prepare
 from fracflow.state import State
 
 MOST = 1e7  # distances between fractures: some seconds

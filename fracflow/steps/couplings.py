@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from fracflow.assembly.loads import Loads
+from fracflow.begin.setup import Model
 from fracflow.coupling import COUPLINGS, Coupling
 from fracflow.coupling.condensed_plan import condensing, key_of, may_choose, planned
 from fracflow.coupling.defaults import is_large, is_meant
-from fracflow.run_setup import Model
 from fracflow.stepping import Stepper
 
 MOST_KEPT = (

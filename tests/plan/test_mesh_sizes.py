@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fracflow import plan_mesh
 from fracflow._petsc import MPI
+from fracflow.begin.setup import read_split, with_sizes
 from fracflow.card import scene_card
 from fracflow.cli import app
 from fracflow.mesh.read import GeometrySpec, build_mesh
 from fracflow.output import read_history
-from fracflow.plan_lengths import (
+from fracflow.plan import mesh_sizes
+from fracflow.plan.lengths import (
     affordable,
     cell_count,
     corner_period,
@@ -22,7 +23,6 @@ from fracflow.plan_lengths import (
     typical_length,
 )
 from fracflow.run import run
-from fracflow.run_setup import read_split, with_sizes
 from fracflow.scene import Scene
 from fracflow.tables_time import TimeTable
 
@@ -104,7 +104,7 @@ def test_a_proposed_mesh_resolves_what_it_was_made_for(scene, why):
     scene = sized(scene)
     mesh = read_split(scene)
     assert why in next(line for line in scene.notes if "size_at_fractures" in line)
-    assert plan_mesh.unresolved(scene, mesh, {}) == []
+    assert mesh_sizes.unresolved(scene, mesh, {}) == []
     assert not any(number.out_of_range for number in scene_card(scene, mesh, {}) if number.name in OF_SLIP)
     assert 100 < len(mesh.cells) < 20_000
     again = Scene.from_data(scene.model_dump(exclude_none=True))
@@ -121,9 +121,9 @@ def test_waves_of_loads_have_ten_cells():
     scene = sized(scene_of([], fracture={}, absorbing=[side], stage={"kind": "dynamic", "time_step": 1e-3}))
     mesh = read_split(scene)
     assert "wave of 0.02 s, a load in stage dynamic, / 10 = 2.53, rock at (" in scene.notes[0]
-    assert 2.0 < plan_mesh.cell_sizes(mesh).max() <= 0.02 * (4e9 / 2500.0) ** 0.5 / 10
+    assert 2.0 < mesh_sizes.cell_sizes(mesh).max() <= 0.02 * (4e9 / 2500.0) ** 0.5 / 10
     coarse = scene.with_geometry({"size": 8.0})
-    (told,) = plan_mesh.unresolved(coarse, read_split(coarse), {})
+    (told,) = mesh_sizes.unresolved(coarse, read_split(coarse), {})
     assert "it needs cells of 2.53 m, and has " in told and "rock at (" in told
 
 
@@ -146,7 +146,7 @@ def test_near_traces_take_no_more_cells_than_they_need(traces):
 
 @pytest.mark.serial
 def test_what_would_take_too_many_cells_is_capped_and_said(monkeypatch):
-    monkeypatch.setattr(plan_mesh, "MOST_CELLS", 4000)
+    monkeypatch.setattr(mesh_sizes, "MOST_CELLS", 4000)
     scene = sized(scene_of([[[20, 40], [80, 60]]], fracture={"stick_slip_ratio": 0.8, "shear_stiffness": 2e11}))
     mesh = read_split(scene)
     assert 2000 < len(mesh.cells) < 1.25 * 4000

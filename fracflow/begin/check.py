@@ -6,13 +6,13 @@ import math
 from typing import Any
 
 from fracflow._petsc import MPI
+from fracflow.begin.planned import planned, seconds_of_factors
+from fracflow.begin.setup import Model, prepare
+from fracflow.begin.start import settle
 from fracflow.card import Number, scene_card
 from fracflow.coupling.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
 from fracflow.mesh.split import summary
 from fracflow.plan import Decision, decide
-from fracflow.run_plan import planned, seconds_of_factors
-from fracflow.run_setup import Model, prepare
-from fracflow.run_start import settle
 from fracflow.scene import Scene
 
 PROGRAM, NUMBER = 1.5e8, 8.0  # bytes of the program with its libraries, and of a number

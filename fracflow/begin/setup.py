@@ -27,7 +27,7 @@ from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
 from fracflow.output.probes import refuse_missing
 from fracflow.plan.decision import Facts
-from fracflow.plan_mesh import proposed, unresolved
+from fracflow.plan.mesh_sizes import proposed, unresolved
 from fracflow.scene import Scene
 from fracflow.tables import FractureEnd, Place
 

@@ -11,15 +11,15 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
+from fracflow.begin.idle import without_idle
+from fracflow.begin.setup import Model
+from fracflow.begin.start import rest, settle
+from fracflow.begin.tied import find_shut, tied
 from fracflow.coupling.period import longest_period
 from fracflow.mesh.data import Ints
 from fracflow.plan.decision import Facts
 from fracflow.plan.inertia import asks_period, reduced
 from fracflow.plan.tied import PART
-from fracflow.run_idle import without_idle
-from fracflow.run_setup import Model
-from fracflow.run_start import rest, settle
-from fracflow.run_tied import find_shut, tied
 from fracflow.state import State
 
 LARGEST = PETSc.NormType.INFINITY

@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from fracflow.begin.setup import Model
 from fracflow.coupling.explicit import ExplicitCoupling
-from fracflow.run_parts import on_the_way
-from fracflow.run_setup import Model
 from fracflow.state import State, StepReport
 from fracflow.stepping import Explicit, Stepper
 from fracflow.stepping.explicit import parts
+from fracflow.steps.parts import on_the_way
 
 Part = Callable[[State, float, float, Mapping[str, float], float], tuple[State, StepReport]]
 """(state, time, dt, controls, dt of what follows) -> the state at the end of a part that is not too long."""

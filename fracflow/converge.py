@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import on_root, place, with_sizes
 from fracflow.errors import InputError
 from fracflow.mesh.locate import RockPlace
 from fracflow.mesh.split import tip_count
@@ -17,9 +18,8 @@ from fracflow.output.folder import MARKER, check_folder
 from fracflow.plan.decision import Facts
 from fracflow.plan.inertia import asks_period
 from fracflow.plan.tied import LEAST, why_none
+from fracflow.record.totals import Totals
 from fracflow.run import Progress, has_ended, resume, run
-from fracflow.run_setup import on_root, place, with_sizes
-from fracflow.run_totals import Totals
 from fracflow.scene import Scene
 from fracflow.scene_levels import Spot, at_level, order_in_time
 from fracflow.scene_tables import MOST_REFINED

@@ -10,9 +10,9 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.coupling.events import Event, first_event
 from fracflow.errors import NotConverged
-from fracflow.run_parts import Attempted
-from fracflow.run_steps import Stepping
 from fracflow.state import State, StepReport
+from fracflow.steps.parts import Attempted
+from fracflow.steps.step import Stepping
 
 NEAR = 1e-4  # of the step: how well the time of an event is known
 REFINEMENTS = 6

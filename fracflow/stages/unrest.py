@@ -10,13 +10,13 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.assembly.inertia import fastest_cell
+from fracflow.begin.setup import Model
 from fracflow.coupling.period import longest_period
 from fracflow.errors import SolveError
-from fracflow.run_parts import Place
-from fracflow.run_setup import Model
 from fracflow.scene_actions import Stage
 from fracflow.scene_materials import Rock
 from fracflow.state import State
+from fracflow.steps.parts import Place
 
 SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther
 RADIATED = 1e-3  # of the strength: what rho c_s v/2 of slip without inertia may reach

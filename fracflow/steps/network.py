@@ -11,11 +11,11 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.components import Part, close, conducting, find_parts, give_way, holding
 from fracflow.assembly.flow import Conduction
 from fracflow.assembly.loads import Limit, Loads
+from fracflow.begin.setup import Model
 from fracflow.coupling.initial import Enclosed
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
-from fracflow.run_setup import Model
 from fracflow.state import State
 
 MOST_TOLD = 5  # parts that the log lists

@@ -10,14 +10,14 @@ import numpy as np
 from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushed, switch
 from fracflow.assembly.energy_motion import Scheme, kinetic_energy
 from fracflow.assembly.loads import Loads
+from fracflow.begin.setup import Model
 from fracflow.coupling.absorption import carried_on
 from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.mesh.data import Bools
-from fracflow.run_network import Network
-from fracflow.run_setup import Model
 from fracflow.state import Memory, Motion, Past, State
 from fracflow.stepping import Alphas, Stepper
+from fracflow.steps.network import Network
 
 
 def enter(model: Model, network: Network, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from fracflow.begin.setup import Model
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.output.catalogue import Catalogue, FaultEnds, Instant
 from fracflow.output.sampling import Snapshot
-from fracflow.run_setup import Model
-from fracflow.run_wells import at_node
 from fracflow.scene import Scene
 from fracflow.state import State
+from fracflow.steps.wells import at_node
 
 
 def catalogue_of(scene: Scene, mesh: SplitMesh, place: Ints, notes: Mapping[str, Any] | None) -> Catalogue | None:

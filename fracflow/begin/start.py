@@ -14,10 +14,10 @@ from fracflow.assembly.joints import implied_tractions
 from fracflow.assembly.operators import Operators
 from fracflow.assembly.properties import body_force, initial_pressure, initial_stress
 from fracflow.assembly.solid import nodal_force
+from fracflow.begin.setup import Model
 from fracflow.elements import joint
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats
-from fracflow.run_setup import Model
 from fracflow.scene import Scene
 from fracflow.scene_materials import InitialMotion
 from fracflow.state import Forces, Motion, Sections, State

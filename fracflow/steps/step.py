@@ -11,22 +11,22 @@ from fracflow.assembly.energy import book, dissipated
 from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
+from fracflow.begin.setup import Model
 from fracflow.coupling.accept import accept, remember
 from fracflow.coupling.explicit import ExplicitProblem
 from fracflow.coupling.flow_digits import check_digits
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import NotConverged, SolveError
 from fracflow.mesh.data import Bools, Floats
-from fracflow.run_couplings import Couplings
-from fracflow.run_explicit import ExplicitSteps
-from fracflow.run_instants import change, enter
-from fracflow.run_network import Network
-from fracflow.run_setup import Model
-from fracflow.run_wells import reached_after, reached_before, refuse_cycle
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.state import Memory, State, StepReport
 from fracflow.stepping import Explicit, Steady, Stepper, first, stepper_from
+from fracflow.steps.couplings import Couplings
+from fracflow.steps.explicit import ExplicitSteps
+from fracflow.steps.instants import change, enter
+from fracflow.steps.network import Network
+from fracflow.steps.wells import reached_after, reached_before, refuse_cycle
 from fracflow.tables_time import AT_ONCE
 
 Progress = Mapping[str, float]
@@ -235,7 +235,7 @@ class Stepping:
         return self._variants[key] if reached else loads
 
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
-        """A new state, as a stage takes it over; see ``run_instants``. Collective."""
+        """A new state, as a stage takes it over; see ``steps.instants``. Collective."""
         dt /= self.explicit.count(dt) if isinstance(stepper, Explicit) and dt > 0.0 else 1
         return enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
 

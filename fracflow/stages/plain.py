@@ -6,10 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import Model
 from fracflow.errors import SolveError
-from fracflow.run_accuracy import Judge
-from fracflow.run_events import take_part
-from fracflow.run_parts import (
+from fracflow.scene_actions import Stage
+from fracflow.state import State, StepReport
+from fracflow.stepping import Steady
+from fracflow.steps.accuracy import Judge
+from fracflow.steps.events import take_part
+from fracflow.steps.parts import (
     AT_A_JUMP,
     Attempted,
     Place,
@@ -20,12 +24,8 @@ from fracflow.run_parts import (
     on_the_way,
     still_lacking,
 )
-from fracflow.run_prescribed import prescribed
-from fracflow.run_setup import Model
-from fracflow.run_steps import DONE, Progress, Step, Stepping, stepper_of
-from fracflow.scene_actions import Stage
-from fracflow.state import State, StepReport
-from fracflow.stepping import Steady
+from fracflow.steps.prescribed import prescribed
+from fracflow.steps.step import DONE, Progress, Step, Stepping, stepper_of
 
 DOUBLINGS = 60
 SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends

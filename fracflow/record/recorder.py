@@ -13,6 +13,7 @@ from fracflow import __version__
 from fracflow._petsc import MPI
 from fracflow.assembly.energy import ENTRIES, spurious_share
 from fracflow.assembly.flow import is_transposed
+from fracflow.begin.setup import Model, on_root
 from fracflow.card import as_lines, scene_card
 from fracflow.card import as_records as card_records
 from fracflow.mesh.data import Floats
@@ -26,12 +27,11 @@ from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
 from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
-from fracflow.run_catalogue import brought, catalogue_of, instant
-from fracflow.run_setup import Model, on_root
-from fracflow.run_steps import Step
-from fracflow.run_totals import Totals
+from fracflow.record.catalogue import brought, catalogue_of, instant
+from fracflow.record.totals import Totals
 from fracflow.scene import Scene
 from fracflow.state import State
+from fracflow.steps.step import Step
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again

@@ -10,12 +10,12 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.assembly.loads import Loads, Prescribed
 from fracflow.assembly.properties import initial_pressure
-from fracflow.run_parts import Attempted, Rules, in_parts, most_halvings
-from fracflow.run_setup import Model
-from fracflow.run_start import imbalance
-from fracflow.run_steps import DONE, Progress, Step, Stepping
+from fracflow.begin.setup import Model
+from fracflow.begin.start import imbalance
 from fracflow.state import State
 from fracflow.stepping import Steady
+from fracflow.steps.parts import Attempted, Rules, in_parts, most_halvings
+from fracflow.steps.step import DONE, Progress, Step, Stepping
 
 
 def equilibrate(

@@ -9,10 +9,10 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.assembly.prescribed import Prescribed, own
+from fracflow.begin.setup import Model, on_root
 from fracflow.mesh.data import Bools, SplitMesh
 from fracflow.mesh.glue import parts
 from fracflow.plan.decision import Parts
-from fracflow.run_setup import Model, on_root
 from fracflow.scene import Scene
 from fracflow.scene_actions import Support
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from fracflow.begin.planned import why_inertia
 from fracflow.coupling.period import longest_period
 from fracflow.errors import NotConverged, PutBack
 from fracflow.plan.inertia import key_of, next_kink, slow_stages
-from fracflow.run_accuracy import step_error
-from fracflow.run_events import take_part
-from fracflow.run_parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
-from fracflow.run_plan import why_inertia
-from fracflow.run_prescribed import prescribed
-from fracflow.run_steps import Progress, Step, Stepping, stepper_of
-from fracflow.run_unrest import Course, begin, may_rest, runs_away, weak_waves
+from fracflow.stages.unrest import Course, begin, may_rest, runs_away, weak_waves
 from fracflow.state import State, StepReport
 from fracflow.stepping import Explicit
+from fracflow.steps.accuracy import step_error
+from fracflow.steps.events import take_part
+from fracflow.steps.parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.steps.prescribed import prescribed
+from fracflow.steps.step import Progress, Step, Stepping, stepper_of
 
 NEAR = 1e-9  # of a step: times so near are one
 ROUND_OFF = 1e-14  # of a time

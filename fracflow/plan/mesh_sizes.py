@@ -15,7 +15,7 @@ from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.quality import cell_areas
 from fracflow.mesh.read import SNAP
 from fracflow.mesh.traces import polygon_area
-from fracflow.plan_lengths import (
+from fracflow.plan.lengths import (
     affordable,
     cell_count,
     corner_period,
