@@ -1,6 +1,6 @@
 """``scripts/figures plan [-o DIR] [--only NAME ...] [--seeds N]``: scenes as the plan has them against all in them.
 
-Every scene of meshes/ (by its folder), the injection of W7 and N random scenes are run twice, as they stand and with
+Every scene of meshes/ (by its folder), the injection of W7, a network and N random scenes are run twice, as they stand and with
 ``model = "full"``. Exit code 1 where what they tell is further apart than the tolerance, where one run alone fails, where a
 longer run takes more time as the plan has it, or where no injection takes a third of the time.
 """
@@ -21,7 +21,7 @@ from figures_work_precision.problems import w7
 from sheets import BLUE, GRID, INK, ORANGE, PALE, ROOT, STYLE, Check, judge, made_with, save, sheet
 
 import fracflow
-from figures_plan.scenes import scene
+from figures_plan.scenes import network, scene
 from figures_plan.twins import TooLong, Twins, full_of, once, twins
 from fracflow.errors import InputError
 from fracflow.scene import Scene
@@ -32,6 +32,7 @@ NAMES = sorted(str(path.parent.relative_to(MESHES)) for path in MESHES.rglob("sc
 SHORTENED = {"rupture": ("stage.0.end=1", "first second of 6.6")}
 """Scene -> settings of both runs, and what they leave of it: its run with all in it takes more than ten minutes."""
 INJECTION = "W7"
+NETWORK = "network"  # sixty fractures that a fault does not feel
 CELLS, STEPS = 128, 24  # of W7: 33 000 displacements
 COUPLED = (INJECTION, "injection_cycle")
 LONG, SLOWER, FASTER = 10.0, 1.1, 3.0  # [s]; times
@@ -54,7 +55,7 @@ def main() -> int:
     """Exit code 1 if a bar is missed."""
     parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "runs" / "figures" / "plan", metavar="DIR")
-    known = (*NAMES, INJECTION, "random")
+    known = (*NAMES, INJECTION, NETWORK, "random")
     parser.add_argument("--only", nargs="+", choices=known, default=known, metavar="NAME", help=", ".join(known))
     parser.add_argument("--seeds", type=int, default=24, help="random scenes that at least one run solves (24)")
     parser.add_argument(
@@ -75,7 +76,9 @@ def main() -> int:
 
 
 def scene_of(name: str, folder: Path) -> Scene:
-    """A scene of meshes/, or that of W7, whose files go into a folder."""
+    """A scene of meshes/, the network, or that of W7, whose files go into a folder."""
+    if name == NETWORK:
+        return Scene.from_data(network(), MESHES / "network.toml")
     if name == INJECTION:
         return fracflow.load(w7.written(folder, CELLS, STEPS))
     settings = [SHORTENED[name][0]] if name in SHORTENED else []
@@ -194,7 +197,7 @@ def draw(entries: Sequence[Entry], folder: Path) -> None:
     label = "largest error over tolerance; none at the left edge"
     axes["error"].set(xscale="log", xlim=(0.3 * LEAST, 3e3), xlabel=label)
     axes["error"].set_yticks(place, [entry.name for entry in entries], fontsize=6)
-    save(figure, folder, "plan", f"Blue: meshes/ and {INJECTION}; orange: random, by seed. One core. {COMMAND}")
+    save(figure, folder, "plan", f"Blue: meshes/, {INJECTION}, {NETWORK}; orange: random, by seed. One core. {COMMAND}")
 
 
 if __name__ == "__main__":

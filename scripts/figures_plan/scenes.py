@@ -33,6 +33,34 @@ def scene(seed: int) -> Data:
     return rock(draw, kind, law, wet=kind == "search" or seed % 3 > 0, exact=seed % EVERY_TOLERANCE == 1)
 
 
+def network(rows: int = 5, columns: int = 6, size: float = 1.0, steps: int = 40) -> Data:
+    """A fault that slips slowly between rows of stiff fractures far below their strength."""
+    heights = np.concatenate([np.linspace(6.0, 26.0, rows), np.linspace(74.0, 94.0, rows)])
+    middles = np.linspace(10.0, 90.0, 2 * columns + 1)[1::2]
+    seams = [
+        {"name": f"seam{row}-{column}", "points": [[x - 8.0, y], [x + 8.0, y + 1.0]]}
+        for row, y in enumerate(heights) for column, x in enumerate(middles)
+    ]  # fmt: skip
+    fault = {"name": "fault", "points": [[40, 50], [60, 50]]}
+    return {
+        "output": {"pictures": False},
+        "geometry": {"domain": [0, 0, 100, 100], "size": size, "size_at_fractures": size / 2, "fracture": [fault, *seams]},
+        "rock": {"rock": {"youngs_modulus": 1e10, "poissons_ratio": 0.25, "density": 2500}},
+        "initial_stress": {"xx": -1e7, "yy": -1e7, "zz": -5e6},
+        "fracture": {
+            "default": {"normal_stiffness": 2e12, "shear_stiffness": 2e12, "aperture": 1e-3, "friction_angle_deg": 30},
+            "fault": {"normal_stiffness": 5e10, "shear_stiffness": 2e10, "aperture": 1e-3, "friction_angle_deg": 2},
+        },
+        "support": [{"on": ["south"]}],
+        "load": [
+            {"on": ["north", "east", "west"], "traction": "initial-stress"},
+            {"on": "north", "traction": [[[0, 0], [10, 4e5]], 0]},
+        ],
+        "probe": [{"name": "fault", "at": [50, 50], "on": "fault"}, {"name": "rock", "at": [50, 70]}],
+        "stage": [{"kind": "quasi-static", "time_step": 10 / steps, "steps": steps}],
+    }  # fmt: skip
+
+
 def rock(draw: np.random.Generator, kind: str, law: str, wet: bool, exact: bool) -> Data:
     """Elastic rock that is sheared, or whose fractures are pumped into; ``exact`` states a tolerance."""
     count, press = int(draw.integers(1, 4)), float(draw.uniform(8e6, 20e6))
