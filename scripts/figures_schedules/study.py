@@ -12,6 +12,7 @@ import fracflow
 
 WELLS, PLACES = ("node2", "node4", "node6"), (-2000, 0, 2000)  # on the fault [ft]
 DURATION, HIGHEST, LOWEST = 1200.0, 1e5, 0.0  # of every schedule [s]; of the pressure in its wells [lbf/ft^2]
+REST = "at_rest=0.03, rest_periods=2"  # small events too drop less than a thousandth of their energy
 Rates = tuple[float, float, float]
 
 
@@ -40,7 +41,7 @@ class Schedule(NamedTuple):
             "method.stepper=generalised-alpha",  # the joints' own vibration is too fast for the steps
             "method.rho_infinity=0.5",
             "method.events=at-step-ends",
-            f'stage=[{{name="schedule", kind="auto", time_step={DURATION / 120}, at_rest=0.02, end={DURATION}}}]',
+            f'stage=[{{name="schedule", kind="auto", time_step={DURATION / 120}, end={DURATION}, {REST}}}]',
             "control.pumping.initial=1",
             f"mesh.refine={refine}",
             f"probe=[{probes}]",
