@@ -168,6 +168,12 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     return recorder.totals
 
 
+def is_moving(scene: Scene, step: Step) -> bool:
+    """Whether the last step of a stage has left a state in motion."""
+    is_last = not step.progress or "fresh" not in step.progress
+    return is_last and (scene.stage[step.stage].kind == "dynamic" or bool((step.progress or {}).get("moves")))
+
+
 def _steps(
     stepping: Stepping, recorder: Recorder, step: Step, progress: Progress | None
 ) -> SolveError | Interrupted | None:
@@ -180,9 +186,11 @@ def _steps(
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
-                    entered = stepping.enter(state, stepper_of(scene, stage), stage.step_length(state.time))
+                    moves = stage.kind == "auto" and is_moving(scene, step)
+                    stepper = stepper_of(scene, stage, "dynamic" if moves else "")
+                    entered = stepping.enter(state, stepper, stage.step_length(state.time))
                     state.destroy()
-                    state, going_on = entered, {}
+                    state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
                 for step in steps(stepping, state, number, recorder.log, going_on):
                     recorder.record(step)

@@ -73,11 +73,12 @@ class SectionSolver:
         return now - before - np.einsum("sij,sj->si", self.elastic, change)
 
     def solve(
-        self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None
+        self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
     ) -> tuple[Floats, SectionReport]:
         """Bring sections and pressures of ``problem`` into balance, from what sections move freely (s, dim).
 
         share  S of ``stepping.explicit``; ``start`` what sections (s, dim) are tried to move at first.
+        least  iterations in any case
         Returns what they move. Raises NotConverged, on every rank. Collective.
         """
         total, change, comm = 0, np.zeros_like(free) if start is None else start, self.operators.layout.comm
@@ -85,7 +86,7 @@ class SectionSolver:
         given = self.film.given(problem) if self.film is not None else None
         try:
             for _ in range(self.most_changes):
-                change, report = self._with_statuses(problem, free, change, pulled, given, share)
+                change, report = self._with_statuses(problem, free, change, pulled, given, share, least - total)
                 total += report.iterations
                 if problem.hold:
                     return change, replace(report, iterations=total)
@@ -108,6 +109,7 @@ class SectionSolver:
         pulled: Floats,
         given: PETSc.Vec | None,
         share: float,
+        least: int,
     ) -> tuple[Floats, SectionReport]:
         """The balance with the statuses of ``problem.branch``, beginning from ``change``. Collective."""
         joints, film, comm = self.operators.joints, self.film, self.operators.layout.comm
@@ -130,7 +132,7 @@ class SectionSolver:
             )
             if bad:
                 break
-            if beyond_all <= TIGHT * moved and flow <= self.scene.accuracy.residual:
+            if beyond_all <= TIGHT * moved and flow <= self.scene.accuracy.residual and iteration >= least:
                 return change, SectionReport(iteration, worst / moved if moved > 0.0 else 0.0, flow)
             step = self._step(problem, rows, slopes, share)
             allowed = comm.allreduce(joints.step_limit(before.strain + change, step), op=MPI.MIN)

@@ -9,6 +9,7 @@ from fracflow.begin.planned import why_inertia
 from fracflow.coupling.period import longest_period
 from fracflow.errors import NotConverged, PutBack
 from fracflow.plan.inertia import key_of, next_kink, slow_stages
+from fracflow.stages.shaken import shaken
 from fracflow.stages.unrest import Course, begin, may_rest, runs_away, weak_waves
 from fracflow.state import State, StepReport
 from fracflow.stepping import Explicit
@@ -28,17 +29,31 @@ Log = Callable[[str], None]
 def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
     """All steps of a stage auto, or those after the one with ``progress``. The caller owns the states. Collective.
 
+    With "moving" in it a stage before has left ``state`` in motion, and ``progress`` is that stage's.
+
     A change of regime is a step of no length: where inertia comes in, the state is in balance but for what no state at rest
     balances, which alone starts the motion; where it goes, kinetic energy is dropped, and booked.
     """
     model, stage = stepping.model, stepping.model.scene.stage[number]
-    course, place = (Course.of(progress), Place.of(progress)) if progress else (begin(model, state, stage), Place())
+    goes_on = bool(progress) and "moving" not in progress
+    course, place = (Course.of(progress), Place.of(progress)) if goes_on else (begin(model, state, stage), Place())
     regimes = _Regimes(stepping, number, log, course.least, course.period)
-    if not progress:
+    if not goes_on:
         log(
             f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
             f" without at most {stage.time_step:.6g}"
         )
+    if "moving" in progress:
+        weak, known = weak_waves(model, state, course.period), progress.get("moves", 0.0) > 0.0
+        if known or state.energy["kinetic"] > weak:
+            log(f"time {state.time:.9g}: begins in motion")
+            course = course.onset(state, course.period, weak)
+            course = (
+                replace(course, **{name: progress[name] for name in ("creep", "peak", "loud")}) if known else course
+            )
+        else:
+            state = stepping.enter(state, regimes.still)
+            yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
     assert stage.end is not None
     while stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
         if not course.moves:
@@ -60,7 +75,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             if told := course.restless(before, state.time, bool(model.scene.absorbing)):
                 log(f"time {state.time:.9g}: {told}")
             yield Step(state, number, dt, part.report, course.as_progress(place), WAVES)
-        if course.is_quiet(state, stage):
+        if course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
             settled, course = regimes.rest(state, course)
             if settled is not None:
                 state, place = settled, Place()
@@ -81,7 +96,6 @@ class _Regimes:
         )
         share = scene.accuracy.tolerance or SEEN
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=share)
-        self.corners = sorted({*self.prescribed.ends} - {*scene.jump_times})
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
         locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
@@ -89,11 +103,17 @@ class _Regimes:
         facts = self.model.facts
         self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
         self.period = period
+        self.shaken = () if self.most is not None else shaken(scene, period)
+        shakes = {span.start for span in self.shaken}
+        self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
         self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
 
     def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
         """The longest step without inertia that may be taken; no state where none may be. Collective."""
         assert self.stage.time_step is not None
+        if why := self.is_shaken(state.time):
+            self.log(f"time {state.time:.9g}: an event begins: {why}")
+            return None, StepReport(), course
         while True:
             time, jumps = self._target(state.time, course.step)
             dt = time - state.time
@@ -115,6 +135,15 @@ class _Regimes:
             after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
             course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
         return new, report, course
+
+    def is_shaken(self, time: float) -> str:
+        """What shakes the rock from a time on, or has not ended; empty if nothing."""
+        assert self.stage.time_step is not None
+        slack = max(3.0 * NEAR * self.stage.time_step, 3e-11 * abs(time))  # steps end just before a jump
+        now = (
+            span.why for span in self.shaken if span.start <= time + slack and time < max(span.end, span.start + slack)
+        )
+        return next(now, "")
 
     def _must_not_matter(self, old: State, new: State) -> None:
         """Raise PutBack, on every rank, where a step needs the inertia that the plan leaves out. Collective."""

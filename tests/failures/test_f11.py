@@ -1,12 +1,14 @@
 """F11, F12: a slip event with two modes is over when it has been quiet for one longest period; nothing of it is lost."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_events, read_history
 from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene import Scene, load
 
 SCENES = "meshes/failures/"
 EARLY = ("stage.push.at_rest=0.1", "stage.push.end=430")
@@ -51,3 +53,21 @@ def test_drops_what_it_says_and_closes_its_books(waited):
     assert event["dropped"] == pytest.approx(dropped[-1], rel=1e-6)
     kinds = history["step/kind"]
     assert list(kinds[np.flatnonzero(np.diff(kinds, prepend=-1))]) == [1, 2, 1]  # without, with, without inertia
+
+
+def test_an_event_goes_on_in_the_next_stage(shared_tmp, waited):
+    """As if there were no other stage: it begins at 398.4, and the second stage at 403."""
+    early = ["output.pictures=false", *EARLY]
+    data = load(f"{SCENES}f11_two_modes/scene.toml", early).model_dump(exclude_none=True)
+    (push,) = [stage for stage in data["stage"] if stage.get("name") == "push"]
+    later = [{**push, "name": "later"}] if push is data["stage"][-1] else []
+    push["end"] = 403.0
+    data["stage"] = [*data["stage"], *later]
+    run(Scene.from_data(data, Path(f"{SCENES}f11_two_modes/scene.toml")), shared_tmp / "split", MPI.COMM_WORLD)
+    MPI.COMM_WORLD.barrier()
+    history, rows = read_history(shared_tmp / "split" / "history.h5"), read_events(shared_tmp / "split" / "events.csv")
+    events = [[row for row in table if row["kind"] == "event"] for table in (rows, waited[1])]
+    assert len(events[0]) == len(events[1]) == 1
+    for key in ("start", "end", "slip", "dissipated"):
+        assert events[0][0][key] == pytest.approx(events[1][0][key], rel=1e-3)
+    assert history["energy/dropped"][-1] == pytest.approx(waited[0]["energy/dropped"][-1], rel=0.05)

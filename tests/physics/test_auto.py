@@ -72,6 +72,100 @@ def test_a_pulse_shorter_than_a_slow_step_is_not_stepped_over(shared_tmp):
     assert all(np.abs(at_rest - kink).min() < 1e-9 for kink in (100.0, 250.0, 400.0))
 
 
+@pytest.mark.serial
+def test_pulses_in_time_with_the_rock_are_no_slow_load(tmp_path):
+    """Three pushes of 0.09 of the strength, a period apart, swing the slider past it; at rest each would be far from it."""
+    period = 2.0 * np.pi / np.sqrt(SPRING + STIFF)
+    times, values = [0.0, 5.0], [0.0, 0.8 / 1.02]
+    for n in range(3):
+        times += [10.0 + n * period, 10.0 + (n + 0.25) * period, 10.0 + (n + 0.5) * period]
+        values += [values[1], values[1] + 0.09, values[1]]
+    push = f"load.1.force=[{[list(pair) for pair in zip(times, values, strict=True)]}, 0]"
+    slips = {}
+    for name, change in (
+        ("auto", ("stage.push.dynamic_time_step=0.01",)),
+        ("dynamic", ("stage.0={kind = 'dynamic', time_step = 0.01, end = 30}",)),
+    ):
+        scene = load(SCENE, [*ONE, push, "stage.push.end=30", *change])
+        run(scene, tmp_path / name)
+        slips[name] = read_history(tmp_path / name / "history.h5")["probe/fault/plastic_slip"][-1]
+    assert slips["dynamic"] > 0.5
+    assert slips["auto"] == pytest.approx(slips["dynamic"], rel=5e-3)
+
+
+WAVE = """
+[output]
+pictures = false
+[geometry]
+domain = [[0, 0], [40, 0], [40, 80], [0, 80]]
+size = 10
+[[geometry.fracture]]
+name = "joint"
+points = [[0, 40], [40, 40]]
+[rock.rock]
+youngs_modulus = "10 GPa"
+poissons_ratio = 0.25
+density = 2500
+[initial_stress]
+xx = "-2 MPa"
+yy = "-2 MPa"
+zz = "-2 MPa"
+[fracture.default]
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "1 mm"
+friction_coefficient = 0.2
+stick_slip_ratio = 0.9
+[[support]]
+on = ["west", "east"]
+components = ["y"]
+[[load]]
+on = ["west", "east"]
+traction = "initial-stress"
+[[absorbing]]
+on = "south"
+wave = {kind = "s", velocity = [[0, 0], [5, 0], [5.04, 0.3], [5.08, 0]], direction = [0, 1]}
+[[absorbing]]
+on = "north"
+[[probe]]
+name = "middle"
+at = [20, 40]
+on = "joint"
+"""
+AUTO = """[[stage]]
+kind = "auto"
+end = 6
+time_step = 4
+dynamic_time_step = 2e-3
+"""
+BY_HAND = """[[stage]]
+kind = "quasi-static"
+time_step = 4.99
+steps = 1
+[[stage]]
+kind = "dynamic"
+time_step = 2e-3
+end = 5.6
+"""
+
+
+@pytest.mark.serial
+def test_a_wave_that_comes_in_is_an_event(tmp_path):
+    found = {}
+    for name, stages in (("auto", AUTO), ("by hand", BY_HAND)):
+        (tmp_path / f"{name}.toml").write_text(WAVE + stages)
+        run(load(tmp_path / f"{name}.toml"), tmp_path / name)
+        found[name] = read_history(tmp_path / name / "history.h5")
+    auto, hand = found["auto"], found["by hand"]
+    assert hand["probe/middle/plastic_slip"][-1] > 1e-4
+    assert auto["probe/middle/plastic_slip"][-1] == pytest.approx(hand["probe/middle/plastic_slip"][-1], rel=1e-3)
+    assert auto["energy/work_incident"][-1] == pytest.approx(hand["energy/work_incident"][-1], rel=1e-3)
+    events = [row for row in read_events(tmp_path / "auto" / "events.csv") if row["kind"] == "event"]
+    assert len(events) == 1 and 5.0 < events[0]["start"] < 5.1  # its first slip
+    assert "time 5: an event begins: a wave comes in" in (tmp_path / "auto" / "log.txt").read_text()
+    assert auto["time"][-1] == pytest.approx(6.0) and (auto["step/kind"] == 1).sum() >= 3
+
+
 def test_an_event_under_way_has_a_row_without_end_that_going_on_replaces(shared_tmp):
     """It starts at 408 and lasts 3.6: cut at 409 it has slipped a part of what it does in the end."""
 
