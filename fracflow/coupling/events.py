@@ -19,7 +19,7 @@ from fracflow.state import Past, State
 
 SAMPLES = 8  # instants at which a step is looked at: what leaves and returns between two of them is not seen
 NARROW, MOST = 1e-12, 80  # of the step: how well a root is known, and evaluations for it
-HALVED = 3  # every so many times its interval is halved, whatever the values say; more often where they say nothing
+HALVED = 3  # every so many times its interval is halved, whatever the values say; always where they say nothing
 LEAST = 1e-3  # of its interval: so far from either end it is looked for
 FRICTION, CONTACT = 0, 1  # the two distances of ``JointLaw.approach``
 TOGETHER = 1e-3  # of the step: events that lie so near behind the first are taken with it
@@ -135,7 +135,7 @@ def _fall(
         wide = there & (high - low > NARROW)
         if not wide.any():
             break
-        slopes = wide & np.isfinite(above) & (turn % np.where(above > 0.0, HALVED, 2) != 1)
+        slopes = wide & np.isfinite(above) & (above > 0.0) & (turn % HALVED != 1)
         share = np.full(len(low), 0.5)
         np.divide(above, above - np.where(slopes, below, 0.0), out=share, where=slopes)
         middle = low + np.clip(share, LEAST, 1.0 - LEAST) * (high - low)  # of an interval that has its root at one end
