@@ -48,7 +48,12 @@ def run(
     Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
     gone, and ``progress`` sees those of both. Raises InputError, SolveError and Interrupted, on every rank.
     """
-    return _tries(lambda undone: _run(scene, folder, comm, progress, None if undone else show, undone), {})
+
+    def once(undone: Mapping[str, str]) -> Totals:
+        mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
+        return _run(scene, folder, comm, progress, None if undone else show, undone, mesh)
+
+    return _tries(once, {})
 
 
 def _tries(once: Callable[[Mapping[str, str]], Totals], undone: Mapping[str, str]) -> Totals:

@@ -29,7 +29,7 @@ USUAL = {
 
 def advice(scene: Scene) -> list[str]:
     """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
-    return [*_idle(scene), *_too_long(scene), *(_unusual(scene) if scene.units != "none" else ())]
+    return [*_idle(scene), *_reflecting(scene), *_too_long(scene), *(_unusual(scene) if scene.units != "none" else ())]
 
 
 def _idle(scene: Scene) -> Iterator[str]:
@@ -45,6 +45,25 @@ def _idle(scene: Scene) -> Iterator[str]:
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:
             yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture: it conducts by it from the start"
+
+
+def _reflecting(scene: Scene) -> Iterator[str]:
+    """Sides that absorb nothing since supports hold them, and events whose waves cannot leave."""
+    if not scene.has_dynamics:
+        return
+    held = {side for support in scene.support if {"x", "y"} <= {*support.components} for side in support.on}
+    absorbing = {side for each in scene.absorbing for side in each.on}
+    for side in sorted(held & absorbing):
+        yield f"{side} is held by a [[support]]: its [[absorbing]] dashpots never move, and all waves come back from there"
+    method, damps = scene.method, bool(absorbing - held)
+    damps |= method.stepper in ("implicit-euler", "hht") or (
+        method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
+    )
+    if not damps and any(stage.kind == "auto" for stage in scene.stage):
+        yield (
+            "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides,"
+            ' or method.stepper = "generalised-alpha" with a rho_infinity below 1'
+        )
 
 
 def _too_long(scene: Scene) -> Iterator[str]:

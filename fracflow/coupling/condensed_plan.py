@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from fracflow.coupling.condensed_cost import break_even, condensed_step, fits, full_step
-from fracflow.coupling.defaults import is_large
+from fracflow.coupling.defaults import is_large, is_meant
 from fracflow.scene import Scene
 from fracflow.scene_actions import Stage
 from fracflow.scene_checks import against_condensing
@@ -59,8 +59,12 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
     return Condensing(steps, pays, any(stage.kind == "auto" for stage in scene.stage))
 
 
-def may_choose(scene: Scene, unknowns: int) -> bool:
-    """Whether the scene leaves the choice to the program, and its methods are those that condensing is for."""
+def is_chosen(scene: Scene, unknowns: int, plan: Condensing) -> bool:
+    """Whether the program condenses the rock of its own accord: the scene lets it, its methods are fit, and it is worth it."""
+    return _may_choose(scene, unknowns) and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
+
+
+def _may_choose(scene: Scene, unknowns: int) -> bool:
     method = scene.method
     suits = method.newton == "newton" and not any(against_condensing(scene))
     suits = suits and unknowns >= SMALLEST and not is_large(unknowns)

@@ -134,9 +134,9 @@ def tell_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
     for each in sorted(decisions, key=lambda each: not each["left_out"]):
         value, limit = (f"{x:.3g}" if isinstance(x, float) else str(x) for x in (each["value"], each["limit"]))
         part = f"{each['part']}, stage {each['stage']}" if each["stage"] else each["part"]
-        error = each["error"] if each["left_out"] else ""
+        error = "" if each["verdict"] == "kept" else each["error"]
         cells = (
-            "left out" if each["left_out"] else "kept",
+            each["verdict"],
             part,
             each["criterion"],
             value,

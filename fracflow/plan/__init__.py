@@ -41,7 +41,7 @@ def decide(facts: Facts) -> list[Decision]:
 
 def as_records(decisions: Iterable[Decision]) -> list[dict[str, object]]:
     """For plan.json and ``check --json``."""
-    return [asdict(decision) for decision in decisions]
+    return [asdict(decision) | {"verdict": decision.verdict} for decision in decisions]
 
 
 def as_lines(decisions: Iterable[Decision]) -> list[str]:
@@ -52,8 +52,7 @@ def as_lines(decisions: Iterable[Decision]) -> list[str]:
 def _line(decision: Decision) -> str:
     where = f" in stage {decision.stage}" if decision.stage else ""
     value, limit = (f"{x:.3g}" if isinstance(x, float) else x for x in (decision.value, decision.limit))
-    verb = "left out" if decision.left_out else "kept"
-    line = f"plan: {decision.part}{where}: {verb}; {decision.criterion}: {value}, limit {limit}"
-    if decision.left_out:
+    line = f"plan: {decision.part}{where}: {decision.verdict}; {decision.criterion}: {value}, limit {limit}"
+    if decision.left_out or not decision.asked:
         line += f"; error: {decision.error}"
     return f"{line}; saves {decision.saves}" + (f"; undone at {decision.undone}" if decision.undone else "")

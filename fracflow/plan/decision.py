@@ -20,6 +20,7 @@ class Decision:
     saves   what it saves; what would have been saved is no reason by itself
     stage   the stage that it is about, empty for the whole run
     undone  when it was taken back during the run, and by which value; empty while it stands
+    asked   the scene has it; what a scene has not is no decision, and its number tells whether it should
     """
 
     part: str
@@ -31,6 +32,12 @@ class Decision:
     saves: str = "nothing"
     stage: str = ""
     undone: str = ""
+    asked: bool = True
+
+    @property
+    def verdict(self) -> str:
+        """In a word or two."""
+        return "not in the scene" if not self.asked else "left out" if self.left_out else "kept"
 
 
 @dataclass(frozen=True)

@@ -79,10 +79,19 @@ def compressibility(facts: Facts) -> list[Decision]:
     if not facts.scene.has_flow or number is None or number.value is None or fluid is None:
         return []
     stated = bool(fluid.compressibility)
-    saves = _nothing(facts) if stated else "what the scene does not ask for"
+    saves = _nothing(facts) if stated else "nothing: above the limit set fluid.compressibility"
     limit = 0.05 * facts.tolerance
     return [
-        Decision("compressibility", not stated, "k_n d/K_f", number.value, limit, "about k_n d/K_f of pressures", saves)
+        Decision(
+            "compressibility",
+            False,
+            "k_n d/K_f",
+            number.value,
+            limit,
+            "about k_n d/K_f of pressures",
+            saves,
+            asked=stated,
+        )
     ]
 
 
@@ -92,5 +101,5 @@ def fluid_inertia(facts: Facts) -> list[Decision]:
     if not facts.scene.has_flow or not facts.scene.has_dynamics or number is None or number.value is None:
         return []
     limit = "not bounded" if number.limit is None else number.limit
-    saves = "it is not modelled"
-    return [Decision("fluid inertia", True, number.formula, number.value, limit, "Womersley's number squared", saves)]
+    error, saves = "Womersley's number squared", "nothing: it is never modelled"
+    return [Decision("fluid inertia", False, number.formula, number.value, limit, error, saves, asked=False)]

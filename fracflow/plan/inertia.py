@@ -21,11 +21,11 @@ from fracflow.tables_time import TimeTable
 FEWER = 10.0  # times fewer steps, at least: each costs about as much as one with inertia, and all may have been in vain
 RATES = ("velocity", "acceleration", "slip_rate", "flow_rate")  # a small vibration is most of them
 PART = "inertia"
-CRITERION = "T sum(changes of load rate)/(pi range), T the longest period, joints sticking"
+CRITERION = "T sum(changes of load rate)/(2 pi range), T the longest period, joints sticking"
 
 
 def kick(table: TimeTable, start: float, end: float, period: float) -> float:
-    """Sum of all changes of rate, times the period over pi times the range of the table [1].
+    """Sum of all changes of rate, times the period over 2 pi times the range of the table [1].
 
     Nothing damps a mode, and no two changes are sure not to add up. Between two instants, before the first of which nothing
     moves; a table without jumps there.
@@ -37,7 +37,7 @@ def kick(table: TimeTable, start: float, end: float, period: float) -> float:
     size = float(np.ptp(values))
     if size == 0.0:
         return 0.0
-    return float(np.abs(np.diff(np.diff(values) / np.diff(at), prepend=0.0)).sum()) * period / (pi * size)
+    return float(np.abs(np.diff(np.diff(values) / np.diff(at), prepend=0.0)).sum()) * period / (2.0 * pi * size)
 
 
 def spans(scene: Scene) -> Iterator[tuple[int, Stage, float, float]]:
@@ -94,10 +94,11 @@ def longest_step(facts: Facts, value: float, stage: Stage, start: float, end: fl
 
 def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: float) -> Decision:
     """Whether a dynamic stage goes without inertia until something fails."""
+    label = f"{number} ({stage.title})"
     limit, error = facts.tolerance, "the vibration that slow loads set off, relative to what they do"
 
     def kept(why: str, value: float | str, criterion: str = CRITERION) -> Decision:
-        return Decision(PART, False, criterion, value, limit, error, f"nothing: {why}", stage.title)
+        return Decision(PART, False, criterion, value, limit, error, f"nothing: {why}", label)
 
     if not facts.leaves_out:
         return kept(f'model = "{facts.scene.model}" leaves nothing out', "not asked")
@@ -117,7 +118,7 @@ def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: flo
     fewer = longest_step(facts, value, stage, start, end) / (stage.time_step or 1.0)
     if fewer < FEWER:
         return kept(f"steps without inertia would be only {fewer:.3g} times longer", value)
-    return Decision(PART, True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", stage.title)
+    return Decision(PART, True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", label)
 
 
 def decide_inertia(facts: Facts) -> list[Decision]:
@@ -139,9 +140,9 @@ def decide_inertia(facts: Facts) -> list[Decision]:
     ]  # fmt: skip
 
 
-def key_of(stage: Stage) -> str:
+def key_of(number: int, stage: Stage) -> str:
     """What the decision on a stage is called where it is undone."""
-    return f"{PART}, {stage.title}"
+    return f"{PART}, {number} ({stage.title})"
 
 
 def slow_stages(facts: Facts) -> dict[int, Stage]:
@@ -150,7 +151,7 @@ def slow_stages(facts: Facts) -> dict[int, Stage]:
     for number, stage, start, end in spans(facts.scene) if facts.leaves_out else ():
         if (
             stage.kind != "dynamic"
-            or key_of(stage) in facts.undone
+            or key_of(number, stage) in facts.undone
             or not (decision := decide_stage(facts, number, stage, start, end)).left_out
         ):
             continue

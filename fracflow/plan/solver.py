@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import inf, isfinite
 
 from fracflow.coupling.condensed_cost import USUAL, solves_per_factor
-from fracflow.coupling.condensed_plan import condensing, may_choose
+from fracflow.coupling.condensed_plan import AT_LEAST, condensing, is_chosen
 from fracflow.coupling.kept_factors import LEAST_WORTH, are_kept
 from fracflow.plan.decision import Decision, Facts
+from fracflow.plan.inertia import reduced
 
 
 def condensed_rock(facts: Facts) -> list[Decision]:
-    """The unknowns of the rock, which is linear: the choice is the coupling's."""
-    scene = facts.scene
+    """The unknowns of the rock, which is linear: the choice is the coupling's, for the stages that the plan leaves."""
+    scene = reduced(facts)
     if not facts.jumps:
         return []
     plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
-    chosen = scene.method.coupling == "condensed" or (may_choose(scene, facts.unknowns) and plan.any_worth)
-    steps = max(plan.steps.values(), default=0.0)
+    chosen = scene.method.coupling == "condensed" or is_chosen(scene, facts.unknowns, plan)
+    steps = inf if plan.has_events else max(plan.steps.values(), default=0.0)
     told = f"{steps:.0f} steps of one length" if isfinite(steps) else "as many steps as events take"
     saves = (
         "a factorisation in every step" if chosen else "nothing: kept, condensing would not pay, or was not asked for"
     )
-    limit = f"{plan.pays:.0f}" if isfinite(plan.pays) else "never pays"
+    limit = f"{AT_LEAST * plan.pays:.0f}" if isfinite(plan.pays) else "never pays"
     return [
         Decision(
-            "rock, condensed to its joints", chosen, "steps of one length, to pay", told, limit, "none: exact", saves
+            "rock, condensed to its joints",
+            chosen,
+            "steps of one length, to pay twice over",
+            told,
+            limit,
+            "none: exact",
+            saves,
         )
     ]
 

@@ -102,6 +102,7 @@ class _Regimes:
             stepping.couplings.expect(self.waves, least)
         facts = self.model.facts
         self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
+        self.decision = key_of(number, self.stage)
         self.period = period
         self.shaken = () if self.most is not None else shaken(scene, period)
         shakes = {span.start for span in self.shaken}
@@ -153,7 +154,7 @@ class _Regimes:
         left = next_kink(self.scene, new.time, self.stage.end) - new.time
         if why := why_inertia(old, new, self.period, left, self.most):
             new.destroy()
-            raise PutBack(key_of(self.stage), old.time, why)
+            raise PutBack(self.decision, old.time, why)
 
     def _target(self, time: float, step: float) -> tuple[float, bool]:
         """Where a step ends: just before the next jump of what is prescribed; and whether it is there.
@@ -180,7 +181,7 @@ class _Regimes:
             new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=brief)
         except NotConverged as failure:
             if self.most is not None:
-                raise PutBack(key_of(self.stage), state.time, "there is no step without it") from failure
+                raise PutBack(self.decision, state.time, "there is no step without it") from failure
             return str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0]
         self._must_not_matter(state, new)
         why = runs_away(self.model, state, new, dt)
@@ -215,7 +216,7 @@ class _Regimes:
         if not may_rest(self.model, state):
             return None, course
         entered, still = self.stepping.enter(state, self.still), course.at_rest()
-        tried = self._attempt(entered, self._target(entered.time, still.step)[0])
+        tried = self._attempt(entered, self._target(entered.time, still.step)[0], brief=True)
         if isinstance(tried, str):
             entered.destroy()
             self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {tried}")

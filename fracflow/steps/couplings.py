@@ -9,7 +9,7 @@ from dataclasses import replace
 from fracflow.assembly.loads import Loads
 from fracflow.begin.setup import Model
 from fracflow.coupling import COUPLINGS, Coupling
-from fracflow.coupling.condensed_plan import condensing, key_of, may_choose, planned
+from fracflow.coupling.condensed_plan import condensing, is_chosen, key_of, planned
 from fracflow.coupling.defaults import is_large, is_meant
 from fracflow.stepping import Stepper
 
@@ -62,11 +62,7 @@ class Couplings:
     def _way(self) -> str:
         """Name of the coupling: the scene's, or the one that takes less time."""
         scene, name, unknowns = self.model.scene, self.model.scene.method.coupling, self._unknowns
-        if (
-            may_choose(scene, unknowns)
-            and not (is_meant("monolithic") or is_meant("solid"))
-            and self._planned.any_worth
-        ):
+        if is_chosen(scene, unknowns, self._planned):
             return "condensed"
         if self.model.operators.flow is None and name != "condensed":
             return "monolithic"

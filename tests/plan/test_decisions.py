@@ -53,5 +53,5 @@ def test_check_prints_decisions_sizes_and_cost(tmp_path):
     for word in ("film storage", "may err by", "left out", "displacement unknowns", "memory, about", "CPU s: "):
         assert word in done.output
     told = json.loads(CliRunner().invoke(app, ["check", str(file), "--json"]).output)
-    keys = {"part", "left_out", "criterion", "value", "limit", "error", "saves", "stage", "undone"}
+    keys = {"part", "left_out", "criterion", "value", "limit", "error", "saves", "stage", "undone", "asked", "verdict"}
     assert all(set(each) == keys for each in told["plan"])
