@@ -53,7 +53,7 @@ def idle_nodes(model: Model) -> tuple[Bools, Parts]:
         return none, Parts(count, count)
     loaded = np.zeros(count, dtype=bool)
     for name in loaded_names(scene):
-        loaded[part[_nodes(model, mesh, name)]] = True
+        loaded[part[named_nodes(model, mesh, name)]] = True
     flow = np.array([*placed.wells.values()], dtype=np.int64)
     held = [scene.has_flow and scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drives = np.isin(mesh.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[mesh.joint_fracture]
@@ -64,7 +64,7 @@ def idle_nodes(model: Model) -> tuple[Bools, Parts]:
     return idle, Parts(count, int(loaded.sum()), int(idle.sum()) * mesh.points.shape[1])
 
 
-def _nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:
+def named_nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:
     """Nodes of a side, a rock or a point; a name may be of several."""
     chosen = [np.zeros(0, dtype=np.int64)]
     if name in mesh.sides:

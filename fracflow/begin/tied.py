@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from fracflow.assembly.contact_mass import redistributes
 from fracflow.assembly.properties import initial_pressure
+from fracflow.begin.idle import named_nodes
 from fracflow.begin.setup import Model, on_root, prepare
 from fracflow.elements import joint, solid
 from fracflow.errors import PutBack
@@ -99,9 +100,11 @@ def _of_mesh(model: Model) -> Fractures | None:
     _, length = joint.frame(mesh.points[mesh.joint_bottom])
     joints, whole = (np.bincount(fracture, each, count).astype(float) for each in (np.ones_like(length), length))
     group = np.unique(groups(mesh), return_inverse=True)[1].ravel()
-    probed = [p.nodes[0] if isinstance(p, FracturePlace) else p.node for p in placed.probes.values()]
+    probed = np.array(
+        [p.nodes[0] if isinstance(p, FracturePlace) else p.node for p in placed.probes.values()], np.int64
+    )
     wells = mesh.flow_origin[np.array([*placed.wells.values()], dtype=np.int64)]
-    named = np.union1d(wells, mesh.origin[np.array(probed, dtype=np.int64)])
+    named = np.union1d(wells, mesh.origin[probed])
     barred = np.zeros(count, dtype=bool)
     barred[fracture[np.isin(mesh.flow_origin[mesh.joint_flow], named).any(axis=1)]] = True
     barred[fracture[~deforms(mesh, scene)[mesh.joint_cells].all(axis=1)]] = True
@@ -126,11 +129,36 @@ def _of_mesh(model: Model) -> Fractures | None:
         length=whole, facet=whole / np.maximum(joints, 1.0), stiffness=np.ones(count), shear=np.zeros(count),
         barred=barred, apart=apart,
         reach=np.array([0.5 * np.linalg.norm(np.ptp(places[each], axis=0)) for each in nodes]),
+        near=_near(model, mesh, probed),
         area=float(per_cell(mesh.cells, lambda _, corners: solid.area(mesh.points[corners])).sum()),
         size=float(np.ptp(mesh.points, axis=0).min()),
         modulus=float((young / (1.0 - poisson**2)).max(initial=0.0)),
         impedance=float(np.sqrt(density * waves).max(initial=0.0)),
     )  # fmt: skip
+
+
+def _near(model: Model, mesh: SplitMesh, probed: Ints) -> Floats:
+    """Distance (f,) to the nearest of the nodes ``probed``, or on average along it to what holds the rock, the least."""
+    scene, held = model.scene, [np.zeros(0, dtype=np.int64)]
+    for on in (*(support.on for support in scene.support), *(absorbing.on for absorbing in scene.absorbing)):
+        held += [named_nodes(model, mesh, name) for name in on]
+    _, length = joint.frame(mesh.points[mesh.joint_bottom])
+    count, places = len(mesh.fractures), mesh.points[mesh.flow_origin]
+    to_probe, to_support = (
+        _distances(places, mesh.points[nodes])[mesh.joint_flow] for nodes in (probed, np.unique(np.concatenate(held)))
+    )
+    whole = np.bincount(mesh.joint_fracture, length, count)
+    found: Floats = np.bincount(mesh.joint_fracture, to_support.mean(axis=1) * length, count) / np.maximum(
+        whole, 1e-300
+    )
+    np.minimum.at(found, mesh.joint_fracture, to_probe.min(axis=1))
+    return found
+
+
+def _distances(places: Floats, others: Floats) -> Floats:
+    """To the nearest of the others; infinite without any."""
+    found: Floats = KDTree(others).query(places)[0] if len(others) else np.full(len(places), inf)
+    return found
 
 
 def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:

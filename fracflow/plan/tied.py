@@ -5,6 +5,11 @@ without it (Goodman 1976), and relieves the stress within its own length of it b
 from it by pi E'/(k w) (Schoenberg 1980). So L in E'/(k L) is the least of the area of the rock over the length of those tied,
 the fracture's own length, and with inertia w/pi of the shortest wave that the mesh resolves.
 
+What is measured may be less than what all of the rock does. At a distance r a jump of 1/k over a length l adds a strain of
+about 1/k r, and moves the rock by 1/k, from farther than l by l/(k r) (Crouch & Starfield 1983, 5); and between a support
+and the fracture, d apart, may lie all that deforms: d/E'. So the rock counts only as far as the nearest probe, and as the
+nearest supports are on average along the fracture: within d of it there is an area of d times the larger of d and l.
+
 Their strength must suffice for all that the scene may add to the initial stress: what loads and supports bring, and what
 fractures that are not tied shed, which slip or are pumped into. A crack of half length a sheds x/sqrt(x^2 - a^2) - 1 of what
 it loses at a distance x from its middle, along its own line, where that is most.
@@ -53,6 +58,7 @@ class Fractures:
     barred     a well, a probe or rigid rock meets it, or its walls' mass is carried by the rock behind
     apart      (g, f) distance from each group [length]
     reach      (g,) half the extent of each group [length]
+    near       to the nearest probe, or to supports on average along it, whichever is less; infinite without any [length]
     area, size of the rock: its area, and its smaller extent [length^2, length]
     modulus    largest E' of the rock [stress]
     impedance  largest rho c_p of the rock [stress time/length]
@@ -68,6 +74,7 @@ class Fractures:
     barred: Bools
     apart: Floats
     reach: Floats
+    near: Floats
     area: float
     size: float
     modulus: float
@@ -137,9 +144,15 @@ def shed(distance: Floats, reach: Floats) -> Floats:
     return found
 
 
+def room(rock: Fractures) -> Floats:
+    """Area of the rock that each fracture (f,) is measured by: all of it, or as far as a probe or its supports [length^2]."""
+    within: Floats = np.minimum(rock.area, rock.near * np.maximum(rock.near, rock.length))
+    return np.maximum(within, 1e-300)
+
+
 def compliance(rock: Fractures, inertia: bool) -> Floats:
     """E'/(k L) of each fracture (f,) by itself, and by what it adds to the rock's compliance."""
-    least = np.minimum(rock.length, rock.area / np.maximum(rock.length, 1e-300))
+    least = np.minimum(rock.length, room(rock) / np.maximum(rock.length, 1e-300))
     if inertia:
         least = np.minimum(least, CELLS * rock.facet / np.pi)
     return rock.modulus / (rock.stiffness * least)
@@ -153,7 +166,7 @@ def choose(facts: Facts, rock: Fractures, start: Mapping[str, float], use: Use) 
     soft = compliance(rock, scene.has_dynamics)
     kept = np.zeros(groups, dtype=bool)
     kept[rock.group[rock.barred | (soft > facts.tolerance)]] = True
-    adds = np.bincount(rock.group, rock.modulus * rock.length / (rock.stiffness * rock.area), groups)
+    adds = np.bincount(rock.group, rock.modulus * rock.length / (rock.stiffness * room(rock)), groups)
     adds[kept] = 0.0
     order = np.argsort(adds, kind="stable")
     kept[order[np.cumsum(adds[order]) > facts.tolerance]] = True

@@ -1,16 +1,20 @@
 """Slow loads need no inertia: what is left out is small, and comes back where it is not."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fracflow._petsc import PETSc
+from fracflow.begin.planned import swing
 from fracflow.errors import Interrupted
 from fracflow.output import read_history
 from fracflow.plan import inertia
 from fracflow.plan.inertia import kick
 from fracflow.run import resume, run
 from fracflow.scene import load
+from fracflow.state import Motion
 from fracflow.tables_time import TimeTable
 
 BLOCK = """
@@ -167,6 +171,22 @@ def test_what_slips_is_run_with_inertia_from_the_start(block, comm):
     assert "joints slip or open" in said["undone"] and 0.0 < float(said["undone"][5:].partition(":")[0]) < 1.6
     assert done.history["step/slipping"].max() > 0
     same_as(done, full)
+
+
+def test_swing_is_that_of_a_spring_and_mass_over_what_is_to_come(comm):
+    """Whose rate changes by 3 swings by 3 T/(2 pi), twice; 5 are behind it, and 4 times the rate, 2, are to come."""
+
+    def state(displacement, velocity):
+        made = [PETSc.Vec().createMPI((len(values), None), comm=comm) for values in (displacement, velocity)]
+        for vector, values in zip(made, (displacement, velocity), strict=True):
+            vector.setArray(values)
+        return SimpleNamespace(motion=Motion(*made, made[0].duplicate()))
+
+    old, new, still = state([0.0, 0.0], [1.0, -1.0]), state([3.0, -5.0], [1.5, 2.0]), state([0.0, 0.0], [0.0, 0.0])
+    assert swing(old, new, np.pi, 4.0) == pytest.approx(3.0 / (5.0 + 2.0 * 4.0), rel=1e-15)
+    assert swing(old, still, np.pi, 4.0) == 0.0
+    for each in (old, new, still):
+        each.motion.destroy()
 
 
 @pytest.mark.serial
