@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_tied import PAIR, TWO, done, rock, scene_of  # noqa: F401  done is a fixture
+from test_tied import PAIR, TWO, chosen, done, rock, scene_of  # noqa: F401  done is a fixture
 
 from fracflow.begin.idle import idle_nodes
 from fracflow.begin.planned import planned
@@ -41,7 +41,7 @@ def bar(contact, stiffness, probe):
 
 @pytest.mark.parametrize(
     ("contact", "length", "height", "is_tied"),
-    [(4, 105, 6, False), (4, 105, 100, False), (50, 10, 53, False), (40, 0.15, 100, True)],
+    [(4, 92, 6, False), (4, 92, 100, False), (50, 10, 53, False), (40, 10, 60, True)],
     ids=["probe near both", "contact near the foot", "probe near the contact", "far"],
 )
 def test_bar_moves_as_its_closed_form(done, comm, contact, length, height, is_tied):  # noqa: F811
@@ -61,6 +61,8 @@ def test_rock_counts_as_far_as_a_probe_or_supports():
     found = rock(near=np.array([50.0, 5.0, 1e3, np.inf]))
     np.testing.assert_allclose(room(found), [2500.0, 50.0, 1e4, 1e4])
     np.testing.assert_allclose(compliance(found, inertia=False), [1e-3, 2e-3, 1e-3, 1e-3])  # 1e10/(1e12 L)
+    each = rock(near=np.full(4, 5.0), stiffness=np.full(4, 5e11))  # 1e10/(5e11 * 5 m) of each, and of two below 0.01
+    assert chosen(each).names == ("a", "b")
 
 
 CRACK = """
@@ -114,7 +116,7 @@ def test_loads_add_to_the_shear_that_there_is(comm, shear):
 
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
 def test_rock_on_either_side_is_watched(comm, monkeypatch, side):
-    """Sheared on one side of seam1 alone, at y = 15, by 0.95 of the strength over G."""
+    """Sheared on one side of seams at y = 15 alone, and less than 40 m from it, by 0.95 of the strength over G."""
     monkeypatch.setattr(tied, "LEAST", 0)
     model = prepare(Scene.from_data(scene_of(1e-4)), comm)
     settle(model)
@@ -124,7 +126,7 @@ def test_rock_on_either_side_is_watched(comm, monkeypatch, side):
     first, last = state.motion.displacement.getOwnershipRange()
     number, away = block.unknown[:, 0], side * (block.points[:, 1] - 15.0)
     here = (number >= first) & (number < last)
-    state.motion.displacement.getArray()[number[here] - first] = 0.95 * 0.6e7 / 4e9 * np.maximum(away[here], 0.0)
-    with pytest.raises(PutBack, match=r"0\.95 of the strength of seam"):
+    state.motion.displacement.getArray()[number[here] - first] = 0.95 * 0.6e7 / 4e9 * np.clip(away[here], 0.0, 40.0)
+    with pytest.raises(PutBack, match=r"0\.95 of the strength of seam[012]"):
         watch_tied(model, state)
     state.destroy()
