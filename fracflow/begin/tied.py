@@ -21,7 +21,7 @@ from fracflow.mesh.glue import glued, groups
 from fracflow.mesh.locate import FracturePlace
 from fracflow.output.rock import deforms, per_cell, properties, strain, stress_change, tensors
 from fracflow.plan.decision import Facts, Shut
-from fracflow.plan.tied import PART, USE, Fractures, choose, why_none
+from fracflow.plan.tied import NONE, PART, USE, Fractures, choose, why_none
 from fracflow.state import State
 
 MOST = 1e7  # distances between fractures: some seconds
@@ -129,7 +129,7 @@ def _of_mesh(model: Model) -> Fractures | None:
         length=whole, facet=whole / np.maximum(joints, 1.0), stiffness=np.ones(count), shear=np.zeros(count),
         barred=barred, apart=apart,
         reach=np.array([0.5 * np.linalg.norm(np.ptp(places[each], axis=0)) for each in nodes]),
-        near=_near(model, mesh, probed),
+        held=_to_held(model, mesh), probed=_to_probes(mesh, probed),
         area=float(per_cell(mesh.cells, lambda _, corners: solid.area(mesh.points[corners])).sum()),
         size=float(np.ptp(mesh.points, axis=0).min()),
         modulus=float((young / (1.0 - poisson**2)).max(initial=0.0)),
@@ -137,27 +137,26 @@ def _of_mesh(model: Model) -> Fractures | None:
     )  # fmt: skip
 
 
-def _near(model: Model, mesh: SplitMesh, probed: Ints) -> Floats:
-    """Distance (f,) to the nearest of the nodes ``probed``, or on average along it to what holds the rock, the least."""
+def _to_held(model: Model, mesh: SplitMesh) -> Floats:
+    """Distance (f,) to supports and sides that absorb, on average along each fracture; infinite without any."""
     scene, held = model.scene, [np.zeros(0, dtype=np.int64)]
     for on in (*(support.on for support in scene.support), *(absorbing.on for absorbing in scene.absorbing)):
         held += [named_nodes(model, mesh, name) for name in on]
+    nodes, count = np.unique(np.concatenate(held)), len(mesh.fractures)
+    if not len(nodes):
+        return np.full(count, inf)
+    away = KDTree(mesh.points[nodes]).query(mesh.points[mesh.flow_origin])[0][mesh.joint_flow].mean(axis=1)
     _, length = joint.frame(mesh.points[mesh.joint_bottom])
-    count, places = len(mesh.fractures), mesh.points[mesh.flow_origin]
-    to_probe, to_support = (
-        _distances(places, mesh.points[nodes])[mesh.joint_flow] for nodes in (probed, np.unique(np.concatenate(held)))
-    )
     whole = np.bincount(mesh.joint_fracture, length, count)
-    found: Floats = np.bincount(mesh.joint_fracture, to_support.mean(axis=1) * length, count) / np.maximum(
-        whole, 1e-300
-    )
-    np.minimum.at(found, mesh.joint_fracture, to_probe.min(axis=1))
-    return found
+    return np.asarray(np.bincount(mesh.joint_fracture, away * length, count) / np.maximum(whole, NONE))
 
 
-def _distances(places: Floats, others: Floats) -> Floats:
-    """To the nearest of the others; infinite without any."""
-    found: Floats = KDTree(others).query(places)[0] if len(others) else np.full(len(places), inf)
+def _to_probes(mesh: SplitMesh, probed: Ints) -> Floats:
+    """Distance (p, f) of each fracture from each of the nodes ``probed``."""
+    found = np.full((len(probed), len(mesh.fractures)), inf)
+    for row, node in zip(found, probed, strict=True):
+        away = np.linalg.norm(mesh.points[mesh.flow_origin] - mesh.points[node], axis=1)
+        np.minimum.at(row, mesh.joint_fracture, away[mesh.joint_flow].min(axis=1))
     return found
 
 

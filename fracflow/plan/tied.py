@@ -6,9 +6,11 @@ from it by pi E'/(k w) (Schoenberg 1980). So L in E'/(k L) is the least of the a
 the fracture's own length, and with inertia w/pi of the shortest wave that the mesh resolves.
 
 What is measured may be less than what all of the rock does. At a distance r a jump of 1/k over a length l adds a strain of
-about 1/k r, and moves the rock by 1/k, from farther than l by l/(k r) (Crouch & Starfield 1983, 5); and between a support
-and the fracture, d apart, may lie all that deforms: d/E'. So the rock counts only as far as the nearest probe, and as the
-nearest supports are on average along the fracture: within d of it there is an area of d times the larger of d and l.
+about 1/(k r), and moves the rock by 1/k, from farther than l/2 by l/(2 k r) at most, of which a support that mirrors it is half
+(Crouch & Starfield 1983, 5). Whatever loads it, the rock strains there by 1/E', and moves by r/E' where supports are no nearer
+than r. So L is no more than the distance of the nearest probe, and what all of them do at a probe is the sum of
+E' l/(k r max(2 r, l)). Between a support and a fracture d apart may lie all that deforms: L is no more than d, on average
+along the fracture, and they add to the compliance of a layer d deep.
 
 Their strength must suffice for all that the scene may add to the initial stress: what loads and supports bring, and what
 fractures that are not tied shed, which slip or are pumped into. A crack of half length a sheds x/sqrt(x^2 - a^2) - 1 of what
@@ -19,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 
@@ -34,6 +36,7 @@ USE = 0.9  # of the strength, before a run and in every step of it
 NEARBY = 2.0  # what corners of the rock, ends of fractures and neighbours may make of a stress
 AT_ONCE = 2.0  # what a load that comes at once does, over what it does slowly (Biggs 1964, 2.3)
 LEAST = 2000  # displacements: fewer are solved for sooner than set up anew
+NONE = 1e-300  # instead of a length of zero
 CELLS = 10.0  # cells that resolve a wave
 BARRED = (
     "each is too soft, or a probe, a well or rigid rock is on it, or on what it meets,"
@@ -58,7 +61,8 @@ class Fractures:
     barred     a well, a probe or rigid rock meets it, or its walls' mass is carried by the rock behind
     apart      (g, f) distance from each group [length]
     reach      (g,) half the extent of each group [length]
-    near       to the nearest probe, or to supports on average along it, whichever is less; infinite without any [length]
+    held       to supports, and sides that absorb, on average along it; infinite without any [length]
+    probed     (p, f) from each probe [length]
     area, size of the rock: its area, and its smaller extent [length^2, length]
     modulus    largest E' of the rock [stress]
     impedance  largest rho c_p of the rock [stress time/length]
@@ -74,7 +78,8 @@ class Fractures:
     barred: Bools
     apart: Floats
     reach: Floats
-    near: Floats
+    held: Floats
+    probed: Floats
     area: float
     size: float
     modulus: float
@@ -144,18 +149,20 @@ def shed(distance: Floats, reach: Floats) -> Floats:
     return found
 
 
-def room(rock: Fractures) -> Floats:
-    """Area of the rock that each fracture (f,) is measured by: all of it, or as far as a probe or its supports [length^2]."""
-    within: Floats = np.minimum(rock.area, rock.near * np.maximum(rock.near, rock.length))
-    return np.maximum(within, 1e-300)
-
-
 def compliance(rock: Fractures, inertia: bool) -> Floats:
     """E'/(k L) of each fracture (f,) by itself, and by what it adds to the rock's compliance."""
-    least = np.minimum(rock.length, room(rock) / np.maximum(rock.length, 1e-300))
+    least = np.minimum(rock.length, rock.area / np.maximum(rock.length, NONE))
+    least = np.minimum(np.minimum(least, rock.held), rock.probed.min(axis=0, initial=inf))
     if inertia:
         least = np.minimum(least, CELLS * rock.facet / np.pi)
-    return rock.modulus / (rock.stiffness * least)
+    return rock.modulus / (rock.stiffness * np.maximum(least, NONE))
+
+
+def together(rock: Fractures) -> Floats:
+    """What each fracture (m, f) adds, over the rock's own: to the compliance of all of it, and to what each probe measures."""
+    rooms = np.vstack([rock.held * rock.size, rock.probed * np.maximum(2.0 * rock.probed, rock.length)])
+    found: Floats = rock.modulus * rock.length / (rock.stiffness * np.clip(rooms, NONE, rock.area))
+    return found
 
 
 def choose(facts: Facts, rock: Fractures, start: Mapping[str, float], use: Use) -> Shut:
@@ -166,10 +173,10 @@ def choose(facts: Facts, rock: Fractures, start: Mapping[str, float], use: Use) 
     soft = compliance(rock, scene.has_dynamics)
     kept = np.zeros(groups, dtype=bool)
     kept[rock.group[rock.barred | (soft > facts.tolerance)]] = True
-    adds = np.bincount(rock.group, rock.modulus * rock.length / (rock.stiffness * room(rock)), groups)
-    adds[kept] = 0.0
-    order = np.argsort(adds, kind="stable")
-    kept[order[np.cumsum(adds[order]) > facts.tolerance]] = True
+    adds = np.array([np.bincount(rock.group, row, groups) for row in together(rock)])  # (m, g)
+    adds[:, kept] = 0.0
+    order = np.argsort(adds.max(axis=0), kind="stable")
+    kept[order[(np.cumsum(adds[:, order], axis=1) > facts.tolerance).any(axis=0)]] = True
     if kept.all():
         return Shut(why=BARRED, compliance=float(soft.min()))
     loads, fluid = stress_of_loads(scene, rock), pressure_of_wells(scene, start)
@@ -190,7 +197,7 @@ def choose(facts: Facts, rock: Fractures, start: Mapping[str, float], use: Use) 
             )
     tied = ~kept[rock.group]
     share = float(rock.jumps[tied].sum() / rock.jumps.sum())
-    softest = max(float(soft[tied].max()), float(adds[~kept].sum()))
+    softest = max(float(soft[tied].max()), float(adds[:, ~kept].sum(axis=1).max()))
     record = Shut(
         (), share, int(rock.jumps[tied].sum()), softest, float(found[tied].max()), float(stress[tied].max()), ""
     )

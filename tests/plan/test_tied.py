@@ -217,7 +217,7 @@ def rock(count=4, **more):
         names=tuple("abcdefgh"[:count]), group=np.arange(count), jumps=np.full(count, 40.0),
         length=np.full(count, 10.0), facet=np.ones(count), stiffness=np.full(count, 1e12), shear=np.zeros(count),
         barred=np.zeros(count, dtype=bool), apart=np.where(np.eye(count), 0.0, 100.0), reach=np.full(count, 5.0),
-        near=np.full(count, np.inf), area=1e4, size=100.0, modulus=1e10, impedance=0.0,
+        held=np.full(count, np.inf), probed=np.zeros((0, count)), area=1e4, size=100.0, modulus=1e10, impedance=0.0,
     )  # fmt: skip
     return Fractures(**(known | more))
 

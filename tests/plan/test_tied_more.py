@@ -11,7 +11,7 @@ from fracflow.begin.start import rest, settle
 from fracflow.begin.tied import find_shut, watch_tied
 from fracflow.errors import PutBack
 from fracflow.plan import Facts, tied
-from fracflow.plan.tied import PART, compliance, room
+from fracflow.plan.tied import PART, compliance, together
 from fracflow.scene import Scene, load
 
 YOUNG, PRESS, APERTURE = 1e10, 1e6, 1e-2
@@ -56,13 +56,22 @@ def test_bar_moves_as_its_closed_form(done, comm, contact, length, height, is_ti
 
 
 @pytest.mark.serial
-def test_rock_counts_as_far_as_a_probe_or_supports():
-    """Fractures of 10 m in 100 m by 100 m: 50 m away 2500 m^2, 5 m away 5 m by 10 m, and without any all of it."""
-    found = rock(near=np.array([50.0, 5.0, 1e3, np.inf]))
-    np.testing.assert_allclose(room(found), [2500.0, 50.0, 1e4, 1e4])
-    np.testing.assert_allclose(compliance(found, inertia=False), [1e-3, 2e-3, 1e-3, 1e-3])  # 1e10/(1e12 L)
-    each = rock(near=np.full(4, 5.0), stiffness=np.full(4, 5e11))  # 1e10/(5e11 * 5 m) of each, and of two below 0.01
-    assert chosen(each).names == ("a", "b")
+def test_lengths_are_no_more_than_those_to_probes_and_supports():
+    """1e10/(1e12 L) of fractures of 10 m, two of which are near."""
+    found = rock(held=np.array([50.0, 5.0, np.inf, 50.0]), probed=np.array([[200.0, 50, 4, 50], [200, 50, 30, 50]]))
+    np.testing.assert_allclose(compliance(found, inertia=False), [1e-3, 2e-3, 2.5e-3, 1e-3])
+
+
+@pytest.mark.serial
+def test_fractures_add_up_at_a_probe_and_before_a_support():
+    """0.02 m of rock and 10 m long: over 100 m 100 m of it, a layer of 4 m, and at probes 5 m and 50 m away."""
+    found = rock(stiffness=np.full(4, 5e11), held=np.array([4.0, np.inf, np.inf, np.inf]), probed=np.full((1, 4), 5.0))
+    found.probed[0, 3] = 50.0
+    np.testing.assert_allclose(together(found)[0], 0.02 * 10.0 / np.array([400.0, 1e4, 1e4, 1e4]))
+    np.testing.assert_allclose(together(found)[1], 0.02 * 10.0 / np.array([50.0, 50.0, 50.0, 5000.0]))
+    assert chosen(found).names == ("a", "b", "d")  # 0.004 each, and 0.00004; with c 0.01204
+    near = rock(stiffness=np.full(4, 5e11), probed=np.full((1, 4), 5.0))
+    assert chosen(near).names == ("a", "b") and chosen(near).compliance == pytest.approx(8e-3)
 
 
 CRACK = """
