@@ -178,7 +178,7 @@ def converge(scene: Scene, out: str | Path | None = None, levels: int = 3) -> tu
     not to be trusted. Under mpirun every rank must call it. Raises as ``run`` does.
     """
     from fracflow._petsc import MPI
-    from fracflow.converge import converge
+    from fracflow.refinement import converge
 
     folder = Path("runs") / f"{scene.name}-converge" if out is None else Path(out)
     comm = MPI.COMM_WORLD

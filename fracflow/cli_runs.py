@@ -13,8 +13,8 @@ from fracflow.errors import Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
-    from fracflow.converge import Level
     from fracflow.record.totals import Totals
+    from fracflow.refinement import Level
     from fracflow.run import Progress as Tick
     from fracflow.scene import Scene
     from fracflow.steps.step import Step
@@ -82,8 +82,8 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
 
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
     """Run a scene level by level, tell the finest run, and what the levels tell about its errors."""
-    from fracflow.converge import check_levels, converge, has_tips
     from fracflow.output.convergence_look import tell
+    from fracflow.refinement import check_levels, converge, has_tips
     from fracflow.scene_levels import order_in_time
 
     def each(level: Level) -> None:

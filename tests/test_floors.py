@@ -29,7 +29,7 @@ FLOORS = (
     ({"steps"},),
     ({"stages"}, {"record"}),
     ({"run"},),
-    ({"converge"},),
+    ({"refinement"},),
     ({"cli*", "__main__", "endings"}, {"api"}),
 )
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
