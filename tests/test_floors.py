@@ -13,7 +13,7 @@ import pytest
 pytestmark = pytest.mark.serial
 
 PACKAGE = Path(__file__).parents[1] / "fracflow"
-LONGEST = 300
+LONGEST = 450
 
 # floor -> groups; a group is a package, or modules that stand together and may import each other
 FLOORS = (
