@@ -15,6 +15,7 @@ from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
 from fracflow.output.history import read_attributes, read_history
+from fracflow.output.status import read_status
 
 if TYPE_CHECKING:
     from fracflow.output.convergence import Row
@@ -99,6 +100,11 @@ class Run:
         dtype = np.dtype([*_EVENT.items(), *((key, f"U{size}") for key, size in longest.items())])
         values = [tuple(np.nan if row[key] is None else row[key] for key in dtype.names or ()) for row in rows]
         return np.array(values, dtype=dtype)
+
+    @property
+    def status(self) -> str:
+        """"running", "ended", "stopped", "failed", or "cut off" (killed); "" where the folder does not tell."""
+        return read_status(self.folder).word
 
     @property
     def plan(self) -> list[dict[str, Any]]:
