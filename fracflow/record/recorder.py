@@ -213,6 +213,7 @@ class Files:
             self.events.remember(notes["events"])
         self.count = len(flow)
         self.extra: int | None = None
+        self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
         resumes = notes is not None
         self.rock = FieldWriter(
             self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)}, resumes
@@ -242,6 +243,9 @@ class Files:
     def append(self, step: Step, snapshot: sampling.Snapshot, margin: float, injected: float) -> None:
         """One row of history and the events up to it."""
         state, report = step.state, step.report
+        # a step that is cut where a status changes ends with the change; else it came somewhere in the step
+        began = state.time if self.time is None or report.located else self.time
+        self.time = state.time
         record: dict[str, Any] = {
             "time": state.time,
             "step/dt": step.dt,
@@ -285,11 +289,12 @@ class Files:
             is_open,
             brought("plastic_slip"),
             brought("slip_rate"),
+            began,
         )
 
         if self.catalogue is not None:
             moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
-            if event := self.catalogue.update(instant(state, snapshot, injected), moves):
+            if event := self.catalogue.update(instant(state, snapshot, injected, began), moves):
                 self.events.add(event)
 
     def _advice(self) -> str:

@@ -142,6 +142,14 @@ def test_a_stop_after_the_first_state_has_its_fields(tmp_path, scene):
     assert steps_of(tmp_path / "out") == [0, 1]
 
 
+def test_an_event_starts_as_the_step_begins_in_which_it_slips(tmp_path, scene):
+    run(scene(), tmp_path / "out")
+    found = fracflow.open(tmp_path / "out")
+    first = int(np.flatnonzero(found.steps["slipping"])[0])
+    assert first == SLIPS and found.events["start"].min() == found.times[first - 1]
+    assert found.status == "ended"
+
+
 def test_a_folder_of_an_earlier_version_tells_its_times(tmp_path, scene):
     run(scene(), tmp_path / "out")
     (tmp_path / "out/status.json").unlink()
