@@ -104,7 +104,7 @@ class Run:
 
     @property
     def status(self) -> str:
-        """"running", "ended", "stopped", "failed", or "cut off" (killed); "" where the folder does not tell."""
+        """How the run stands: running, ended, stopped, failed or cut off (killed); empty where the folder does not tell."""
         return read_status(self.folder).word
 
     @property
