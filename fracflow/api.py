@@ -15,6 +15,7 @@ from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
 from fracflow.output.history import read_attributes, read_history
+from fracflow.output.status import read_status
 
 if TYPE_CHECKING:
     from fracflow.output.convergence import Row
@@ -85,7 +86,8 @@ class Run:
         """What slipped or opened: a structured array (events,).
 
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
-        way), slip [length], peak_slip_rate [length/time].
+        way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there,
+        else the beginning of the step in which it slips or opens; end is that of the first step without it.
         Of a stage auto also kind "event", from the first section that slides to the last that sticks: place of the first,
         largest slip, and, nan in other rows, sections, length, mean_slip [length], mean stress_drop [stress], moment G slip
         length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides, dissipated by
@@ -99,6 +101,11 @@ class Run:
         dtype = np.dtype([*_EVENT.items(), *((key, f"U{size}") for key, size in longest.items())])
         values = [tuple(np.nan if row[key] is None else row[key] for key in dtype.names or ()) for row in rows]
         return np.array(values, dtype=dtype)
+
+    @property
+    def status(self) -> str:
+        """How the run stands: running, ended, stopped, failed or cut off (killed); empty where the folder does not tell."""
+        return read_status(self.folder).word
 
     @property
     def plan(self) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from fracflow.errors import InputError, Interrupted, PutBack, SolveError
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
+from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.record.recorder import Recorder, watches_spurious
 from fracflow.record.totals import Totals
 from fracflow.record.watch import Watch, Wish
@@ -164,13 +165,18 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     stepping.network.log = recorder.log
     try:
         failure = _steps(stepping, recorder, step, progress)
-        recorder.finish(clock.perf_counter() - began)
+        recorder.finish(clock.perf_counter() - began, _status(failure))
     finally:
         recorder.close()
         stepping.destroy()
     if failure is not None:
         raise failure
     return recorder.totals
+
+
+def _status(failure: SolveError | Interrupted | None) -> Status:
+    word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
+    return Status(word, str(failure or ""))
 
 
 def is_moving(scene: Scene, step: Step) -> bool:
@@ -207,6 +213,7 @@ def _steps(
                     wish = watch.wish(recorder.totals.steps)
                     if wish is not Wish.GO_ON:
                         recorder.save(step)
+                        recorder.last(step, whole=wish is Wish.STOP)
                     if wish is Wish.STOP:
                         failure = Interrupted(f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps")
                         raise failure

@@ -6,11 +6,13 @@ import math
 from typing import Any
 
 from fracflow._petsc import MPI
+from fracflow.begin.explicit_cost import explicit_cost
 from fracflow.begin.planned import planned, seconds_of_factors
 from fracflow.begin.setup import Model, prepare
 from fracflow.begin.start import settle
 from fracflow.card import Number, scene_card
 from fracflow.coupling.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
+from fracflow.coupling.condensed_plan import planned as solved
 from fracflow.mesh.split import summary
 from fracflow.plan import Decision, decide
 from fracflow.scene import Scene
@@ -41,7 +43,7 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     sections = len(model.operators.joints.weights) * model.operators.joints.dim
     unknowns = int(layout.solid_starts[-1])
     pays = break_even(unknowns, sections)
-    if sections and fits(unknowns, sections) and pays < math.inf:
+    if sections and fits(unknowns, sections) and pays < math.inf and next(solved(model.scene), None) is not None:
         found["steps from which a condensed rock pays"] = pays
     card, notes = scene_card(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
     model = planned(model)
@@ -53,17 +55,28 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
 def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     """Memory and time of so many steps, by what factors of so many unknowns take; one factorisation is made and timed.
 
+    Explicit steps have none: they take products with the rock's stiffness, which are timed likewise.
+
     more  events or a search make steps besides
     """
     unknowns = sum(
         int(starts[-1]) for starts in (model.operators.layout.solid_starts, model.operators.layout.flow_starts)
     )
-    memory = PROGRAM + NUMBER * (MATRICES * unknowns + ENTRIES * unknowns * math.log2(max(unknowns, 2)))
-    lasted = seconds_of_factors(model.operators)
-    seconds = steps * ITERATIONS * (lasted * (1.0 + BESIDES) + OWN)
-    return {
-        "memory, about": f"{memory / 1e9:.2g} GB",
-        f"time of the steps planned, at most about{', without those of events and searches' if more else ''}": (
-            f"{seconds:.2g} CPU s: {ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here"
-        ),
-    }
+    explicit = explicit_cost(model)
+    steps -= explicit.steps if explicit is not None else 0
+    solves = steps > 0 or more
+    factors = ENTRIES * unknowns * math.log2(max(unknowns, 2)) if solves else 0.0
+    memory = PROGRAM + NUMBER * (MATRICES * unknowns + factors)
+    found, told, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
+    if explicit is not None:
+        found["explicit steps"] = explicit.told
+        each = explicit.seconds + OWN
+        seconds += explicit.parts * each
+        told.append(f"{explicit.parts} explicit parts of about {each:.2g} s")
+    if solves:
+        lasted = seconds_of_factors(model.operators)
+        seconds += steps * ITERATIONS * (lasted * (1.0 + BESIDES) + OWN)
+        told.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
+    without = ", without those of events and searches" if more else ""
+    found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(told)}"
+    return found

@@ -63,17 +63,19 @@ class Trial:
         return np.where(self.crushed, 0.0, self.f_n)
 
     def slides(self, onset: Floats, kept: Floats, hold: bool) -> Bools:
-        """Who slides (n,): those that stick from the strength ``onset`` on, those that slide while they carry ``kept``.
+        """(2.12) Who slides (n,): those that stick from |f_s| = ``onset`` on, those that slide while they carry ``kept``.
 
         Where the plastic increment would reverse a section sticks. With ``hold`` everyone stays as he was.
         """
         if hold:
             return self.was_sliding & ~self.free
-        # a section that rests while sliding must not re-stick by round-off: with alpha < 1 it would heal
+        # a section that rests while sliding must not re-stick by round-off: with alpha < 1 it would heal; one that rests at
+        # its strength fails, whichever way round-off has it
         moved = self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
         slack = ROUND_OFF * (np.where(np.isfinite(onset), onset, 0.0) + moved)
         persists = np.where(self.crushed, self.was_sliding, self.along >= kept - slack)
-        return np.where(self.was_sliding, persists, (self.size > onset) & ~self.crushed) & ~self.free
+        fails = (self.size >= onset - slack) & (self.size > 0.0) & ~self.crushed
+        return np.where(self.was_sliding, persists, fails) & ~self.free
 
     def margin(self, onset: Floats, kept: Floats) -> Floats:
         """Distance of that choice from its threshold: shear excess over strength; if open, the gap."""
@@ -98,7 +100,8 @@ class Trial:
         with np.errstate(invalid="ignore"):
             slips = self.k_s * along + carried * self.k_n * change[:, -1]
             left = strength - self.size
-        friction = np.where(self.free, np.inf, np.where(self.was_sliding, slips, left) + slack)
+        left = left + np.where(self.size > 0.0, -slack, slack)  # at the strength it fails
+        friction = np.where(self.free, np.inf, np.where(self.was_sliding, slips + slack, left))
         distances = [np.where(np.isnan(friction), np.inf, friction), self.closure.contact(self.strain[:, -1])]
         return np.stack(distances, axis=1)
 

@@ -46,6 +46,7 @@ class Instant:
 
     energy    the books
     injected  volume that wells of given rates have brought since the start of the run [length^3]
+    began     from when on what slides in it may have slid, ``time`` if not given [time]
     """
 
     time: float
@@ -55,6 +56,7 @@ class Instant:
     sliding: NDArray[np.bool_]
     energy: Mapping[str, float]
     injected: float
+    began: float | None = None
 
 
 class Catalogue:
@@ -75,7 +77,7 @@ class Catalogue:
             if len(sliding):
                 self.end = math.nan
                 if self.first < 0:
-                    self.first, self.start = int(sliding[0]), now.time
+                    self.first, self.start = int(sliding[0]), now.time if now.began is None else now.began
             elif math.isnan(self.end):
                 self.end = now.time
             self.peak = np.fmax(self.peak, np.abs(now.rate))

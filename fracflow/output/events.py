@@ -71,16 +71,26 @@ class EventLog:
         self._running = {kind: _Running(np.full(count, -1), np.zeros(count), np.zeros(count)) for kind in _KINDS}
         self._write()
 
-    def update(self, time: float, sliding: Flags, is_open: Flags, plastic_slip: Floats, slip_rate: Floats) -> bool:
+    def update(
+        self,
+        time: float,
+        sliding: Flags,
+        is_open: Flags,
+        plastic_slip: Floats,
+        slip_rate: Floats,
+        began: float | None = None,
+    ) -> bool:
         """Book one accepted step; returns whether an event started or ended.
 
         time          at the end of the step [time]
+        began         from when on what is found in it may have been so, ``time`` if not given [time]
         sliding       (n,) whether any section at the node slides
         is_open       (n,) whether any section at the node is open
         plastic_slip  (n,) signed, top minus bottom [length]
         slip_rate     (n,) signed [length/time]
         """
         changed = False
+        began = time if began is None else began
         starts: list[tuple[int, str]] = []
         for kind, now in (("slip", np.asarray(sliding, bool)), ("open", np.asarray(is_open, bool))):
             running = self._running[kind]
@@ -92,7 +102,7 @@ class EventLog:
                 self.rows[running.row[i]]["end"] = float(time)
                 running.row[i], running.peak_rate[i], changed = -1, 0.0, True
         for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
-            self._start(kind, i, time)
+            self._start(kind, i, began)
         self._plastic_slip = np.array(plastic_slip, dtype=float)
         if changed or starts:
             self._write()

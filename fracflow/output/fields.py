@@ -80,6 +80,12 @@ class FieldWriter:
         self._write_index()
         return path
 
+    def drop(self, index: int) -> None:
+        """Take the fields of one step away, where there are any."""
+        if self._grids.pop(index, None) is not None:
+            self._write_index()
+            (self.folder / "fields" / f"{self.name}_{index:06d}.h5").unlink(missing_ok=True)
+
     def _grid(self, path: Path) -> str:
         time, *data = _read_flat(path)
         places = zip(_CENTRES, data, strict=True)

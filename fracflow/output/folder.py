@@ -20,6 +20,7 @@ _OWN_FILES = (
     "history.h5",
     "events.csv",
     "plan.json",
+    "status.json",
     "checkpoint.h5",
     "log.txt",
     "report.html",

@@ -55,7 +55,7 @@ def _overview(run: RunData) -> Figure:
 
     figure = Figure(figsize=(12, _height(run)), layout="constrained")
     axes = figure.subplot_mosaic([["map", "slip"], ["map", "energy"], ["map", "pressure"]], width_ratios=[1.15, 1])
-    figure.suptitle(run.title, fontsize=13, fontweight="bold", x=0.01, ha="left")
+    _draw_head(figure, run.title, run.account)
     _draw_map(axes["map"], run)
     slips = {name: run.probe(name, "slip") for name in run.probes_with("slip")}
     _draw_lines(axes["slip"], run, slips, "Slip at the probes", "slip", "length", run.settled)
@@ -64,6 +64,15 @@ def _overview(run: RunData) -> Figure:
         pressures = {name: run.probe(name, "pressure") for name in run.probes_with("pressure")}
         _draw_lines(axes["pressure"], run, pressures, "Pressure at the probes", "pressure", "stress", run.settled)
     return figure
+
+
+def _draw_head(figure: Figure, title: str, below: str) -> None:
+    """The title, and a smaller line under it."""
+    from matplotlib.text import Annotation
+
+    head = figure.suptitle(f"{title}\n", fontsize=13, fontweight="bold", x=0.01, ha="left")
+    place = dict(xy=(0.0, 0.0), xycoords=head, xytext=(0.0, 2.0), textcoords="offset points")
+    figure.add_artist(Annotation(below, **place, fontsize=9, annotation_clip=False))  # type: ignore[arg-type]
 
 
 def _height(run: RunData) -> float:
@@ -93,27 +102,29 @@ def _unit(run: RunData, word: str, kind: str, largest: float) -> tuple[float, st
 def _draw_map(axes: Axes, run: RunData) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    axes.set_title("Where the rock slipped")
+    fractures = run.fractures
+    axes.set_title(f"Where the rock slipped, until {run.at(fractures.time)}" if fractures else "Where the rock slipped")
     axes.grid(False)
     axes.set_aspect("equal", anchor="N")
     if run.rock is not None:
         look = dict(facecolors="#f4f1ea", edgecolors="#dcd6c8", linewidths=0.25)
         axes.add_collection(PolyCollection(run.rock, **look))  # type: ignore[arg-type]
-    fractures = run.fractures
     if fractures is not None and len(fractures.segments):
         ends = fractures.segments
         axes.add_collection(LineCollection(list(ends), colors=INK, linewidths=1.0))
         slip = np.abs(fractures.on_segments("plastic_slip"))
         top = slip.max(initial=0.0)
         if top == 0.0:
-            axes.set_title("The fractures: none has slipped")
+            since = run.slipped_since() if run.is_behind else []
+            later = f"; {len(since)} {'has' if len(since) == 1 else 'have'} since" if since else ""
+            axes.set_title(f"The fractures: none had slipped at {run.at(fractures.time)}{later}")
         else:
             share = slip / top
             moved = share > 1e-6
             lines = LineCollection(
                 list(ends[moved]), cmap="viridis_r", linewidths=(2.0 + 6.0 * share[moved]), capstyle="round"
             )
-            factor, label = _unit(run, "plastic slip at the end", "length", top)
+            factor, label = _unit(run, f"plastic slip at {run.at(fractures.time)}", "length", top)
             lines.set_array(factor * slip[moved])
             lines.set_clim(0.0, factor * top)
             axes.add_collection(lines)
@@ -238,11 +249,12 @@ def _draw_energy(axes: Axes, run: RunData) -> None:
 
 
 def _draw_pressure_profiles(axes: Axes, run: RunData) -> bool:
-    """Pressure along each fracture, in the first fields written (dashed) and at the end; False if there is no fluid."""
+    """Pressure along each fracture, in the first fields written (dashed) and the last; False if there is no fluid."""
     fractures = run.fractures
     if fractures is None or not fractures.has("pressure"):
         return False
-    axes.set_title(f"Pressure along the fractures{', at the start (dashed) and end' * fractures.has_before}")
+    first = f"{run.at(fractures.begins)} (dashed) and " if fractures.has_before else ""
+    axes.set_title(f"Pressure along the fractures at {first}{run.at(fractures.time)}")
     profiles = fractures.profiles("pressure", _MAX_LINES)
     largest = max((float(np.abs(after).max()) for _, _, after in profiles.values()), default=0.0)
     factor, label = _unit(run, "pressure", "stress", largest)
@@ -266,7 +278,7 @@ def _probes(run: RunData) -> Figure | None:
         return None
     rows = -(-len(shown) // 2)
     figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
-    figure.suptitle(f"{run.title}: probes", fontsize=13, fontweight="bold", x=0.01, ha="left")
+    _draw_head(figure, f"{run.title}: probes", run.account.partition(". Map")[0])
     grid = figure.subplots(rows, 2, squeeze=False).ravel()
     for axes, (key, kind) in zip(grid, shown.items(), strict=False):
         word = {"displacement": "length of the displacement"}.get(key, key.replace("_", " "))

@@ -14,6 +14,7 @@ from fracflow.errors import InputError
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.history import read_attributes, read_history
+from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
 
 Floats = NDArray[np.float64]
 Profile = tuple[Floats, Floats | None, Floats]
@@ -36,12 +37,14 @@ _DYNAMIC, _EQUILIBRATE = 2, 3
 
 @dataclass(frozen=True)
 class FractureFields:
-    """Fracture fields at the start of the dynamics and at the end.
+    """Fracture fields at the start of the dynamics, and the last that were written.
 
     points    (n, 2)     node coordinates [length]
     cells     (m, 2)     nodes of each piece
     fracture  (m,)       index into ``names``
     before, after        point data; ``before`` empty if only one step was written
+    begins, time         times of these two [time]
+    step                 number of the state that ``after`` is of, counted from 0
     """
 
     points: Floats
@@ -50,6 +53,9 @@ class FractureFields:
     names: list[str]
     before: dict[str, NDArray[Any]]
     after: dict[str, NDArray[Any]]
+    begins: float = 0.0
+    time: float = 0.0
+    step: int = 0
 
     @property
     def segments(self) -> Floats:
@@ -66,7 +72,7 @@ class FractureFields:
         return key in self.after
 
     def on_segments(self, key: str) -> Floats:
-        """(m,) mean over a piece's ends of a scalar field at the end; zero if it was not written."""
+        """(m,) mean over a piece's ends of the last scalar field; zero if it was not written."""
         if not self.has(key):
             return np.zeros(len(self.cells))
         return np.asarray(self.after[key].reshape(len(self.points), -1)[:, 0][self.cells].mean(axis=1))
@@ -132,6 +138,38 @@ class RunData:
     fractures: FractureFields | None
     start: int
     has_dynamics: bool
+    status: Status
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether the histories go on after the last fields that were written."""
+        return self.fractures is not None and self.fractures.step < len(self.history["time"]) - 1
+
+    def slipped_since(self) -> list[str]:
+        """Names of the fractures that began to slip after the last fields that were written."""
+        since = self.fractures.time if self.fractures is not None else -np.inf
+        return sorted({e["fracture"] for e in self.events if e["kind"] == "slip" and e["start"] >= since})
+
+    @property
+    def account(self) -> str:
+        """A line on how the run stands, and of which times its pictures are."""
+        reached = self.at(float(self.history["time"][-1]))
+        words = {
+            "": f"Histories to {reached}",
+            RUNNING: f"Under way: histories to {reached}",
+            ENDED: f"Ended at {reached}",
+            STOPPED: f"Stopped at {reached}; fracflow resume goes on",
+            FAILED: f"Failed after {reached}: no state beyond it was found",
+            CUT_OFF: f"Cut off (killed): histories to {reached}; fracflow resume goes on",
+        }
+        line = words.get(self.status.word, words[""])
+        if not self.is_behind or self.fractures is None:
+            return line
+        return f"{line}. Map and profiles are older: of {self.at(self.fractures.time)}, step {self.fractures.step}"
+
+    def at(self, time: float) -> str:
+        """A time with its unit."""
+        return f"{time:.6g} {self.units.get('time', '')}".rstrip()
 
     @property
     def settled(self) -> slice:
@@ -207,6 +245,7 @@ def load_run_data(folder: str | Path) -> RunData:
         fractures=_fractures(folder, float(history["time"][start])),
         start=start,
         has_dynamics=bool(len(dynamic)),
+        status=read_status(folder),
     )
 
 
@@ -231,10 +270,11 @@ def _fractures(folder: Path, start: float) -> FractureFields | None:
     times = np.array([read_step(path)[0] for _, path in steps])
     # The steps of a steady stage may share their time: the last of them is where the dynamics begin.
     first = max(0, int(np.searchsorted(times, start, side="right")) - 1)
-    _, after, cell_data = read_step(steps[-1][1])
+    time, after, cell_data = read_step(steps[-1][1])
     before = read_step(steps[first][1])[1] if first < len(steps) - 1 else {}
     fracture = np.asarray(cell_data.get("fracture", np.zeros(len(cells))), dtype=np.int64)
     stored = attrs.get("fractures", attrs.get("names"))
     highest = int(fracture.max(initial=-1)) + 1
     names = json.loads(stored) if stored else [f"fracture {i + 1}" for i in range(highest)]
-    return FractureFields(points[:, :2], cells[:, :2], fracture, names, before, after)
+    begins, step = float(times[first]), steps[-1][0]
+    return FractureFields(points[:, :2], cells[:, :2], fracture, names, before, after, begins, time, step)

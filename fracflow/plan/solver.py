@@ -5,16 +5,17 @@ from __future__ import annotations
 from math import inf, isfinite
 
 from fracflow.coupling.condensed_cost import USUAL, solves_per_factor
-from fracflow.coupling.condensed_plan import AT_LEAST, condensing, is_chosen
+from fracflow.coupling.condensed_plan import AT_LEAST, condensing, is_chosen, planned
 from fracflow.coupling.kept_factors import LEAST_WORTH, are_kept
 from fracflow.plan.decision import Decision, Facts
 from fracflow.plan.inertia import reduced
+from fracflow.scene import Scene
 
 
 def condensed_rock(facts: Facts) -> list[Decision]:
     """The unknowns of the rock, which is linear: the choice is the coupling's, for the stages that the plan leaves."""
     scene = reduced(facts)
-    if not facts.jumps:
+    if not facts.jumps or not _solves(scene):
         return []
     plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
     chosen = scene.method.coupling == "condensed" or is_chosen(scene, facts.unknowns, plan)
@@ -39,6 +40,8 @@ def condensed_rock(facts: Facts) -> list[Decision]:
 
 def new_factors(facts: Facts) -> list[Decision]:
     """Factors of a matrix that joints have changed since."""
+    if not _solves(reduced(facts)):
+        return []
     total = facts.unknowns + facts.pressures
     kept, worth = are_kept(facts.scene, total), solves_per_factor(total)
     criterion = "solves in the time of a factorisation"
@@ -49,6 +52,11 @@ def new_factors(facts: Facts) -> list[Decision]:
     )
     error = "none: Newton's method ends at the same residual, with new factors where old ones do not serve"
     return [Decision("new factors in every iteration", kept, criterion, worth, f"> {LEAST_WORTH:g}", error, saves)]
+
+
+def _solves(scene: Scene) -> bool:
+    """Whether any stage solves for all unknowns at once: explicit steps do not."""
+    return next(planned(scene), None) is not None
 
 
 def factorisations(solves: int, made: int) -> Decision:

@@ -48,11 +48,11 @@ def _shear_modulus(scene: Scene, name: str) -> float:
     return rock.youngs_modulus / (2.0 * (1.0 + (rock.poissons_ratio or 0.0)))
 
 
-def instant(state: State, snapshot: Snapshot, injected: float) -> Instant:
-    """What the catalogue looks at."""
+def instant(state: State, snapshot: Snapshot, injected: float, began: float) -> Instant:
+    """What the catalogue looks at; ``began`` as ``Instant`` has it."""
     slip, traction, rate = (snapshot.column(name).ravel() for name in ("plastic_slip", "shear_traction", "slip_rate"))
     sliding = snapshot.column("sliding").astype(bool).ravel()
-    return Instant(state.time, slip, traction, rate, sliding, state.energy, injected)
+    return Instant(state.time, slip, traction, rate, sliding, state.energy, injected, began)
 
 
 def brought(model: Model, state: State, dt: float) -> float:

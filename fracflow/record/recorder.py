@@ -25,6 +25,7 @@ from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
 from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
+from fracflow.output.status import RUNNING, Status, write_status
 from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
 from fracflow.record.catalogue import brought, catalogue_of, instant
@@ -113,18 +114,26 @@ class Recorder:
                 )
             totals.spurious, totals.spurious_time = share, step.state.time
 
-    def last(self, step: Step) -> None:
-        """Write the fields of the state that a run ends with, unless they were. Collective."""
-        if not self._wants_fields(self.totals.steps - 1):
-            self._fields(step, self.totals.steps - 1)
+    def last(self, step: Step, whole: bool = True) -> None:
+        """Write the fields of the last state on record, unless they were; those of an earlier such state go. Collective.
+
+        ``whole`` with those of the rock, which at a large mesh take longer than a checkpoint
+        """
+        index = self.totals.steps - 1
+        is_extra = not self._wants_fields(index)
+        if is_extra:
+            self._fields(step, index, whole)
+        if self.files is not None:
+            self.files.drop_extra(index if is_extra else None)
 
     def _wants_fields(self, index: int) -> bool:
         every = self.model.scene.output.fields_every
         return index == 0 or bool(every and index % every == 0)
 
-    def _fields(self, step: Step, index: int) -> None:
-        ends, motion = sampling.all_ends(self.sampler, step.state), sampling.all_motion(self.sampler, step.state)
-        if self.files is not None and ends is not None and motion is not None:
+    def _fields(self, step: Step, index: int, whole: bool = True) -> None:
+        ends = sampling.all_ends(self.sampler, step.state)
+        motion = sampling.all_motion(self.sampler, step.state) if whole else None
+        if self.files is not None and ends is not None:
             self.files.fields(index, step.state, ends, motion)
 
     def save(self, step: Step, finished: bool = False) -> None:
@@ -137,13 +146,14 @@ class Recorder:
                 step, arrays, {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
             )
 
-    def finish(self, seconds: float) -> None:
-        """Write plan.json and the last lines of the log."""
+    def finish(self, seconds: float, status: Status) -> None:
+        """Write plan.json, the last lines of the log, and how the run ended."""
         for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
             self.log(line)
         if self.files is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
             self.files.write_plan([*self.files.decisions, done])
+            write_status(self.files.folder, status)
 
     def close(self) -> None:
         """Close the files, whatever happened."""
@@ -164,6 +174,7 @@ class Files:
         if notes is not None:
             read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
         self.folder = RunFolder(folder, resume=notes is not None)
+        write_status(self.folder, Status(RUNNING))
         self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
         if notes is None:
@@ -201,6 +212,8 @@ class Files:
         if notes is not None:
             self.events.remember(notes["events"])
         self.count = len(flow)
+        self.extra: int | None = None
+        self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
         resumes = notes is not None
         self.rock = FieldWriter(
             self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)}, resumes
@@ -230,6 +243,9 @@ class Files:
     def append(self, step: Step, snapshot: sampling.Snapshot, margin: float, injected: float) -> None:
         """One row of history and the events up to it."""
         state, report = step.state, step.report
+        # a step that is cut where a status changes ends with the change; else it came somewhere in the step
+        began = state.time if self.time is None or report.located else self.time
+        self.time = state.time
         record: dict[str, Any] = {
             "time": state.time,
             "step/dt": step.dt,
@@ -273,11 +289,12 @@ class Files:
             is_open,
             brought("plastic_slip"),
             brought("slip_rate"),
+            began,
         )
 
         if self.catalogue is not None:
             moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
-            if event := self.catalogue.update(instant(state, snapshot, injected), moves):
+            if event := self.catalogue.update(instant(state, snapshot, injected, began), moves):
                 self.events.add(event)
 
     def _advice(self) -> str:
@@ -285,10 +302,18 @@ class Files:
             return 'method.contact = "redistributed" takes the mass from the walls, else take a smaller time_step'
         return 'take a smaller time_step, or method.stepper = "generalised-alpha" with rho_infinity = 0, which damps it'
 
-    def fields(self, index: int, state: State, ends: Floats, motion: Floats) -> None:
-        """Fields of rock and fractures for ParaView."""
-        point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
-        self.rock.write(index, state.time, point_data, cell_data)
+    def drop_extra(self, index: int | None) -> None:
+        """Take fields away that are out of turn, but for those of a step ``index``, which come next to be taken away."""
+        if self.extra is not None and self.extra != index:
+            self.rock.drop(self.extra)
+            self.fractures.drop(self.extra)
+        self.extra = index
+
+    def fields(self, index: int, state: State, ends: Floats, motion: Floats | None) -> None:
+        """Fields of fractures and, where there is its ``motion``, of the rock for ParaView."""
+        if motion is not None:
+            point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
+            self.rock.write(index, state.time, point_data, cell_data)
         skip = ("margin",) + (() if self.scene.has_flow else ("pressure", "flow_rate"))
         values = {name: ends[:, :, n].ravel() for n, name in enumerate(sampling.COLUMNS) if name not in skip}
         if self.scene.has_flow and self.scene.fluid is not None and self.scene.fluid.specific_weight:

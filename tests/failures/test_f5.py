@@ -40,3 +40,19 @@ def test_without_inertia_it_goes_half_as_far(shared_tmp):
     history, _ = _ran(shared_tmp / "rest", "stage.slip.kind=quasi-static")
     moved, strength = history["probe/block/displacement"][:, 0], 2.0
     assert moved[-1] - strength / 10.0 == pytest.approx(DROP / SPRING, rel=1e-3)
+
+
+@pytest.mark.parametrize("events", ["located", "at-step-ends"])
+@pytest.mark.parametrize("share", [1.0 - 4e-16, 1.0 + 4e-16, 1.0 - 1e-9])
+def test_a_block_at_rest_at_its_strength_fails_whichever_way_round_off_has_it(shared_tmp, events, share):
+    """(2.12) |f_s| >= f_sy; with a share of 1e-9 less it stays."""
+    shear = 2.0 * np.tan(np.radians(45.0)) * share
+    tractions = (f"fracture.{name}.initial_shear_traction={shear!r}" for name in ("lower", "upper"))
+    carried = ("initial_stress.unbalanced=carried", "initial_stress.xx=0", "initial_stress.yy=0")
+    _, found = _ran(shared_tmp, f"method.events={events}", *tractions, *carried)
+    if share < 1.0 - 1e-10:
+        assert found == []
+        return
+    assert {event["start"] for event in found} == {0.0}
+    largest = 2 * DROP / SPRING + DROP / 10.0  # with what the joint itself unloads by
+    assert [event["slip"] for event in found] == pytest.approx([largest, largest], rel=1e-2)

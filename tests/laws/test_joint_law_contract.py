@@ -369,3 +369,21 @@ def test_turning_while_sliding_is_no_change_of_status():
 def test_every_parameter_of_a_law_is_a_key_of_the_scene(name):
     keys = set(Fracture.model_fields) | {"coupled_tangent", "strength_when_open"}  # the last two are [method]'s
     assert {field.name for field in fields(JOINT_LAWS[name])} <= keys
+
+
+@pytest.mark.parametrize("name", ["hyperbolic-coulomb", "slip-weakening"])
+def test_a_section_at_its_strength_fails_whichever_way_round_off_has_it(name):
+    """(2.12) |f_s| >= f_sy."""
+    pressed = np.repeat(np.random.default_rng(76).uniform(1.0, 1e8, 40), 5)
+    peak = 0.5 + 0.7 * pressed
+    steps = np.tile(np.arange(-2, 3), 40) * np.finfo(float).eps
+    still, some = np.zeros((len(pressed), 2)), np.where(np.arange(len(pressed)) % 2, 1.0, -1.0)
+
+    def slides(shear, pressed=pressed, **keys):
+        given = {**SAMPLES[name], "initial_normal_traction": -pressed, "initial_shear_traction": shear, **keys}
+        law = JOINT_LAWS[name](**given)
+        return law.respond(still, law.rest(len(still), 2)).is_sliding
+
+    assert slides(some * peak * (1.0 + steps)).all()
+    assert not slides(some * peak * (1.0 - 1e-9)).any()
+    assert not slides(0.0 * peak, 0.0 * pressed, cohesion=0.0).any()  # no strength, and nothing to resist

@@ -1,6 +1,7 @@
 """A row of the catalogue of events, by hand."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,6 +39,13 @@ def test_an_event_goes_from_the_first_section_that_slides_to_the_last_that_stick
     assert (row["radiated"], row["dissipated"], row["dropped"], row["injected"]) == (3.0, 6.0, 1.0, 7.0)
     assert row["unclosed"] == pytest.approx(1e-10)
     assert log.update(_at(3.0, [0.1, 0.05, 9.0], [9e6, 6e6, 8e6]), False) is None
+
+
+def test_an_event_starts_where_the_step_began():
+    log = Catalogue(ENDS)
+    log.update(_at(1.1, [0.2, 0.0, 0.0], [8e6, 8e6, 8e6]), False)
+    log.update(replace(_at(1.2, [0.2, 0.01, 0.0], [8e6, 8e6, 8e6], (1,)), began=1.1), True)
+    assert log.row(_at(1.3, [0.2, 0.02, 0.0], [8e6, 8e6, 8e6]))["start"] == 1.1
 
 
 def test_where_nothing_slides_there_is_no_event():

@@ -42,6 +42,15 @@ def test_an_event_is_a_node_from_first_to_last_sliding_section(tmp_path):
     assert rows[2]["fracture"] == "B, lower" and rows[2]["x"] == 2.0
 
 
+def test_an_event_starts_where_the_step_began(tmp_path):
+    log = EventLog(tmp_path / "events.csv", NODES)
+    log.update(1.0, NO, NO, np.zeros(3), np.zeros(3), began=0.0)
+    log.update(2.0, flags(0), flags(2), np.array([0.1, 0.0, 0.0]), np.zeros(3), began=1.0)
+    log.update(3.0, NO, flags(2), np.array([0.1, 0.0, 0.0]), np.zeros(3), began=2.0)
+    rows = [(row["kind"], row["node"], row["start"], row["end"]) for row in read_events(log.path)]
+    assert rows == [("open", 5, 1.0, None), ("slip", 7, 1.0, 3.0)]
+
+
 def test_another_table_is_refused(tmp_path):
     (tmp_path / "events.csv").write_text("a,b\n1,2\n")
     for name in ("events.csv", "none.csv"):

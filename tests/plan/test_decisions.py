@@ -11,6 +11,15 @@ from fracflow.cli import app
 from fracflow.plan import Facts, as_lines, decide
 
 pytestmark = pytest.mark.serial
+DRY = SLIDING.partition("[[stage]]")[0]
+EXPLICIT = """
+[method]
+stepper = "explicit"
+[[stage]]
+kind = "dynamic"
+time_step = "DT"
+steps = 10
+"""
 
 
 def decisions(text, card=(), **facts):
@@ -55,3 +64,18 @@ def test_check_prints_decisions_sizes_and_cost(tmp_path):
     told = json.loads(CliRunner().invoke(app, ["check", str(file), "--json"]).output)
     keys = {"part", "left_out", "criterion", "value", "limit", "error", "saves", "stage", "undone", "asked", "verdict"}
     assert all(set(each) == keys for each in told["plan"])
+
+
+@pytest.mark.parametrize(("step", "cut"), [("0.5 ms", ""), ("5 ms", " in 5 parts of 0.001 s")])
+def test_explicit_steps_are_told_without_factorisations(tmp_path, step, cut):
+    """A step longer than the critical one is taken in parts, and nothing is factorised."""
+    (tmp_path / "scene.toml").write_text(f"{DRY}{EXPLICIT}".replace("DT", step))
+    found = json.loads(CliRunner().invoke(app, ["check", str(tmp_path / "scene.toml"), "--json"]).output)
+    assert not [each["part"] for each in found["plan"] if "factor" in each["part"] or "condensed" in each["part"]]
+    sizes = found["sizes"]
+    assert sizes["explicit steps"].startswith(
+        f"10 steps of {float(step[:-3]) / 1e3:g} s{cut}; critical time step of the rock "
+    )
+    (told,) = [value for key, value in sizes.items() if key.startswith("time of the steps")]
+    assert f"{50 if cut else 10} explicit parts" in told and "factorisation" not in told
+    assert "steps from which a condensed rock pays" not in sizes

@@ -1,0 +1,50 @@
+"""status.json: whether a run is under way, has ended, was stopped or has failed."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from fracflow.output.folder import MARKER, RunFolder
+
+RUNNING, ENDED, STOPPED, FAILED, CUT_OFF = "running", "ended", "stopped", "failed", "cut off"
+FILE = "status.json"
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a run stands, and the line that it was stopped or failed with.
+
+    word  running, ended, stopped, failed, or cut off: killed without a word; empty where the folder does not tell
+    """
+
+    word: str = ""
+    line: str = ""
+
+
+def write_status(folder: RunFolder, status: Status) -> None:
+    """Put it in the place of the last one."""
+    folder.write_json(FILE, {"status": status.word, "line": status.line})
+
+
+def read_status(folder: str | Path) -> Status:
+    """How the run of a folder stands now; a run that says it is under way and holds its folder no more was cut off."""
+    try:
+        found = json.loads((Path(folder) / FILE).read_text(encoding="utf-8"))
+        word, line = str(found["status"]), str(found["line"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return Status()
+    return Status(CUT_OFF if word == RUNNING and not _is_held(Path(folder)) else word, line)
+
+
+def _is_held(folder: Path) -> bool:
+    try:
+        with (folder / MARKER).open(encoding="utf-8") as marker:
+            fcntl.flock(marker, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return True  # a file system without locks: it may be
+    return False
