@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import warnings
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,7 +75,10 @@ def run_command(
     def show_card(numbers: list[Number]) -> None:
         tell_card(as_records(numbers), console)
 
-    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card))
+    def say(line: str) -> None:
+        console.print(f"note: {line}", soft_wrap=True, markup=False)
+
+    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
 
 
 @app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -113,11 +117,12 @@ def check(
     from fracflow.scene_advice import advice
 
     given = load(scene, set_ or [])
-    found, moved, numbers, decisions = set_up(given)
+    found, moved, numbers, decisions, network = set_up(given)
     notes = [*advice(given), *moved]
     if as_json:
         card = card_records(numbers)
-        typer.echo(to_json({"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes}, indent=1))
+        told = {"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes, "network": asdict(network)}
+        typer.echo(to_json(told, indent=1))
         return
     console = Console(highlight=False, width=WIDTH)
     tell_card(card_records(numbers), console)
@@ -131,13 +136,20 @@ def check(
 @app.command("mesh")
 def mesh_command(scene: SceneFile, set_: Overrides = None) -> None:
     """Mesh and split only, with a summary."""
-    from fracflow.begin.setup import read_split
+    from fracflow.begin.hydraulic import told_apart
+    from fracflow.begin.setup import place, read_split
     from fracflow.mesh.split import summary
     from fracflow.scene import load
 
-    split = read_split(load(scene, set_ or []))
+    given = load(scene, set_ or [])
+    split = read_split(given)
     for note in split.notes:
         typer.echo(note)
+    try:
+        for note in told_apart(given, split, place(given, split).wells):
+            typer.echo(note)
+    except InputError as error:  # wells may be placed later
+        typer.echo(f"note: {error}")
     for key, value in summary(split).items():
         typer.echo(f"{key}: {shown(value)}")
 

@@ -17,6 +17,7 @@ from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, PutBack, SolveError
 from fracflow.mesh.data import SplitMesh
+from fracflow.mesh.near import HEAD
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
@@ -33,6 +34,7 @@ from fracflow.steps.step import Step, Stepping, stepper_of
 
 Progress = Callable[[Step], None]
 Show = Callable[[list[Number]], None]
+Say = Callable[[str], None]
 
 
 def run(
@@ -41,10 +43,12 @@ def run(
     comm: MPI.Comm = MPI.COMM_WORLD,
     progress: Progress | None = None,
     show: Show | None = None,
+    say: Say | None = None,
 ) -> Totals:
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
     show  is given the scene card before the first step, on rank 0
+    say   is given lines that should be read before it: that wells are in parts that never meet, how much nearly meets
 
     Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
     gone, and ``progress`` sees those of both. Raises InputError, SolveError and Interrupted, on every rank.
@@ -52,7 +56,7 @@ def run(
 
     def once(undone: Mapping[str, str]) -> Totals:
         mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
-        return _run(scene, folder, comm, progress, None if undone else show, undone, mesh)
+        return _run(scene, folder, comm, progress, None if undone else show, None if undone else say, undone, mesh)
 
     return _tries(once, {})
 
@@ -72,6 +76,7 @@ def _run(
     comm: MPI.Comm,
     progress: Progress | None,
     show: Show | None,
+    say: Say | None,
     undone: Mapping[str, str],
     mesh: SplitMesh | None = None,
 ) -> Totals:
@@ -87,12 +92,17 @@ def _run(
         recorder.log(f"plan: {part}: undone at {when}: the run has begun anew with it")
     if show is not None and recorder.files is not None:
         show(recorder.files.card)
+    whole = model.whole or model
+    told = whole.mesh.notes if whole.mesh is not None else ()
+    if say is not None:
+        for line in (*(line for line in told if line.startswith(HEAD)), *whole.placed.apart):
+            say(line)
     sizes = model.operators.blocks.sizes
     recorder.log(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in (*(model.mesh.notes if model.mesh is not None else ()), *model.placed.notes):
+    for line in (*told, *whole.placed.notes):
         recorder.log(line)
     if watches_spurious(scene):
         recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
@@ -132,7 +142,7 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
         return _go(model, recorder, step, began, progress)
     except PutBack as needed:
         undone = {**notes["totals"]["undone"], **needed.undone}
-    return _tries(lambda undone: _run(scene, folder, comm, progress, None, undone, mesh), undone)
+    return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), undone)
 
 
 def has_ended(folder: Path) -> bool:

@@ -122,8 +122,6 @@ def _geometry(scene: Scene) -> Iterator[Fault]:
         yield ("geometry", "size_at_fractures"), f"must be at most size = {geometry.size:g}"
     if geometry.size_at_tips is not None and geometry.size_at_tips > fine:
         yield ("geometry", "size_at_tips"), f"must be at most the size at fractures, {fine:g}"
-    if geometry.snap is not None and geometry.snap > 0.5 * fine:
-        yield ("geometry", "snap"), f"must be at most half the size at fractures, {0.5 * fine:g}"
     for name in scene.fracture:
         if name not in (*traces, "default"):
             yield ("fracture", name), f"no fracture of that name in [geometry]; {nearest(name, traces)}"

@@ -230,7 +230,7 @@ class Geometry(Part):
     snap: Size | None = Field(
         default=None,
         description="points nearer than this to another, a trace or a side become one with it, and cells between near traces"
-        " are never smaller [length]; 5 % of size_at_fractures if not given",
+        " are never under twice as long [length]; if not given, 0.4 % of the median length of traces, whatever the mesh",
     )
     cells: Literal["triangles", "quads"] = Field(default="triangles", description="shape of the cells")
     refine: Refine = Field(default=0, description=REFINED)

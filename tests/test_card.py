@@ -131,6 +131,29 @@ def test_backward_euler_does_not_ring():
     assert found.value > 1 and not found.out_of_range
 
 
+@pytest.mark.parametrize("given", ["neither", "wide", "both"])
+def test_where_pressure_is_prescribed_no_film_rings_and_no_fluid_has_inertia(given):
+    """A wide fracture beside a narrow one: the warnings are of those whose film has an equation."""
+    prescribed = {"pressure": [[0.0, 0.0], [1.0, 1e5]]}
+    joint = {"normal_stiffness": 1e10, "shear_stiffness": 5e9, "friction_angle_deg": 30.0}
+    scene = Scene.from_data({
+        "geometry": {"domain": [0, 0, 10, 10], "size": 4, "fracture": [
+            {"name": "wide", "points": [[2, 3], [8, 3]]}, {"name": "narrow", "points": [[2, 7], [8, 7]]}]},
+        "rock": {"rock": {"youngs_modulus": 1e10, "poissons_ratio": 0.25, "density": 2500.0}},
+        "fracture": {"wide": joint | {"aperture": 1e-2} | (prescribed if given != "neither" else {}),
+                     "narrow": joint | {"aperture": 2e-3} | (prescribed if given == "both" else {})},
+        "fluid": {"viscosity": 1e-3, "density": 1e3},
+        "initial_stress": {"xx": -1e7, "yy": -1e7},
+        "stage": [{"kind": "dynamic", "time_step": 1e-3, "end": 1.0}],
+    })  # fmt: skip
+    mesh = read_split(scene)
+    card = {number.name: number for number in scene_card(scene, mesh, {})}
+    for name in ("film ringing", "fluid inertia"):
+        assert card[name].out_of_range == (given != "both"), card[name]
+        assert card[name].where.partition(",")[0] == {"neither": "wide", "wide": "narrow", "both": ""}[given]
+    assert (card["film ringing"].note == "pressure is prescribed everywhere") == (given == "both")
+
+
 def test_without_a_drop_of_strength_slip_needs_no_length():
     card = card_of(REPORT_5_3, "fracture.fault.stick_slip_ratio=1")
     assert not card["joint length scale"].out_of_range and not card["nucleation length"].out_of_range

@@ -266,7 +266,7 @@ SCENES = {
     ),
     "domain closed twice": (
         scene("[0, 0, 4, 4]", "[[0, 0], [4, 0], [4, 4], [0, 0]]"),
-        "geometry.domain: the side that starts at (0, 0) is no longer than snap = 0.1",
+        "geometry.domain: the side that starts at (0, 0) is no longer than snap = 0.0113",
     ),
     "cells too many": (
         scene("size = 2", "size = 1e-6"),
@@ -281,7 +281,7 @@ SCENES = {
         "fault.points = [[1, 2], [1, 2]]: two points in a row are the same",
     ),
     "a trace of hardly any length": (
-        scene("[4, 2]]", "[1, 2.01]]"),
+        scene("[4, 2]]", "[1, 2.01]]", "size = 2", "size = 2\nsnap = 0.1"),
         'fracture "fault": is shorter than snap = 0.1; remove it',
     ),
     "a trace outside": (

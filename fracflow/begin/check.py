@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.begin.explicit_cost import explicit_cost
+from fracflow.begin.hydraulic import parts_with_wells
 from fracflow.begin.planned import planned, seconds_of_factors
-from fracflow.begin.setup import Model, prepare
+from fracflow.begin.setup import Model, geometry_of, prepare
 from fracflow.begin.start import settle
 from fracflow.card import Number, scene_card
 from fracflow.coupling.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
 from fracflow.coupling.condensed_plan import planned as solved
+from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
 from fracflow.plan import Decision, decide
 from fracflow.scene import Scene
@@ -22,8 +25,22 @@ MATRICES = 150.0  # numbers an unknown in matrices and vectors
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
 
-def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[Decision]]:
-    """Set a scene up as a run does, on one rank: its sizes and cost, what was moved to fit, its card and its plan.
+@dataclass(frozen=True)
+class Network:
+    """What meets and what does not, for JSON.
+
+    snap         what is nearer is one [length]; None of a mesh file
+    near_misses  records of what all but meets
+    well_parts   records of the parts of the network that have wells
+    """
+
+    snap: float | None
+    near_misses: list[dict[str, object]]
+    well_parts: list[dict[str, object]]
+
+
+def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[Decision], Network]:
+    """Set a scene up as a run does, on one rank: sizes and cost, what was moved to fit, card, plan and network.
 
     InputError where it cannot be run.
     """
@@ -46,10 +63,20 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     if sections and fits(unknowns, sections) and pays < math.inf and next(solved(model.scene), None) is not None:
         found["steps from which a condensed rock pays"] = pays
     card, notes = scene_card(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
+    network = _network(model)
     model = planned(model)
     assert model.facts is not None
     found |= _cost(model, steps, any(stage.kind == "auto" or stage.until for stage in scene.stage))
-    return found, notes, card, decide(model.facts.with_card(card))
+    return found, notes, card, decide(model.facts.with_card(card)), network
+
+
+def _network(model: Model) -> Network:
+    assert model.mesh is not None
+    parts = [part.as_record() for part in parts_with_wells(model.mesh, model.placed.wells)]
+    if model.scene.geometry is None or not model.scene.geometry.fracture:
+        return Network(None, [], parts)
+    _, snap, misses = network_of(geometry_of(model.scene))
+    return Network(snap, [miss.as_record() for miss in misses], parts)
 
 
 def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:

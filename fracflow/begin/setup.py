@@ -15,6 +15,7 @@ from fracflow.assembly.components import label_parts
 from fracflow.assembly.contact_mass import redistributed, redistributes
 from fracflow.assembly.loads import Loads, assemble_loads
 from fracflow.assembly.operators import Operators, assemble
+from fracflow.begin.hydraulic import told_apart
 from fracflow.coupling.defaults import set_defaults
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
@@ -43,6 +44,7 @@ class Placed:
     points  name -> split nodes
     ties    (m, 2) pairs of node * dim + component that move alike
     notes   what the log should tell
+    apart   parts of the network that have wells and never meet, where there is more than one; on rank 0
     """
 
     wells: Mapping[str, int]
@@ -50,6 +52,7 @@ class Placed:
     points: Mapping[str, Ints]
     ties: Ints
     notes: tuple[str, ...]
+    apart: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -133,27 +136,29 @@ def _read_split(scene: Scene) -> SplitMesh:
     if scene.mesh_path is not None:
         raw = read_mesh(scene.mesh_path, [*names, *(["default"] if "default" in scene.fracture else [])])
     else:
-        geometry = scene.geometry
-        assert geometry is not None and geometry.size is not None
-        traces = [(f.name, np.array(f.points, dtype=float)) for f in geometry.fracture]
-        raw = build_mesh(
-            GeometrySpec(
-                np.array(geometry.domain, dtype=float),
-                tuple(traces),
-                geometry.size,
-                geometry.size_at_fractures,
-                geometry.cells,
-                next(iter(scene.rock)),
-                size_at_tips=geometry.size_at_tips,
-                growth=geometry.growth,
-                snap=geometry.snap,
-            )
-        )
+        raw = build_mesh(geometry_of(scene))
     for _ in range(scene.refine):
         raw = refined(raw)
     mesh = split(raw)
     scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
     return mesh
+
+
+def geometry_of(scene: Scene) -> GeometrySpec:
+    """The geometry of a scene that has one, with its sizes known."""
+    geometry = scene.geometry
+    assert geometry is not None and geometry.size is not None
+    return GeometrySpec(
+        np.array(geometry.domain, dtype=float),
+        tuple((f.name, np.array(f.points, dtype=float)) for f in geometry.fracture),
+        geometry.size,
+        geometry.size_at_fractures,
+        geometry.cells,
+        next(iter(scene.rock)),
+        size_at_tips=geometry.size_at_tips,
+        growth=geometry.growth,
+        snap=geometry.snap,
+    )
 
 
 def place(scene: Scene, mesh: SplitMesh) -> Placed:
@@ -245,6 +250,7 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None
     coarse = unresolved(scene, mesh, placed.wells) if mesh is not None and saved is None else []
+    apart = told_apart(scene, mesh, placed.wells) if mesh is not None else []
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = assemble(blocks, scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
@@ -252,7 +258,8 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, mesh)
-    placed = replace(placed, notes=(*scene.notes, *coarse, *placed.notes, *describe(blocks, scene)))
+    notes = (*scene.notes, *coarse, *apart, *placed.notes, *describe(blocks, scene))
+    placed = replace(placed, notes=notes, apart=tuple(apart))
     return Model(scene, mesh, placed, operators, loads)
 
 

@@ -15,6 +15,7 @@ GRAVITY = 9.80665  # m/s^2: the density of a fluid of which only the specific we
 WITHIN = 0.5  # an estimate by means along a fracture may be half of the factor
 WATER = 2.2e9  # Pa, bulk modulus of water: shown where the scene states no compressibility
 GAS = 1e-6  # 1/Pa, 1/p of an ideal gas at 10 bar; liquids have less than a hundredth of it
+HELD = "pressure is prescribed everywhere"
 EVENT_STEPS = 10  # the shortest event that the steps of a dynamic stage resolve
 NARROWING = 1.25  # d1/d2 from which (3.14f) is wrong by 4 %
 STEEPEST = {"lumped": 4.0, "consistent-lumped": 12.0, "consistent": 36.0, "averaging": 48.0, "report": 24.0}
@@ -152,8 +153,8 @@ def ringing(view: View) -> Number:
     """dt/(2 tau_d) of the shortest mode on the mesh, the first to ring."""
     name, formula, joints = "film ringing", "dt/(2 tau_d)", view.joints
     films = [film for film in view.stages if film.is_trapezoid] or view.stages
-    if not view.flows or not films:
-        return Number(name, formula, note="no film that moves")
+    if not view.flows or not films or joints.is_held.all():
+        return Number(name, formula, note=HELD if view.flows and films else "no film that moves")
     kappa = np.sqrt(STEEPEST[view.scene.method.storage]) / joints.length
     soft = np.where(np.isfinite(joints.modulus), joints.modulus, 0.0)
 
@@ -161,7 +162,8 @@ def ringing(view: View) -> Number:
         stiff = wall_stiffness(joints.normal.max(axis=1), soft, kappa, film, joints.impedance, joints.mass)
         conducting, yields = joints.conducting.max(axis=1), 1.0 / stiff + _held(view)
         with np.errstate(divide="ignore"):  # as long as walls cannot give way, and the fluid neither
-            value, _, where = view.worst(conducting * kappa**2 * film.time_step / (2.0 * yields))
+            rings = conducting * kappa**2 * film.time_step / (2.0 * yields)
+            value, _, where = view.worst(np.where(joints.is_held, np.nan, rings))
         return value or 0.0, where
 
     film = max(films, key=lambda each: worst(each)[0])
@@ -182,8 +184,11 @@ def fluid_inertia(view: View) -> Number:
     density = _fluid_density(view)
     if not view.flows or density is None:
         return Number(name, formula, note="density not stated" if view.flows else "no flow")
+    if view.joints.is_held.all():
+        return Number(name, formula, note=HELD)
     assert view.scene.fluid is not None
-    value, _, where = view.worst(density * view.joints.aperture**2 / (12.0 * view.scene.fluid.viscosity))
+    slow = density * view.joints.aperture**2 / (12.0 * view.scene.fluid.viscosity)
+    value, _, where = view.worst(np.where(view.joints.is_held[:, None], np.nan, slow))
     if not view.dynamic:
         return Number(name, formula, value, None, False, where, note="no inertia")
     film = min(view.dynamic, key=lambda each: each.time_step)

@@ -43,6 +43,7 @@ class CardJoints:
                      equal cells of depth h [stress time^2/length]
     component        hydraulic component
     reach            of its component, the longest way along the network to a prescribed pressure; inf where none is [length]
+    is_held          (j,) whether its fracture has a prescribed pressure, so that its film has no equation
     """
 
     names: tuple[str, ...]
@@ -65,6 +66,7 @@ class CardJoints:
     mass: Floats
     component: Ints
     reach: Floats
+    is_held: Bools
 
 
 def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoints:
@@ -105,6 +107,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
         _in_series(_wall_masses(mesh, rock["density"], rock["rigid"], length)),
         component,
         reach,
+        _held(scene, mesh),
     )
 
 
@@ -211,6 +214,12 @@ def _depths(mesh: SplitMesh, length: Floats) -> Floats:
     return depth
 
 
+def _held(scene: Scene, mesh: SplitMesh) -> Bools:
+    """Whether the pressure of each joint's fracture is prescribed (j,)."""
+    kept = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
+    return np.asarray(np.array(kept, dtype=bool)[mesh.joint_fracture])
+
+
 def _reaches(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int], length: Floats) -> tuple[Ints, Floats]:
     """Hydraulic component of each joint, and the longest way in it to a prescribed pressure (j,)."""
     count, ends = len(mesh.flow_origin), mesh.joint_flow
@@ -218,9 +227,8 @@ def _reaches(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int], length: Fl
         return np.zeros(len(length), dtype=np.int64), np.full(len(length), np.inf)
     graph = sparse.coo_matrix((length, (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
     label = connected_components(graph, directed=False)[1]
-    kept = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     held = {wells[well.name] for well in scene.well if well.pressure is not None}
-    held |= set(ends[np.array(kept, dtype=bool)[mesh.joint_fracture]].ravel().tolist())
+    held |= set(ends[_held(scene, mesh)].ravel().tolist())
     away = np.full(count, np.inf)
     if held:
         away = dijkstra(graph, directed=False, indices=sorted(held), min_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -11,6 +12,18 @@ from fracflow.mesh.data import Floats, Ints
 CORNER, ON_SIDE, FREE = 0, 1, 2  # how freely a point moves: not at all, along its side, anywhere
 CHUNK = 2_000_000  # pairs looked at together
 ALMOST_ON = 2e-3  # slope, 0.11 degrees, at which a point and the ends of an edge make one line
+
+
+class Graph(Protocol):
+    """Points and the edges between them."""
+
+    @property
+    def points(self) -> Floats:
+        """(n, 2) [length]."""
+
+    @property
+    def edges(self) -> Ints:
+        """(m, 2) points from start to end."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +84,10 @@ def settle(lines: Sketch, snap: float, rounds: int) -> Sketch | None:
 
 
 def merge(lines: Sketch, snap: float) -> Sketch:
-    """Merge points within ``snap``: into corners first, then points of a side, then those where most edges meet."""
+    """Merge points within ``snap``: into corners first, then points of a side, then those where most edges meet.
+
+    Of others alike into those of longer lines, whichever line comes first.
+    """
     from scipy.spatial import cKDTree  # imports much
 
     used = np.unique(lines.edges)
@@ -82,7 +98,8 @@ def merge(lines: Sketch, snap: float) -> Sketch:
     degree = np.bincount(lines.edges.ravel(), minlength=len(lines.points))
     close = np.unique(pairs)
     place = np.empty(len(lines.points), dtype=np.int64)
-    place[close[np.lexsort([close, -degree[close], lines.rank[close]])]] = np.arange(len(close))
+    order = np.lexsort([close, -_lengths_at(lines)[close], -degree[close], lines.rank[close]])
+    place[close[order]] = np.arange(len(close))
     pairs = np.take_along_axis(pairs, np.argsort(place[pairs], axis=1), axis=1)
     target = np.arange(len(lines.points))
     for keeper, other in pairs[np.lexsort([place[pairs[:, 1]], place[pairs[:, 0]]])].tolist():
@@ -91,6 +108,14 @@ def merge(lines: Sketch, snap: float) -> Sketch:
     edges = target[lines.edges]
     is_left = edges[:, 0] != edges[:, 1]
     return replace(lines, became=target[lines.became], edges=edges[is_left], owner=lines.owner[is_left])
+
+
+def _lengths_at(lines: Sketch) -> Floats:
+    """Of each point (n,) the length of the lines that it is of together, nine digits: equal ones stay equal."""
+    line = np.unique(lines.owner, return_inverse=True)[1]
+    whole = np.bincount(line, np.linalg.norm(np.diff(lines.points[lines.edges], axis=1)[:, 0], axis=1))
+    found = np.bincount(lines.edges.ravel(), np.repeat(whole[line], 2), len(lines.points))
+    return np.asarray(np.round(found / whole.max(), 9))
 
 
 def attach(lines: Sketch, snap: float) -> Sketch:
@@ -147,7 +172,7 @@ def cross(lines: Sketch, snap: float) -> Sketch:
     return _cut(more, np.concatenate([one, other]), np.concatenate([along_one, along_other]), twice)
 
 
-def near_edges(lines: Sketch, chosen: Ints, reach: float) -> tuple[Ints, Ints, Floats, Floats, Floats]:
+def near_edges(lines: Graph, chosen: Ints, reach: float) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """Chosen points within ``reach`` of an edge that does not end there, opposite to its inside.
 
     Gives point, edge, place along the edge (0 to 1), foot (., 2) and distance [length].

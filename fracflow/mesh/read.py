@@ -14,21 +14,23 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh
 from fracflow.mesh.gmsh import KINDS, Elements, open_in_gmsh, run_worker
 from fracflow.mesh.interpret import interpret
+from fracflow.mesh.near import NearMiss, near_misses, told
 from fracflow.mesh.quads import all_quads
 from fracflow.mesh.quality import cell_areas
-from fracflow.mesh.sizes import sources
-from fracflow.mesh.traces import Trace, polygon_area, tidy
+from fracflow.mesh.sizes import Source, sources
+from fracflow.mesh.snap import STRETCH, natural_snap
+from fracflow.mesh.traces import Network, Trace, polygon_area, tidy
 
 SUFFIXES = (".geo", ".msh")
 MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
 DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
 CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
-SNAP = 0.05  # of the size at fractures: under what a digitised map is good for, over what would need tiny cells
 LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
 MOST_CELLS = 1e8
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
+SMALL = 0.25  # of the size at fractures: smaller cells are told
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,8 @@ class GeometrySpec:
     rock               name of the rock
     size_at_tips       mesh size at their ends inside the rock; as ``size_at_fractures`` if None [length]
     growth             of the mesh size per length away from the fractures [1]
-    snap               points nearer than this to each other, or to a trace or side, become one with it; 5 % of
-                       the size at fractures if None [length]
+    snap               points nearer than this to each other, or to a trace or side, become one with it; of the traces
+                       themselves, ``natural_snap``, if None [length]
     """
 
     domain: Floats
@@ -84,24 +86,19 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     side2, ... in the order of its corners. The notes of the mesh say what was changed in the traces. Raises InputError
     for traces that cannot be made fit (``traces.tidy``).
     """
-    domain = np.asarray(geometry.domain, dtype=float)
+    domain, sides = np.asarray(geometry.domain, dtype=float), side_names(np.asarray(geometry.domain, dtype=float))
     _check_sizes(geometry, polygon_area(domain))
-    traces = [(name, np.asarray(points, dtype=float)) for name, points in geometry.traces]
-    sides = side_names(domain)
-    _check_traces(traces, (geometry.rock, *sides))
+    network, snap, misses = network_of(geometry)
     fine = float(geometry.size_at_fractures or geometry.size)
-    snap = SNAP * fine if geometry.snap is None else float(geometry.snap)
-    if snap < LEAST_SNAP * np.ptp(domain, axis=0).max():
-        raise InputError(f"geometry.snap = {snap:.3g}: is round-off in a domain of this size; raise it")
-    network = tidy(domain, sides, traces, snap, stretch=fine)
     is_quads = geometry.cells == "quads"
     coarser = 2 if is_quads else 1  # quads are cut in four in the end
     per_gap = PER_GAP / coarser
-    around = sources(network, fine, float(geometry.size_at_tips or fine), per_gap, min(fine, per_gap * snap))
+    at_tips = float(geometry.size_at_tips or fine)
+    around = sources(network, fine, at_tips, per_gap, min(fine, per_gap * snap))
     job = {
         "points": network.points.tolist(),
         "sides": {name: network.along(-1 - k) for k, name in enumerate(sides)},
-        "traces": {name: network.along(k) for k, (name, _) in enumerate(traces)},
+        "traces": {name: network.along(k) for k, (name, _) in enumerate(geometry.traces)},
         "size": coarser * float(geometry.size),
         "sources": [(coarser * size, size / 2, places.tolist()) for size, places in around if size < geometry.size],
         "growth": coarser * float(geometry.growth),
@@ -109,14 +106,42 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
         "rock": geometry.rock,
     }
     elements = run_worker(job, "geometry")
-    raw = interpret(all_quads(elements) if is_quads else elements, [name for name, _ in traces], "geometry")
+    raw = interpret(all_quads(elements) if is_quads else elements, [name for name, _ in geometry.traces], "geometry")
     covered, whole = cell_areas(raw.points, raw.cells).sum(), polygon_area(domain)
     if abs(covered - whole) > SAME_AREA * whole:
         raise InputError(
             f"geometry: the cells cover {covered:.9g} of the domain's {whole:.9g}: Gmsh folded them over each other;"
             " change geometry.size or size_at_fractures a little"
         )
-    return replace(raw, notes=network.notes)
+    between = [each for each in around if each[0] != at_tips]
+    return replace(raw, notes=(*network.notes, *told(misses), *_told_small(between, misses, fine)))
+
+
+def network_of(geometry: GeometrySpec) -> tuple[Network, float, list[NearMiss]]:
+    """The network of a geometry, its snap [length], and what all but meets in it; none of them depends on mesh sizes.
+
+    Raises InputError for traces that cannot be made fit (``traces.tidy``).
+    """
+    domain = np.asarray(geometry.domain, dtype=float)
+    traces = [(name, np.asarray(points, dtype=float)) for name, points in geometry.traces]
+    sides = side_names(domain)
+    _check_traces(traces, (geometry.rock, *sides))
+    snap = natural_snap(domain, traces)[0] if geometry.snap is None else float(geometry.snap)
+    if snap < LEAST_SNAP * np.ptp(domain, axis=0).max():
+        raise InputError(f"geometry.snap = {snap:.3g}: is round-off in a domain of this size; raise it")
+    network = tidy(domain, sides, traces, snap, stretch=STRETCH * snap)
+    return network, snap, near_misses(network, [name for name, _ in traces], sides, snap)
+
+
+def _told_small(around: list[Source], misses: list[NearMiss], fine: float) -> list[str]:
+    """Say where cells are far smaller than the size at fractures, and by which near miss."""
+    least, places = min(around, key=lambda each: each[0], default=(fine, np.zeros((0, 2))))
+    if least >= SMALL * fine:
+        return []
+    beside = [miss for miss in misses if np.linalg.norm(places - miss.point, axis=1).min() <= 2.0 * miss.distance]
+    place = beside[0].point if beside else places[0]
+    why = f"by the near miss of {beside[0].subject}" if beside else "where traces are near each other or meet at a small angle"
+    return [f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({place[0]:.6g}, {place[1]:.6g}): {why}"]
 
 
 def side_names(domain: Floats) -> list[str]:

@@ -99,7 +99,7 @@ def is_within(points: Floats, polygon: Floats) -> np.ndarray:
     start, end = polygon, np.roll(polygon, -1, axis=0)
     y = points[:, 1, None]
     is_across = (start[:, 1] > y) != (end[:, 1] > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         crossing = start[:, 0] + (y - start[:, 1]) / (end[:, 1] - start[:, 1]) * (end[:, 0] - start[:, 0])
     return np.sum(is_across & (points[:, 0, None] < crossing), axis=1) % 2 == 1
 

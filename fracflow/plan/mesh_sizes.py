@@ -13,7 +13,7 @@ from fracflow.card.joints import cell_rocks, gather
 from fracflow.card.number import View, spans
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.quality import cell_areas
-from fracflow.mesh.read import SNAP
+from fracflow.mesh.snap import natural_snap
 from fracflow.mesh.traces import polygon_area
 from fracflow.plan.lengths import (
     affordable,
@@ -40,7 +40,6 @@ ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
 SAME = 0.99  # sizes that differ by less need no new mesh
 MARGIN = 0.95  # cells of a size asked for differ from it
-SPARE = 0.25  # of the shortest fracture, which snapping must not swallow
 
 Build = Callable[[Scene], tuple[SplitMesh, Mapping[str, int]]]
 """scene -> its mesh, and the flow nodes of its wells by name"""
@@ -166,13 +165,17 @@ def cell_sizes(mesh: SplitMesh) -> Floats:
 
 
 def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
-    """Keys of [geometry] that a scene leaves open, as its lengths ask, and why; none where it states ``size`` or a mesh.
+    """Keys of [geometry] that a scene leaves open, as its lengths ask, and why; of a mesh file none.
 
-    Meshes the scene by ``build``, finer each time, until it resolves all lengths or has MOST_CELLS. On one process.
+    The snap follows from the traces. Where no ``size`` is stated, meshes the scene by ``build``, finer each time, until it
+    resolves all lengths or has MOST_CELLS. On one process.
     """
     geometry = scene.geometry
-    if geometry is None or geometry.size is not None:
+    if geometry is None:
         return {}, []
+    snap, why = _snap(scene, geometry)
+    if geometry.size is not None:
+        return snap, why
     domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
@@ -181,7 +184,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     at_tips, growth = typical / PER_TIP, geometry.growth if "growth" in geometry.model_fields_set else GROWTH
     size, fine = _with_stated(geometry, size, fine)
     for _ in range(ROUNDS):
-        keys = _keys(geometry, size, fine, at_tips, growth, traces)
+        keys = snap | _keys(geometry, size, fine, at_tips, growth, traces)
         trial = scene.with_geometry({**keys, "refine": 0})
         mesh, wells = build(trial)
         view = View(trial, gather(trial, mesh, wells))
@@ -198,7 +201,18 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     if not np.any(mesh.joint_bottom == mesh.joint_top):
         keys.pop("size_at_tips", None)  # no tip is in the rock: the same mesh
     unit = {key: view.unit(LENGTH) for key in keys} | {"growth": ""}
-    return keys, [f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}" for key, value in keys.items()]
+    sizes = {key: value for key, value in keys.items() if key not in snap}
+    return keys, [*why, *(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}" for key, value in sizes.items())]
+
+
+def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]]:
+    """The snap of traces that state none, and why it is so."""
+    if geometry.snap is not None or not geometry.fracture:
+        return {}, []
+    traces = [(trace.name, np.array(trace.points, dtype=float)) for trace in geometry.fracture]
+    snap, why = natural_snap(np.array(geometry.domain, dtype=float), traces)
+    unit = f" {scene.unit_system.unit(LENGTH)}" if scene.units != "none" else ""
+    return {"snap": snap}, [f"geometry.snap = {snap:g}{unit}: {why}"]
 
 
 def _trace_lengths(geometry: Geometry) -> Floats:
@@ -232,8 +246,7 @@ def _keys(
             keys["size_at_tips"] = _three_digits(at_tips)
     if growth != geometry.growth:
         keys["growth"] = growth
-    spare = _three_digits(SPARE * traces.min())
-    return keys | ({"snap": spare} if geometry.snap is None and spare < SNAP * fine else {})
+    return keys
 
 
 def _finer(size: float, found: list[Need], along: bool) -> float:
@@ -245,7 +258,6 @@ def _finer(size: float, found: list[Need], along: bool) -> float:
 
 def _why(key: str, found: list[Need]) -> str:
     fixed = {
-        "snap": f"{SPARE:g} of the length of the shortest fracture",
         "size_at_tips": f"length of fractures / {PER_TIP}",
         "growth": "rock far from a tip is as coarse as its strains are smooth",
     }

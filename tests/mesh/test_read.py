@@ -194,7 +194,7 @@ def test_sides_of_other_domains():
     ],
 )  # fmt: skip
 def test_traces_that_cannot_be_meshed(traces, message):
-    snap = 1e-3 if "degrees" in message else None
+    snap = 1e-3 if "degrees" in message else 0.05
     spec = GeometrySpec(SQUARE, tuple((name, np.array(points, float)) for name, points in traces), 1.0, snap=snap)
     with pytest.raises(InputError, match=message) as caught:
         build_mesh(spec)

@@ -85,7 +85,8 @@ def test_a_crossing_at_half_a_degree(cells, degrees):
     mesh = split(raw)
     check(raw, mesh)
     assert areas(mesh).min() > 0 and areas(mesh).sum() == pytest.approx(16, rel=1e-12)
-    assert raw.notes == () and copies_at(mesh, (2, 2)) == 4 and summary(mesh)["tips"] == 4
+    assert all(note.startswith(("near miss", "cells of")) for note in raw.notes)  # nothing is moved or shared
+    assert copies_at(mesh, (2, 2)) == 4 and summary(mesh)["tips"] == 4
     angles = corner_angles(raw.points, raw.cells)
     assert angles.min() == pytest.approx(degrees, rel=0.6) and angles.max() < 180
     assert len(raw.cells) < 30000  # refined only down to twice the tolerance

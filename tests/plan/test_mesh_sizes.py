@@ -160,7 +160,10 @@ def test_what_would_take_too_many_cells_is_capped_and_said(monkeypatch):
 def test_what_a_scene_states_stays():
     traces = [[[20, 40], [80, 60]]]
     stated = scene_of(traces, geometry={"size": 8})
-    assert sized(stated) == stated and sized(stated).notes == ()
+    snap = 0.004 * 63.2455532
+    assert sized(stated) == stated.with_geometry({"snap": sized(stated).geometry.snap})
+    assert sized(stated).geometry.snap == pytest.approx(snap)
+    assert sized(stated).notes == ("geometry.snap = 0.252982 m: 0.4 % of the median length of traces",)
     partly = sized(scene_of(traces, geometry={"size_at_fractures": 3, "growth": 0.2})).geometry
     assert (partly.size, partly.size_at_fractures, partly.size_at_tips, partly.growth) == (5.0, 3.0, None, 0.2)
     snapped = sized(scene_of(traces, geometry={"snap": 4})).geometry

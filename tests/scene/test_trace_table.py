@@ -148,7 +148,6 @@ def test_tables_that_make_no_sense(write, text, message):
         ("fractures_csv = 3", "geometry.fractures_csv = 3: must be a string"),
         ('fractures_csv = "traces.csv"\nsize_at_fractures = 3', "geometry.size_at_fractures = 3: must be at most size = 2"),
         ('fractures_csv = "traces.csv"\nsize_at_tips = 3', "geometry.size_at_tips = 3: must be at most the size at fractures"),
-        ('fractures_csv = "traces.csv"\nsnap = 1.5', "geometry.snap = 1.5: must be at most half the size at fractures, 1"),
         ('fractures_csv = "traces.csv"\nsnap = "1 Pa"', 'geometry.snap = "1 Pa": "Pa" is not a unit of length'),
         ('fractures_csv = "traces.csv"\ngrowth = 0', "geometry.growth = 0: out of range; must be above 0"),
         ('fractures_csv = "traces.csv"\n[[geometry.fracture]]\nname = "Berta"\npoints = [[0, 0], [1, 1]]',
