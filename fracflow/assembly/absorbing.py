@@ -71,10 +71,8 @@ def describe(blocks: Blocks, scene: Scene) -> tuple[str, ...]:
         ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
         everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
         for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
-            lines.append(
-                f"absorbing {', '.join(absorbing.on)}: of a P wave {dashpot.reflections(float(ratio))} from the normal comes"
-                f" back (Poisson's ratio {ratio:.4g})"
-            )
+            for told in dashpot.reflections(float(ratio)):
+                lines.append(f"absorbing {', '.join(absorbing.on)}: of {told} (Poisson's ratio {ratio:.4g})")
     return tuple(lines)
 
 

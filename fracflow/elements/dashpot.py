@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -39,27 +40,94 @@ def wave_traction(normal: Floats, direction: Any, motion: Any, lam: Any, shear: 
     return -(lam * (motion @ direction) * normal + shear * both) / speed
 
 
-ANGLES = (0.0, 45.0, 60.0, 75.0)
+ANGLES = {"p": (0.0, 45.0, 60.0, 75.0), "s": (0.0, 30.0, 45.0, 60.0, 75.0)}
+STEEPEST = 60.0  # degrees: waves further from the normal graze a side
+POINTS = 24  # of Gauss's rule over directions, on each side of the critical angle
 
 
-def reflections(poissons_ratio: float) -> str:
-    """What comes back of a P wave by its angle, in words."""
-    return ", ".join(f"{reflection(poissons_ratio, angle):.3f} at {angle:.0f}" for angle in ANGLES) + " degrees"
+@cache
+def reflections(poissons_ratio: float) -> tuple[str, str]:
+    """What comes back of a P and of an S wave, amplitudes by angle and energy, in words that begin with the wave."""
+    p, s = (_reflections(poissons_ratio, kind) for kind in ("p", "s"))
+    return p, s
+
+
+def _reflections(poissons_ratio: float, kind: str) -> str:
+    critical = _critical(poissons_ratio, kind)
+    pairs = [returned(poissons_ratio, angle, kind) for angle in ANGLES[kind]]
+    own, other = (0, 1) if kind == "p" else (1, 0)
+    alike = ", ".join(f"{pair[own]:.3f} at {angle:.0f}" for angle, pair in zip(ANGLES[kind], pairs, strict=True))
+    unlike = ", ".join(
+        f"{pair[other]:.3f}" for angle, pair in zip(ANGLES[kind], pairs, strict=True) if angle < critical
+    )
+    most = max(energy_returned(poissons_ratio, float(angle), kind) for angle in np.arange(STEEPEST + 1.0))
+    return (
+        f"{'a P' if kind == 'p' else 'an S'} wave {alike} degrees from the normal comes back as {'PS'[own]}, {unlike} as"
+        f" {'PS'[other]}{'' if kind == 'p' else f' (none beyond {critical:.0f})'};"
+        f" {energy_over_directions(poissons_ratio, kind):.1%} of its energy over all directions, at most {most:.1%} up to"
+        f" {STEEPEST:.0f} degrees"
+    )
 
 
 def reflection(poissons_ratio: float, degrees: float, kind: str = "p") -> float:
-    """Amplitude that dashpots send back in a wave's own kind, over that of the plane wave that meets them at an angle.
+    """Amplitude that dashpots send back in a wave's own kind; see ``returned``."""
+    return returned(poissons_ratio, degrees, kind)[0 if kind == "p" else 1]
+
+
+def returned(poissons_ratio: float, degrees: float, kind: str, share: float = 1.0) -> tuple[float, float]:
+    """Amplitudes of the P and S wave that dashpots send back, over that of the plane wave that meets them at an angle.
 
     degrees  between the way of the wave and the normal, below 90
     kind     "p", or "s" in the plane
+    share    of the dashpots: 0 leaves a free side
 
-    From the balance of tractions: that of the incident and both reflected waves is -C of their velocities.
+    From the balance of tractions: that of the incident and both reflected waves is -C of their velocities. A P wave that
+    fades into the rock, of an S wave beyond its critical angle, carries nothing away and counts as 0.
     """
+    amplitudes, cosines = _sent_back(poissons_ratio, degrees, kind, share)
+    p, s = np.where(cosines > 0.0, amplitudes, 0.0)
+    return float(p), float(s)
+
+
+def energy_returned(poissons_ratio: float, degrees: float, kind: str, share: float = 1.0) -> float:
+    """Power that both waves carry away from a unit of the side, over what the wave brings; arguments as of ``returned``."""
+    (fast, slow), (amplitudes, cosines) = _speeds(poissons_ratio), _sent_back(poissons_ratio, degrees, kind, share)
+    own = fast if kind == "p" else slow
+    return float((amplitudes**2 * cosines) @ (fast, slow) / (own * np.cos(np.radians(degrees))))
+
+
+@cache
+def energy_over_directions(poissons_ratio: float, kind: str) -> float:
+    """Share of the energy that comes back where waves of one kind come as strong from all directions of the plane."""
+    critical = _critical(poissons_ratio, kind)
+    at, weight = np.polynomial.legendre.leggauss(POINTS)
+    back = 0.0
+    for low, high in ((0.0, critical), (critical, 90.0)):
+        angles = low + 0.5 * (high - low) * (1.0 + at)
+        weights = np.radians(0.5 * (high - low)) * weight * np.cos(np.radians(angles))  # power on a unit of the side
+        back += sum(w * energy_returned(poissons_ratio, float(a), kind) for a, w in zip(angles, weights, strict=True))
+    return float(back)
+
+
+def _speeds(poissons_ratio: float) -> tuple[float, float]:
+    """c_p and c_s where mu = rho = 1."""
+    lam, shear = lame(2.0 * (1.0 + poissons_ratio), poissons_ratio)
+    return float(np.sqrt(lam + 2.0 * shear)), float(np.sqrt(shear))
+
+
+def _critical(poissons_ratio: float, kind: str) -> float:
+    """Degrees beyond which the P wave that comes back fades into the rock; 90 of P, which never does."""
+    fast, slow = _speeds(poissons_ratio)
+    return 90.0 if kind == "p" else float(np.degrees(np.arcsin(slow / fast)))
+
+
+def _sent_back(poissons_ratio: float, degrees: float, kind: str, share: float) -> tuple[Floats, Floats]:
+    """Amplitudes (2,) of the P and S wave, and the cosines of their angles to the normal, 0 of one that fades."""
     lam, shear = lame(2.0 * (1.0 + poissons_ratio), poissons_ratio)  # mu = 1, rho = 1
-    fast, slow = np.sqrt(lam + 2.0 * shear), np.sqrt(shear)
+    fast, slow = _speeds(poissons_ratio)
     speed = fast if kind == "p" else slow
     slowness = np.sin(np.radians(degrees)) / speed
-    normal, damping = np.array([1.0, 0.0]), np.diag([fast, slow])
+    normal, damping = np.array([1.0, 0.0]), share * np.diag([fast, slow])
 
     def way(at: float, sign: float) -> Any:
         """Unit vector of a wave of that speed; beyond the critical angle complex, of one that fades into the rock."""
@@ -75,4 +143,4 @@ def reflection(poissons_ratio: float, degrees: float, kind: str = "p") -> float:
     out_p, out_s, come = way(fast, -1.0), way(slow, -1.0), way(speed, 1.0)
     back = np.stack([left(out_p, out_p, fast), left(out_s, across(out_s), slow)], axis=1)
     amplitudes = np.linalg.solve(back, -left(come, come if kind == "p" else across(come), speed))
-    return float(abs(amplitudes[0 if kind == "p" else 1]))
+    return np.abs(amplitudes), -np.array([out_p[0].real, out_s[0].real])

@@ -1,8 +1,10 @@
 """What levels of refinement tell about each other: observed orders, estimated errors, and where neither can be trusted.
 
 Of quantities q_0, q_1, q_2, each of half the mesh size and step, p = log2(|q_0 - q_1|/|q_1 - q_2|) is the order that was
-observed, and |q_1 - q_2|/(2^p - 1) the error of the last (Richardson 1911; Roache 1998). Two levels leave p to be assumed:
-1 where fractures have tips in rock (Strang and Fix 1973), and of what derives from displacements, else the method's.
+observed, and |q_1 - q_2|/(2^p - 1) the error of the last (Richardson 1911; Roache 1998). That holds of an error c(t) h^p,
+whose differences have one course in time, whatever the level. Where they have not, errors of mesh and steps cancel, or a
+front is not resolved, and p is an accident. Two levels leave p to be assumed: 1 where fractures have tips in rock (Strang
+and Fix 1973), and of what derives from displacements, else the method's.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ GRADIENTS = ("strain", "stress", "shear_traction", "normal_traction", "strength"
 LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the highest that there is
 LOWEST = min(OF_TIPS, OF_GRADIENTS) - LATITUDE  # slower falls leave no order to estimate errors by
 JUMP = 0.6  # between successive orders
+ALIKE = 0.95  # cosine of successive differences, as vectors over times: below it estimates may be any factor off
 ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences tell nothing
 SAME_TIME = 1e-9  # of the time span
 MOST_COMMON = 0.5  # of the coarsest level's times that must be everywhere, or all are interpolated
@@ -45,6 +48,8 @@ class Row:
     least        the least order that is expected of it, which is assumed where there are two levels
     change       largest since the start, of the finest level, in ``unit``, as are all that follow; 0 for round-off
     differences  rms of q_k - q_(k+1), level by level
+    alike        cosine between the last two differences as vectors over times, 1 where they have one course; nan of two
+                 levels
     order        observed between the last three levels, inf where the last two are the same; of two levels, and where
                  there is nothing to observe, nan
     error        estimated, of the finest level; nan where there is no estimate
@@ -63,6 +68,7 @@ class Row:
     warning: str = ""
     is_seen: bool = True
     unit: str = ""
+    alike: float = float("nan")
 
     @property
     def relative(self) -> float:
@@ -110,7 +116,18 @@ def judged(row: Row, scale: float) -> Row:
         return replace(row, warning=f"order above {ORDER_OF_MESH:g}: coarser levels are not fine enough to tell")
     if earlier and not abs(order - earlier[0]) <= JUMP:
         return replace(row, warning="orders jump from level to level: not yet fine enough to tell")
+    if row.alike < ALIKE:
+        return replace(row, warning="differences of levels change their course: errors of mesh and steps may cancel")
     return row
+
+
+def alike(steps: Sequence[Floats]) -> float:
+    """Cosine between the last two of the differences (times, components) of levels, nan where there are fewer."""
+    if len(steps) < 2:
+        return float("nan")
+    before, last = (each.ravel() / (np.abs(each).max() or 1.0) for each in steps[-2:])
+    sizes = float(np.linalg.norm(before) * np.linalg.norm(last))
+    return float(before @ last) / sizes if sizes > 0.0 else 1.0
 
 
 def _by_time(history: Histories) -> Histories:
@@ -145,12 +162,14 @@ def _sampled(histories: list[Histories], times: Floats, least: float, units: Map
         kind, _, name = key.removeprefix("step/").partition("/")
         if name in NO_RESULTS or not known.any():
             continue
-        steps = tuple(_rms(fine[known] - coarse[known]) for coarse, fine in pairwise(values))
+        moved = [fine[known] - coarse[known] for coarse, fine in pairwise(values)]
+        steps = tuple(_rms(each) for each in moved)
         place, _, quantity = name.rpartition("/")
         lowest = min(least, OF_GRADIENTS) if quantity in GRADIENTS else least
         sizes[key] = max(_rms(each[known]) for each in values)
         changes[key] = [_change(each[known]) for each in values]
-        rows[key] = Row(kind, f"{place} {quantity}".strip(), lowest, changes[key][-1], steps, unit=unit_of(key, units))
+        row = Row(kind, f"{place} {quantity}".strip(), lowest, changes[key][-1], steps, unit=unit_of(key, units))
+        rows[key] = replace(row, alike=alike(moved))
     kinds = {key: (row.kind, row.name.rpartition(" ")[2] if row.kind == "probe" else "") for key, row in rows.items()}
     for key, row in rows.items():
         scale = max(size for name, size in sizes.items() if kinds[name] == kinds[key])
@@ -201,8 +220,11 @@ def _events(folders: Sequence[Path], least: float, begin: float, span: float) ->
 
 def _times(name: str, times: Floats, least: float, span: float) -> Row:
     """Row of times (levels, places) since the start."""
-    steps = np.sqrt((np.diff(times, axis=0) ** 2).mean(axis=1))
-    return judged(Row("event", name, least, float(times[-1].max()), tuple(steps.tolist())), span)
+    moved = np.diff(times, axis=0)
+    steps = np.sqrt((moved**2).mean(axis=1))
+    return judged(
+        Row("event", name, least, float(times[-1].max()), tuple(steps.tolist()), alike=alike(list(moved))), span
+    )
 
 
 def write(rows: Sequence[Row], folder: Path, order: int, levels: Sequence[Path], has_tips: bool = False) -> list[Path]:

@@ -23,8 +23,8 @@ def far_field(facts: Facts) -> list[Decision]:
         return []
     return [
         Decision(
-            "rock beyond absorbing sides", True, f"share of a P wave that {sides} send back, by its angle to the normal",
-            f"{dashpot.reflections(ratio)} for Poisson's ratio {ratio:g}", "0 at 0 degrees",
+            "rock beyond absorbing sides", True, f"share of P and S waves that {sides} send back, by their angle to the normal",
+            f"of {'; of '.join(dashpot.reflections(ratio))}; for Poisson's ratio {ratio:g}", "0 at 0 degrees",
             "waves that meet a side at a slant come back weaker: move it away, or turn it towards them",
             "the rock there",
         )

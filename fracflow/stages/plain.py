@@ -222,6 +222,8 @@ def run_stage(
             yield Step(state, number, dt * (part.end - part.start), part.report, DONE if ends else there)
             if ends:
                 break
+            if line := judge.outlook(state.time):
+                log(f"stage {_name(stage)}: {line}")
         if ends:
             break
     if judge.finest:

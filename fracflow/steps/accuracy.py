@@ -12,11 +12,13 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.compression import compression_of
 from fracflow.assembly.operators import Operators
 from fracflow.begin.setup import Model
+from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.scene_actions import Stage
 from fracflow.state import State
 from fracflow.stepping import Rates, Stepper, storage_error
 from fracflow.steps.prescribed import AT_A_TIME, bends_of, latest
+from fracflow.steps.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
 
 FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
 LATE = 2.0  # as much less a film may be wrong, over what is allowed at the end of a stage, than as it begins
@@ -56,11 +58,12 @@ def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
 
 @dataclass(frozen=True)
 class _Tried:
-    """End of a part, and its size and error as ``Judge`` measures them."""
+    """End of a part, its size and error as ``Judge`` measures them, and what it follows where it is very short."""
 
     time: float
     size: float
     error: float
+    follows: Vibration
 
 
 class Judge:
@@ -95,6 +98,7 @@ class Judge:
         self.error_now = progress.get("error_now", 0.0)  # of all parts so far, and the largest yet: as ``largest``
         self.error_most = progress.get("error_most", 0.0)
         self.tried: _Tried | None = None
+        self.follows = Vibration.of(progress)
         # without inertia and fluid, time has no part in what a step ends with
         judges = self.by_step is not None or self.of_film or (by_sum and stepper.inertia)
         self.order = stepper.order if judges else 0
@@ -137,7 +141,7 @@ class Judge:
         else:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length
-        self.tried = _Tried(new.time, size, error)
+        self.tried = _Tried(new.time, size, error, self._followed(dt, part, old, new))
         allowed = self.tolerance * largest * min(1.0, dt / span)
         return error / max(allowed, float(np.finfo(float).tiny))
 
@@ -146,6 +150,46 @@ class Judge:
         since, bend = end - self.start, latest(self.bends, begin)
         anew = since if bend is None or bend < self.start else (end - bend) / self.bends[bend]
         return min(since, anew) * (1.0 + LATE * since / (self.length or np.inf))
+
+    def _left(self, time: float, dt: float) -> float:
+        """Parts of such a length that are left of the stage; 0 where nobody knows."""
+        return 0.0 if self.length is None else (self.start + self.length - time) / dt
+
+    def _followed(self, dt: float, part: float, old: State, new: State) -> Vibration:
+        """The motion that a part is short for, where very many are left. Collective."""
+        if not self._left(new.time, dt) > MOST_PARTS:
+            return Vibration()
+        return (
+            vibration(self.operators, self.stepper, dt, old, new) if part == dt and not self.of_film else Vibration(1)
+        )
+
+    def outlook(self, time: float) -> str:
+        """A line on how much is left of a stage whose parts have long been very short; "" elsewhere.
+
+        Raises SolveError, on every rank, where they follow a vibration that is smaller than what may be wrong: errors of
+        its phase are counted as if they added up, but come to twice its amplitude at most. A run that is resumed goes on.
+        """
+        if self.follows.parts != WATCHED or self.tolerance is None:
+            return ""
+        amplitude, period = swing_of(self.follows.acceleration, self.follows.jerk)
+        largest = max(self.largest, self.guess)
+        asked = (
+            f"time {time:.6g}: {self.told} asks for parts as short as {self.last:.2g}, about"
+            f" {self._left(time, self.last):.1g} more of them"
+        )
+        if not math.isfinite(amplitude):
+            return asked
+        follows = (
+            f"they follow a vibration {self.follows.place} of period {period:.2g} and amplitude {amplitude:.2g},"
+            f" {amplitude / max(largest, float(np.finfo(float).tiny)):.1g} of the largest displacement"
+        )
+        if 2.0 * amplitude > self.tolerance * largest:
+            return f"{asked}: {follows}"
+        raise SolveError(
+            f"{asked}, which gain nothing: {follows}, so that it cannot make an error of more than twice that; take"
+            f' kind = "quasi-static", which leaves it out, or accuracy.step_error = {self.tolerance:g} or a time_step alone in'
+            " place of accuracy.tolerance; resume goes on all the same"
+        )
 
     def _refuse(self) -> None:
         """Learn from what was tried last and not followed: of two parts that end alike the later, shorter one knows more."""
@@ -164,6 +208,8 @@ class Judge:
             left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_film else 1.0
             self.error_now = left * self.error_now + self.tried.error
             self.error_most = max(self.error_most, self.error_now)
+            seen = self.tried.follows
+            self.follows = self.follows.followed_by(seen) if seen.parts else seen
             self.tried = None
         if state.time >= self.until:
             self.guess = 0.0
@@ -177,6 +223,7 @@ class Judge:
             "until": self.until,
             "error_now": self.error_now,
             "error_most": self.error_most,
+            **self.follows.as_progress(),
         }
 
     def _size(self, state: State) -> float:

@@ -40,6 +40,24 @@ def test_outside_the_asymptotic_range():
     assert not still.warning and not still.is_seen
 
 
+def test_errors_that_cancel_are_no_order(tmp_path):
+    """Of h f - h^2 f, and a little more, differences fall as of order 2.0, and the estimate is 7.8 times too small."""
+
+    def level(h, extra):
+        def value(t):
+            f, g = np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)
+            return h * f + h**2 * (extra * f + 0.2 * g)
+
+        return value
+
+    for extra, told in ((-1.0, "change their course"), (1.0, "")):
+        runs = [folder(tmp_path / f"{extra}{k}", 1 / 64, level(0.5**k, extra)) for k in range(3)]
+        found = {each.name: each for each in compare(runs, 1)}["a slip"]
+        true = np.sqrt(np.mean([level(0.25, extra)(t) ** 2 for t in np.arange(0, 1.0001, 1 / 64)]))
+        assert told in found.warning and bool(told) == bool(found.warning) and found.order < 2.6
+        assert (found.error < true / 5) if told else (true / 2 <= found.error <= 2 * true)
+
+
 def folder(path, step, value, events=(), units=None):
     """A run to t = 1 whose history is value(t), with its events (kind, x, start)."""
     path.mkdir()

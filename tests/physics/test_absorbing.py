@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from figures_verification.cases import r03
 
-from fracflow.elements.dashpot import reflection
+from fracflow.elements.dashpot import energy_over_directions, energy_returned, reflection, reflections, returned
 from fracflow.errors import InputError, SolveError
 
 RHO, CP, SPEED, PULSE = r03.RHO, r03.CP, r03.SPEED, r03.PULSE
@@ -73,6 +73,43 @@ def test_a_wave_comes_in_at_an_angle(run_scene, kind, limit):
 def test_reflection(angle, kind, back):
     """Poisson's ratio 1/4; those of P at 60 and of S at 20 degrees are what runs show."""
     assert reflection(0.25, angle, kind) == pytest.approx(back, abs=6e-4)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ratio", [0.0, 0.25, 0.45])
+def test_energy_that_comes_back(ratio):
+    """A free side sends back all of it, at any angle; P to S at one slowness is S to P (reciprocity); none is gained."""
+    slow = np.sqrt((1 - 2 * ratio) / (2 - 2 * ratio))  # c_s/c_p
+    for angle in (0.0, 20.0, 45.0, 60.0, 85.0):
+        for kind in "ps":
+            assert energy_returned(ratio, angle, kind, share=0.0) == pytest.approx(1.0, abs=1e-12)
+            assert 0.0 <= energy_returned(ratio, angle, kind) < 1.0
+        as_s = np.degrees(np.arcsin(slow * np.sin(np.radians(angle))))  # the way of S at the slowness of P
+        from_p, from_s = returned(ratio, angle, "p")[1], returned(ratio, as_s, "s")[0]
+        both = slow * np.cos(np.radians([as_s, angle])) / np.cos(np.radians([angle, as_s])) / np.array([1.0, slow**2])
+        assert from_p**2 * both[0] == pytest.approx(from_s**2 * both[1], abs=1e-12)
+
+
+@pytest.mark.serial
+def test_conversions_of_known_angles():
+    """Poisson's ratio 1/4: a free side turns P at 60 degrees into S altogether; dashpots S at 30 as P at 60."""
+    assert returned(0.25, 60.0, "p", share=0.0)[0] == pytest.approx(0.0, abs=1e-12)
+    assert returned(0.25, 45.0, "p") == pytest.approx((0.0138, 0.0709), abs=1e-4)
+    assert energy_returned(0.25, 30.0, "s") == pytest.approx(energy_returned(0.25, 60.0, "p"), rel=1e-9)
+    assert returned(0.25, 45.0, "s")[0] == 0.0  # beyond the critical angle P fades
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ratio", [0.0, 0.25, 0.45])
+def test_energy_over_all_directions(ratio):
+    """By a fine midpoint rule over sines; of S 2.3 times that of P at Poisson's ratio 1/4. Both are told."""
+    sines = (np.arange(1000) + 0.5) / 1000
+    for kind in "ps":
+        fine = np.mean([energy_returned(ratio, np.degrees(np.arcsin(each)), kind) for each in sines])
+        assert energy_over_directions(ratio, kind) == pytest.approx(fine, rel=2e-3)
+    if ratio == 0.25:
+        assert energy_over_directions(ratio, "s") / energy_over_directions(ratio, "p") == pytest.approx(2.32, abs=0.02)
+        assert all(told in reflections(ratio)[n] for n, told in ((0, "2.4%"), (0, "0.071, 0.134"), (1, "5.6%")))
 
 
 STRESSED = (

@@ -5,6 +5,9 @@ import sys
 
 import numpy as np
 import pytest
+import winkler
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import fracflow
 from fracflow._petsc import MPI
@@ -165,3 +168,66 @@ def test_both_steps_of_a_stage_auto_are_halved():
     coarse, fine = (at_level(scene, level, {}).stage[0] for level in (0, 2))
     assert (coarse.time_step / fine.time_step, fine.dynamic_time_step) == (4.0, 0.1)
     assert order_in_time(scene) == 2 and scene.stage[0].kind == "auto"
+
+
+DRAINED, PLACES = 0.2, (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6)
+
+
+def drained():
+    """w(xi) and w w' of (w w')' + 2 xi w' = 0, w(0) = DRAINED, w(inf) = 1, by shooting: Boussinesq's equation.
+
+    On the hyperbola p - p0 = k_n d0 (1 - 1/w) the cubic law gives w_t = D (w w_x)_x, xi = x/sqrt(4 D t), D = d0^3 k_n/12 mu.
+    """
+
+    def shoot(flux):
+        def slopes(xi, y):
+            return [y[1] / y[0], -2.0 * xi * y[1] / y[0]]
+
+        return solve_ivp(slopes, (0, 6), [DRAINED, flux], "DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
+
+    return shoot(brentq(lambda flux: shoot(flux).y[0, -1] - 1.0, 0.1, 2.0, xtol=1e-13)).sol
+
+
+@pytest.mark.serial
+def test_errors_are_within_a_factor_of_two_or_marked(tmp_path):
+    """A fracture in columns that move alone, on the hyperbola, is drained at one end: 24 probes before and in the front."""
+    start = 1.0 / DRAINED - 1.0  # over the pressure of the well, k_n = d0 = D = 1
+    text = winkler.SCENE.format(pressure=start).replace("viscosity = 1", f"viscosity = {1 / 12!r}")
+    text = text.replace('law = "linear"', "friction_coefficient = 0.6\ncohesion = 0").replace(
+        "aperture = 10\n", "aperture = 1\n"
+    )
+    text = (
+        text.replace("conductance = 1\n", "")
+        + """
+[[well]]
+name = "out"
+at = {fracture = "film", end = "start"}
+pressure = 0
+[[stage]]
+kind = "quasi-static"
+time_step = 0.01
+steps = 4
+"""
+    )
+    kept = 'quantities = ["opening", "pressure", "flow_rate"]'
+    text += "".join(f'[[probe]]\nname = "{x}"\nat = [{x}, 0]\non = "film"\n{kept}\n' for x in PLACES)
+    scene = fracflow.load(
+        winkler.write(tmp_path, MPI.COMM_WORLD, np.linspace(0, 1, 21), text), ["method.film=backward-euler"]
+    )
+    run, rows = fracflow.converge(scene, tmp_path / "out", 3)
+    found, times = by_name(rows), fracflow.open(tmp_path / "out" / "level-0").times[1:]
+    profile, ratios = drained(), []
+    for x in PLACES:
+        width, flux = profile(np.minimum(x / np.sqrt(4.0 * times), 6.0))
+        exact = {
+            "opening": width - 1.0,
+            "pressure": start + 1.0 - 1.0 / width,
+            "flow_rate": -flux / np.sqrt(4.0 * times),
+        }
+        for quantity, right in exact.items():
+            history = run.probe(str(x))[quantity].reshape(len(run.times), -1)[4::4, 0 if quantity != "opening" else -1]
+            row = found[f"{x} {quantity}"]
+            true = np.sqrt(((history - right) ** 2).sum() / (len(times) + 1))  # at the start there is no error
+            if not row.warning:
+                ratios.append(true / row.error)
+    assert len(ratios) >= 12 and min(ratios) >= 0.5 and max(ratios) <= 2.0, ratios

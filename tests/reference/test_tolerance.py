@@ -8,8 +8,8 @@ import winkler
 from figures_verification.cases.r05 import LINEAR, injection
 from figures_verification.runs import solve
 
+from fracflow import SolveError, run
 from fracflow import open as opened
-from fracflow import run
 from fracflow.scene import load
 
 pytestmark = pytest.mark.serial  # tests/resume has one on ranks
@@ -137,6 +137,18 @@ def test_pulse_of_a_load_within_the_only_step(shared_tmp, push):
     slopes = np.divide(np.diff(pushed), np.diff(at), out=np.zeros(len(at) - 1), where=np.diff(at) > 0)
     exact = spike(found.times, at, np.diff(slopes, prepend=0, append=0))
     assert np.abs(found.probe("block")["displacement"][:, 0] - exact).max() <= 1e-2 * exact.max()
+
+
+def test_a_vibration_smaller_than_what_may_be_wrong_is_not_followed_without_end(shared_tmp):
+    """Of 1e-7 across stiff joints, beside 2 along them: phases of 1e5 radians/time would need 2e6 parts; it says so."""
+    given = ["output.pictures=false", "fracture.default.law=linear", "fracture.default.normal_stiffness=5e9"]
+    given += ['support.1={on="block", components=["rotation"]}', "load.0.traction=[1, 1000]", "stage.0.end=4"]
+    scene = load("meshes/report_5_2/scene.toml", [*given, "accuracy.tolerance=1e-2"])
+    with pytest.raises(SolveError, match=r"gain nothing: they follow a vibration on (lower|upper) at") as told:
+        run(scene, shared_tmp / "run")
+    period, amplitude = (float(x) for x in re.findall(r"of period (\S+) and amplitude (\S+),", str(told.value))[0])
+    assert period == pytest.approx(2.0 * np.pi / 1e5, rel=0.05) and amplitude == pytest.approx(1e-7, rel=0.1)
+    assert len(opened(shared_tmp / "run").times) <= 600  # last good state and all
 
 
 def test_what_a_step_may_add_takes_its_place(shared_tmp):
