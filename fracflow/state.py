@@ -76,6 +76,7 @@ class Forces:
     absorbed    forces of absorbing sides against the motion, less those of the waves that come in; None where none act
     anchor      the part of ``load`` that was the reaction of absorbing sides when inertia came in; None as above
     incident    power that the waves bring in [energy/time per thickness]
+    damped      forces of the damping at faults against the motion; None where none act
     """
 
     load: PETSc.Vec
@@ -85,18 +86,22 @@ class Forces:
     absorbed: PETSc.Vec | None = None
     anchor: PETSc.Vec | None = None
     incident: float = 0.0
+    damped: PETSc.Vec | None = None
 
     def copy(self) -> Forces:
         """The same in vectors of its own."""
-        absorbed, anchor = (None if vector is None else vector.copy() for vector in (self.absorbed, self.anchor))
+        absorbed, anchor, damped = (
+            None if vector is None else vector.copy() for vector in (self.absorbed, self.anchor, self.damped)
+        )
         load, support, conduction, source = (
             vector.copy() for vector in (self.load, self.support, self.conduction, self.source)
         )
-        return Forces(load, support, conduction, source, absorbed, anchor, self.incident)
+        return Forces(load, support, conduction, source, absorbed, anchor, self.incident, damped)
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        for vector in (self.load, self.support, self.conduction, self.source, self.absorbed, self.anchor):
+        vectors = (self.load, self.support, self.conduction, self.source, self.absorbed, self.anchor, self.damped)
+        for vector in vectors:
             if vector is not None:
                 vector.destroy()
 

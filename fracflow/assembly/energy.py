@@ -1,8 +1,8 @@
 """The energy books: every term booked over each step with (2.33b), and what is left over.
 
 Running totals, per unit thickness. The balance that must close:
-kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + scheme + spurious
-    + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
+kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
+    + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.compression import taken_between
-from fracflow.assembly.energy_motion import Scheme, motion_parts, side_parts
+from fracflow.assembly.energy_motion import Scheme, damping_part, motion_parts, side_parts
 from fracflow.assembly.operators import Operators
 from fracflow.mesh.data import Floats
 from fracflow.state import State
@@ -27,6 +27,7 @@ STORED = (
     "friction",
     "viscous",
     "radiated",
+    "damping",
     "scheme",
     "spurious",
     "dropped",
@@ -52,6 +53,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
     term = change.duplicate()
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
     parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | side_parts(ops, old, new, dt)
+    parts |= damping_part(ops, old, new)
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
@@ -66,7 +68,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_pressure, mean_displacement, term):
         vector.destroy()
-    totals = {name: old.energy[name] + parts.get(name, 0.0) for name in ENTRIES}
+    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in ENTRIES}
     return _with_residuals(totals)
 
 

@@ -1,4 +1,4 @@
-"""What motion adds to the energy books in a step: kinetic energy, what a scheme dissipates, what sides radiate."""
+"""What motion adds to the energy books in a step: kinetic energy, what a scheme and faults damp, what sides radiate."""
 
 from __future__ import annotations
 
@@ -97,6 +97,15 @@ def side_parts(ops: Operators, old: State, new: State, dt: float) -> dict[str, f
             out += 0.5 * _total(ops, _local(state.forces.absorbed) @ change)
     brought = 0.5 * dt * (old.forces.incident + new.forces.incident)
     return {"radiated": out + brought, "work_incident": brought}
+
+
+def damping_part(ops: Operators, old: State, new: State) -> dict[str, float]:
+    """What the damping at faults takes: its mean force times the motion. Collective."""
+    change, taken = _local(new.motion.displacement) - _local(old.motion.displacement), 0.0
+    for state in (old, new):
+        if state.forces.damped is not None:
+            taken += 0.5 * _total(ops, _local(state.forces.damped) @ change)
+    return {"damping": taken}
 
 
 def _static(ops: Operators, state: State) -> Floats:

@@ -13,6 +13,7 @@ from fracflow.assembly.operators import Operators
 from fracflow.assembly.solid import by_shape, deformable, elasticity, rock_values
 from fracflow.elements import solid
 from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Scene
 
@@ -80,21 +81,30 @@ def fastest(operators: Operators, scene: Scene, inverse: PETSc.Mat) -> float:
     return min(fastest_cell(operators, scene), by_lanczos(operators, inverse))
 
 
-def fastest_cell(operators: Operators, scene: Scene) -> float:
-    """Largest eigenvalue of the lumped mass and the stiffness of single cells, a bound for those of the whole. Collective."""
-    blocks, largest = operators.blocks, 0.0
-    chosen, points = deformable(blocks, scene), blocks.solid.points
+def fastest_cell(operators: Operators, scene: Scene, scale: Floats | float = 1.0) -> float:
+    """Largest eigenvalue of the lumped mass and the stiffness of single cells, a bound for those of the whole. Collective.
+
+    scale  what the eigenvalues (m,) of this rank's cells are multiplied by
+    """
+    rates = cell_rates(operators.blocks, scene) * scale
+    return float(operators.blocks.comm.allreduce(float(rates.max(initial=0.0)), op=MPI.MAX))
+
+
+def cell_rates(blocks: Blocks, scene: Scene) -> Floats:
+    """Largest eigenvalue (m,) of the lumped mass and the stiffness of each local cell by itself [1/time^2]; 0 where rigid."""
+    chosen, points, rates = deformable(blocks, scene), blocks.solid.points, np.zeros(len(blocks.solid.cells))
     moduli, density = elasticity(blocks, scene), rock_values(blocks, scene, "density")
     for group, nodes in by_shape(blocks.solid.cells[chosen]):
         cells = chosen[group]
         lumped = np.repeat(solid.mass_lumped(points[nodes], density[cells]), blocks.sizes.dim, axis=1)
         scaled = solid.stiffness(points[nodes], moduli[cells]) / np.sqrt(lumped[:, :, None] * lumped[:, None, :])
-        largest = max(largest, float(np.linalg.eigvalsh(scaled)[:, -1].max(initial=0.0)))
-    return float(blocks.comm.allreduce(largest, op=MPI.MAX))
+        rates[cells] = np.linalg.eigvalsh(scaled)[:, -1]
+    return rates
 
 
-def by_lanczos(operators: Operators, inverse: PETSc.Mat) -> float:
-    """Largest eigenvalue of M^-1 K_s by Lanczos, its residual added. Collective."""
+def by_lanczos(operators: Operators, inverse: PETSc.Mat, stiffness: PETSc.Mat | None = None) -> float:
+    """Largest eigenvalue of M^-1 K_s, or of another stiffness, by Lanczos, its residual added. Collective."""
+    stiff = operators.stiffness if stiffness is None else stiffness
     layout, numbers = operators.layout, np.arange(operators.layout.solid_count)
     now, before, moved, found = (layout.solid_vector() for _ in range(4))
     first = int(layout.solid_starts[layout.comm.rank])
@@ -114,7 +124,7 @@ def by_lanczos(operators: Operators, inverse: PETSc.Mat) -> float:
         if rest <= SHARP * largest and (count or not size):
             break
         now.scale(1.0 / size)
-        operators.stiffness.mult(now, moved)
+        stiff.mult(now, moved)
         alpha.append(float(now.dot(moved)))
         inverse.mult(moved, found)
         found.axpy(-alpha[-1], now)

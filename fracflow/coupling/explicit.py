@@ -7,7 +7,8 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.assembly.balance import static_balance
 from fracflow.assembly.clusters import find_clusters
-from fracflow.assembly.inertia import Solve, damped_mass, fastest, inverse_mass
+from fracflow.assembly.fault_damping import fault_damping, longest_step
+from fracflow.assembly.inertia import Solve, damped_mass, inverse_mass
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.residual import Residual
@@ -17,7 +18,7 @@ from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 from fracflow.state import Forces, Motion, MotionValues, StepReport
-from fracflow.stepping.explicit import critical_step, joint_share, predicted, velocity_after
+from fracflow.stepping.explicit import joint_share, predicted, velocity_after
 
 MOST_KEPT = 4  # lengths of steps whose damped masses are kept
 
@@ -49,9 +50,9 @@ class ExplicitCoupling:
     """Makes explicit steps of one scene, whatever its wells do; supports stay those it is made with.
 
     Where sides absorb, M + dt/2 C takes the place of M for accelerations: C meets the velocity at the end of the step, and
-    does not limit it.
+    does not limit it. The damping of the cells at faults meets the mean velocity of the step, and does.
 
-    critical  the longest stable time step, by the rock alone [time]
+    critical  the longest stable time step, by the rock and its damping alone [time]
     """
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
@@ -60,7 +61,8 @@ class ExplicitCoupling:
         self._damped: dict[float, Solve] = {}
         self.held = loads.held
         self.inverse = inverse_mass(operators, self.held)
-        self.critical = critical_step(fastest(operators, scene, self.inverse))
+        self.damping = fault_damping(operators, scene)
+        self.critical = longest_step(operators, scene, self.inverse, self.damping)
         clusters = find_clusters(operators.joints, self.inverse, operators.layout.comm)
         self.sections = SectionSolver(scene, operators, clusters)
 
@@ -99,6 +101,9 @@ class ExplicitCoupling:
         ops, held = self.operators, self.held
         force = static_balance(ops, problem.displacement, problem.sections.traction, problem.pressure, problem.load)
         force.scale(-1.0)
+        damped = None if self.damping is None else self.damping.force(problem.increment, dt)
+        if damped is not None:
+            force.axpy(-1.0, damped)
         new = self._accelerated(problem, force, old.velocity + 0.5 * dt * old.acceleration, dt)
         speed = velocity_after(old, new, dt)
         # what is held moves as in an implicit step
@@ -120,7 +125,7 @@ class ExplicitCoupling:
         support.getArray()[~is_held] = 0.0
         (conduction, source), incident = self._flow_terms(problem), problem.absorption.incident
         kept = None if anchor is None else anchor.copy()
-        return speed, new, Forces(problem.load.copy(), support, conduction, source, absorbed, kept, incident)
+        return speed, new, Forces(problem.load.copy(), support, conduction, source, absorbed, kept, incident, damped)
 
     def _accelerated(self, problem: ExplicitProblem, force: PETSc.Vec, speed: Floats, dt: float) -> Floats:
         """Accelerations (n,) by a force and by what sides absorb; ``speed`` is without what they add to it. Collective."""
@@ -168,3 +173,5 @@ class ExplicitCoupling:
         """Free matrices and solver. Collective."""
         self.sections.destroy()
         self.inverse.destroy()
+        if self.damping is not None:
+            self.damping.destroy()

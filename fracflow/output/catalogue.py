@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 SLIPPED = 1e-9  # of the largest slip of an event: what is less is none
-RELEASED = ("friction", "radiated", "dropped", "scheme")
+RELEASED = ("friction", "radiated", "damping", "dropped", "scheme")
 """Entries of the energy books in which the energy that an event sets free ends, but for what the fluid takes."""
 
 

@@ -45,7 +45,7 @@ NOTES = (
     "events",
 )
 MEMORY = "mean_velocity"
-SIDES = ("absorbed", "anchor")  # of absorbing sides, where they act
+SIDES = ("absorbed", "anchor", "damped")  # of absorbing sides, and of damping at faults, where they act
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
@@ -164,6 +164,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             side(SIDES[0]),
             side(SIDES[1]),
             notes.get("incident", 0.0),
+            side(SIDES[2]),
         ),
         controls=notes["controls"],
         energy=notes["energy"],

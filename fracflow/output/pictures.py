@@ -22,6 +22,7 @@ _ENERGIES = (
     ("joint_normal", "joint normal"),
     ("viscous", "viscous"),
     ("radiated", "radiated"),
+    ("damping", "damped at faults"),
 )
 _MAX_LINES = 7
 _MOST_FIRST = 5  # more than these at once is no place where it began

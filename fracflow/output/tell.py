@@ -17,8 +17,8 @@ from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.history import read_attributes, read_history
 
 BOOKS = (
-    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "scheme",
-    "spurious", "dropped",
+    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "damping",
+    "scheme", "spurious", "dropped",
     "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
 MOST_EVENTS = 20

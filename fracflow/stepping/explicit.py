@@ -56,6 +56,15 @@ def critical_step(eigenvalue: float) -> float:
     return 2.0 / math.sqrt(eigenvalue) if eigenvalue > 0.0 else math.inf
 
 
+def damped_rate(ratio: float) -> float:
+    """Squared frequency that a damped vibration seems to have to the critical step, over its own.
+
+    ``ratio`` is that of its damping, whose force takes the mean velocity of the step before: 4 = dt^2 omega^2 +
+    4 ratio dt omega, so that dt is sqrt(1 + ratio^2) - ratio of 2/omega.
+    """
+    return (math.sqrt(1.0 + ratio**2) + ratio) ** 2
+
+
 def parts(time_step: float, critical: float) -> int:
     """Least number of equal parts of a time step that are no longer than the critical one."""
     return max(1, math.ceil(checked(time_step) / critical * (1.0 - ROUND_OFF)))

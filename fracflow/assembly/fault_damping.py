@@ -1,0 +1,186 @@
+"""Damping of the cells at faults: of what slip sends out that the mesh cannot carry.
+
+Mechanism   A rupture shakes the walls at the frequency of single cells. Where the two walls are not meshed as each other's
+            mirror images, this moves them apart and together too, and the normal traction rings. Nothing damps it, and cells
+            that grow away from the fault keep it there. Friction rectifies: a section advances while it is pressed less,
+            and sticks while it is pressed more. Slip creeps on until the shear traction has come down to mu_d times the
+            least pressure, not the mean one; finer cells ring more often, and make it worse.
+Predictor   rms over mean of the normal traction behind the front: slip is too large by about mu_d times the rms over the
+            stress drop. Neither k_n nor a dashpot in the joint changes it: the joint only passes on what the cells do.
+Threshold   one hundredth; undamped triangles have two to ten, those of mirror images and quadrilaterals alike none.
+Remedy      F = sum of eta_e K_e v over LAYERS of cells (Day et al. 2005; Kelvin and Voigt), with eta_e = 2 xi/omega_e of a
+            cell's fastest vibration omega_e: the share xi of critical damping there, and xi omega/omega_e of a wave of omega.
+            A strip some cells wide takes off a wave what is of the order of the square of their size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.assembly.inertia import by_lanczos, cell_rates, fastest, fastest_cell
+from fracflow.assembly.joints import Joints
+from fracflow.assembly.layout import add_blocks, create_matrix
+from fracflow.assembly.operators import Operators
+from fracflow.assembly.solid import (
+    by_shape,
+    deformable,
+    elasticity,
+    nodal_layout,
+    node_unknowns,
+    projected,
+    rock_values,
+)
+from fracflow.elements import joint, solid
+from fracflow.mesh.blocks import Blocks, petsc_ints
+from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.scene import Scene
+from fracflow.stepping.explicit import critical_step, damped_rate
+
+AUTO = 0.25  # of the critical damping of a cell's fastest vibration
+ALIKE = 1e-3  # of ``asymmetry``: less makes no normal traction that counts
+LAYERS = 3  # of cells that are damped, counted from the fault by the nodes they share
+PASSES = 2  # in which the stable step is found: none is above it
+
+
+@dataclass(frozen=True)
+class FaultDamping:
+    """D = sum of eta_e K_e on the unknowns [force time/length per thickness].
+
+    scale  (m,) squared frequency of each local cell with its damping, over that without, as a step's stability sees them
+    ratio  damping of a cell's fastest vibration over the critical one
+    """
+
+    matrix: PETSc.Mat
+    scale: Floats
+    ratio: float
+
+    def force(self, increment: PETSc.Vec, dt: float) -> PETSc.Vec:
+        """D times the mean velocity of a step, in a new vector. Collective."""
+        result = increment.duplicate()
+        self.matrix.mult(increment, result)
+        result.scale(1.0 / dt)
+        return result
+
+    def destroy(self) -> None:
+        """Free the matrix. Collective."""
+        self.matrix.destroy()
+
+
+def fault_damping(operators: Operators, scene: Scene) -> FaultDamping | None:
+    """Damping of the cells at joints that can slip; None where there are none, or the scene wants none. Collective.
+
+    With "auto" at those alone that are not meshed as each other's mirror images: the others' normal tractions do not ring.
+    """
+    blocks, wanted = operators.blocks, scene.method.fault_damping
+    joints = can_slip(operators.joints)
+    if wanted == "auto":
+        joints &= asymmetry(blocks, scene) > ALIKE
+    ratio = AUTO if wanted == "auto" else wanted
+    rates = cell_rates(blocks, scene)
+    chosen = np.flatnonzero(cells_near(blocks, joints, LAYERS) & (rates > 0.0))
+    if not ratio or not blocks.comm.allreduce(len(chosen)):
+        return None
+    moduli, points, time = elasticity(blocks, scene), blocks.solid.points, np.zeros(len(rates))
+    time[chosen] = 2.0 * ratio / np.sqrt(rates[chosen])
+    matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), 20, blocks.comm)
+    for group, nodes in by_shape(blocks.solid.cells[chosen]):
+        cells, numbers = chosen[group], node_unknowns(blocks, nodes).reshape(len(nodes), -1)
+        each = time[cells, None, None] * solid.stiffness(points[nodes], moduli[cells])
+        add_blocks(matrix, numbers, numbers, each)
+    matrix.assemble()
+    scale = np.ones(len(rates))
+    scale[chosen] = damped_rate(ratio)
+    return FaultDamping(projected(matrix, operators.expand), scale, ratio)
+
+
+def can_slip(joints: Joints) -> Bools:
+    """Which of this rank's joints (j,) have a law that lets them slide."""
+    slides = np.zeros(len(joints.weights), dtype=bool)
+    for group in joints.laws:
+        slides[group.sections] = "sliding" in group.law.status
+    found: Bools = slides.reshape(-1, joints.points).any(axis=1)
+    return found
+
+
+def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
+    """How far both walls of each joint (j,) are from mirror images: 0 for these, at most 1. Collective.
+
+    The larger, of both ends, of |m+ - m-|/(m+ + m-) and of |K+ - R K- R|/(|K+| + |K-|), with mass and 2 x 2 stiffness of a
+    wall's node and the reflection R = 1 - 2 n n'.
+    """
+    block, joints, dim = blocks.solid, blocks.joints, blocks.sizes.dim
+    moduli, density = elasticity(blocks, scene), rock_values(blocks, scene, "density")
+    cells, at, values = deformable(blocks, scene), [np.zeros(0, dtype=np.int64)], [np.zeros((0, dim**2 + 1))]
+    for group, nodes in by_shape(block.cells[cells]):
+        here, width = cells[group], nodes.shape[1]
+        stiff = solid.stiffness(block.points[nodes], moduli[here]).reshape(-1, width, dim, width, dim)
+        own = np.einsum("kaiaj->kaij", stiff).reshape(-1, dim**2)
+        mass = solid.mass_lumped(block.points[nodes], density[here])
+        at.append(nodes.ravel())
+        values.append(np.column_stack([own, mass.ravel()]))
+    whole = _summed(blocks, np.concatenate(at), np.concatenate(values))
+    normal = joint.frame(block.points[joints.bottom])[0][:, -1]
+    mirror = (np.eye(dim) - 2.0 * normal[:, :, None] * normal[:, None, :])[:, None]
+    below, above = (whole[nodes, :-1].reshape(*nodes.shape, dim, dim) for nodes in (joints.bottom, joints.top))
+    stiff = _difference(below, mirror @ above @ mirror)
+    mass = _difference(whole[joints.bottom, -1, None, None], whole[joints.top, -1, None, None])
+    is_split = joints.bottom != joints.top
+    worst: Floats = np.where(is_split, np.maximum(stiff, mass), 0.0).max(axis=1, initial=0.0)
+    return worst
+
+
+def _difference(one: Floats, other: Floats) -> Floats:
+    """|a - b|/(|a| + |b|) of matrices (..., k, k); 0 where both are 0."""
+    size = np.linalg.norm(one, axis=(-2, -1)) + np.linalg.norm(other, axis=(-2, -1))
+    result: Floats = np.linalg.norm(one - other, axis=(-2, -1)) / np.where(size > 0.0, size, 1.0)
+    return result
+
+
+def cells_near(blocks: Blocks, chosen: Bools, layers: int) -> Bools:
+    """Which of this rank's cells (m,) lie within some layers of the chosen joints (j,) of all ranks. Collective."""
+    block = blocks.solid
+    marked, near = np.zeros(len(block.points), dtype=bool), np.zeros(len(block.cells), dtype=bool)
+    marked[blocks.joints.bottom[chosen]] = marked[blocks.joints.top[chosen]] = True
+    for _ in range(layers):
+        here = np.flatnonzero(marked)
+        marked = _summed(blocks, here, np.ones((len(here), 1)))[:, 0] > 0.0
+        near = (marked[block.cells] & (block.cells >= 0)).any(axis=1)
+        reached = block.cells[near]
+        marked[reached[reached >= 0]] = True
+    return near
+
+
+def _summed(blocks: Blocks, nodes: Ints, values: Floats) -> Floats:
+    """Sums (n, k) at this rank's nodes of what all ranks give theirs, ``values`` (m, k) at ``nodes`` (m,). Collective."""
+    block, width = blocks.solid, values.shape[1]
+    numbers = petsc_ints(block.node_global[:, None] * width + np.arange(width))
+    local = PETSc.Vec().createSeq(numbers.size)
+    whole = PETSc.Vec().createMPI((block.owned * width, blocks.sizes.nodes * width), comm=blocks.comm)
+    whole.setValues(numbers[nodes].ravel(), values.ravel(), addv=PETSc.InsertMode.ADD)
+    whole.assemble()
+    wanted = PETSc.IS().createGeneral(numbers.ravel(), comm=PETSc.COMM_SELF)
+    scatter = PETSc.Scatter().create(whole, wanted, local, None)
+    scatter.scatter(whole, local)
+    found: Floats = local.getArray().reshape(-1, width).copy()
+    for each in (whole, wanted, local, scatter):
+        each.destroy()
+    return found
+
+
+def longest_step(operators: Operators, scene: Scene, inverse: PETSc.Mat, damping: FaultDamping | None) -> float:
+    """The longest stable step: 2/omega without damping, else of 4 = dt^2 omega^2 of M^-1 (K_s + 2 D/dt) [time]. Collective.
+
+    The cells bound it from below. At a step below it, omega^2 is above that of the step itself: so is no pass.
+    """
+    if damping is None:
+        return critical_step(fastest(operators, scene, inverse))
+    step = critical_step(fastest_cell(operators, scene, damping.scale))
+    for _ in range(PASSES):
+        whole = operators.stiffness.copy()
+        whole.axpy(2.0 / step, damping.matrix, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        step = max(step, critical_step(by_lanczos(operators, inverse, whole)))
+        whole.destroy()
+    return step
