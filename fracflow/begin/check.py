@@ -7,6 +7,7 @@ from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.begin.planned import planned, seconds_of_factors
+from fracflow.begin.regimes import foretold
 from fracflow.begin.setup import Model, prepare
 from fracflow.begin.start import settle
 from fracflow.card import Number, scene_card
@@ -60,10 +61,12 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     )
     memory = PROGRAM + NUMBER * (MATRICES * unknowns + ENTRIES * unknowns * math.log2(max(unknowns, 2)))
     lasted = seconds_of_factors(model.operators)
-    seconds = steps * ITERATIONS * (lasted * (1.0 + BESIDES) + OWN)
+    each = lasted * (1.0 + BESIDES) + OWN
+    seconds = steps * ITERATIONS * each
     return {
         "memory, about": f"{memory / 1e9:.2g} GB",
         f"time of the steps planned, at most about{', without those of events and searches' if more else ''}": (
             f"{seconds:.2g} CPU s: {ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here"
         ),
+        **foretold(model, each, ITERATIONS),
     }
