@@ -48,7 +48,7 @@ def watched(
         name = title or scene.title or str(folder)
         task = bar.add_task(name, total=total or None)
         try:
-            totals = job(lambda step: bar.update(task, advance=1, description=f"{name}{told(scene, step)}"))
+            totals = job(Sight(scene, name, lambda text, steps: bar.update(task, advance=steps, description=text)))
         except SolveError as error:
             failure = error
         except Interrupted as error:
@@ -62,7 +62,31 @@ def watched(
         raise SolveError(f"{failure}; what was reached is in {folder}")
     if totals is not None:
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
-        console.print(counts)
+        console.print(counts + totals.besides(), soft_wrap=True)
+
+
+class Sight:
+    """What the bar shows of a run: its steps, and the trials that were rejected, each as it is.
+
+    update  is given a line, and how many steps more there are
+    """
+
+    def __init__(self, scene: Scene, name: str, update: Callable[[str, int], None]) -> None:
+        """Before the first step."""
+        self.scene, self.name, self.update = scene, name, update
+        self.rejected = self.since = 0
+
+    def __call__(self, step: Step) -> None:
+        """A step has been taken; its report counts the trials before it."""
+        self.rejected, self.since = self.rejected + step.report.rejected, 0
+        besides = f", {self.rejected} trials rejected" if self.rejected else ""
+        self.update(f"{self.name}{told(self.scene, step)}{besides}", 1)
+
+    def trial(self, time: float, length: float, why: str) -> None:
+        """A step of a length was tried from a time, and rejected."""
+        self.since += 1
+        at = f"{time:.6g} {self.scene.unit_system.time}".rstrip()
+        self.update(f"{self.name}, {self.rejected + self.since} trials rejected, the last of {length:.3g} at {at}", 0)
 
 
 def told(scene: Scene, step: Step) -> str:

@@ -10,7 +10,9 @@ class SolveError(Exception):
 
 
 class NotConverged(SolveError):
-    """An iteration did not converge; a shorter step may."""
+    """An iteration did not converge; a shorter step may. ``newton``: iterations of Newton's method spent on the step."""
+
+    newton = 0
 
 
 class Restless(NotConverged):

@@ -47,8 +47,10 @@ def run(
 ) -> Totals:
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
-    show  is given the scene card before the first step, on rank 0
-    say   is given lines that should be read before it: that wells are in parts that never meet, how much nearly meets
+    show      is given the scene card before the first step, on rank 0
+    say       is given lines that should be read before it: that wells are in parts that never meet, how much nearly meets
+    progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
+              of a stage auto that was tried from a time and thrown away
 
     Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
     gone, and ``progress`` sees those of both. Raises InputError, SolveError and Interrupted, on every rank.
@@ -173,6 +175,7 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model)
     stepping.network.log = recorder.log
+    stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
     try:
         failure = _steps(stepping, recorder, step, progress)
         recorder.finish(clock.perf_counter() - began, _status(failure))

@@ -176,6 +176,8 @@ class StepReport:
     measured        that of the cycles as they were made, between the last two
     handed_over     why the fixed point left the step to the monolithic solver; empty if it did not
     located         sections whose friction changed its status at the end of the step, which was sought
+    rejected        trials thrown away on the way to this step: they found no balance, ran away, or were not accurate
+    wasted          Newton iterations spent on those, which ``newton`` does not count
     """
 
     newton: int = 0
@@ -191,6 +193,16 @@ class StepReport:
     handed_over: str = ""
     round_off: float = 0.0
     located: int = 0
+    rejected: int = 0
+    wasted: int = 0
+
+    def with_rejected(self, newton: int) -> StepReport:
+        """The same with one more trial thrown away, on which so many iterations were spent."""
+        return replace(self, rejected=self.rejected + 1, wasted=self.wasted + newton)
+
+    def after_trials(self, trials: StepReport) -> StepReport:
+        """The same with the trials thrown away before it."""
+        return replace(self, rejected=self.rejected + trials.rejected, wasted=self.wasted + trials.wasted)
 
     def after(self, earlier: StepReport) -> StepReport:
         """The report of this solve with the cost of one before it in the same step, and what happened there."""
@@ -203,4 +215,6 @@ class StepReport:
             handed_over=self.handed_over or earlier.handed_over,
             round_off=max(earlier.round_off, self.round_off),
             located=earlier.located + self.located,
+            rejected=earlier.rejected + self.rejected,
+            wasted=earlier.wasted + self.wasted,
         )

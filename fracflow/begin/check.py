@@ -10,6 +10,7 @@ from fracflow._petsc import MPI
 from fracflow.begin.explicit_cost import explicit_cost
 from fracflow.begin.hydraulic import parts_with_wells
 from fracflow.begin.planned import planned, seconds_of_factors
+from fracflow.begin.regimes import foretold
 from fracflow.begin.setup import Model, geometry_of, prepare
 from fracflow.begin.start import settle
 from fracflow.card import Number, scene_card
@@ -97,12 +98,14 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     found, told, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
         found["explicit steps"] = explicit.told
-        each = explicit.seconds + OWN
-        seconds += explicit.parts * each
-        told.append(f"{explicit.parts} explicit parts of about {each:.2g} s")
+        part = explicit.seconds + OWN
+        seconds += explicit.parts * part
+        told.append(f"{explicit.parts} explicit parts of about {part:.2g} s")
     if solves:
         lasted = seconds_of_factors(model.operators)
-        seconds += steps * ITERATIONS * (lasted * (1.0 + BESIDES) + OWN)
+        each = lasted * (1.0 + BESIDES) + OWN
+        seconds += steps * ITERATIONS * each
+        found |= foretold(model, each, ITERATIONS)
         told.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
     without = ", without those of events and searches" if more else ""
     found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(told)}"

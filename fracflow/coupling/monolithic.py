@@ -39,8 +39,8 @@ class Monolithic:
         """The same from the present trial, or else from open fractures."""
         try:
             return newton.solve(problem)
-        except NotConverged:
-            if not self._open(problem):
+        except NotConverged as failure:
+            if _is_left(problem, failure) or not self._open(problem):
                 raise
             return newton.solve(problem)
 
@@ -88,7 +88,7 @@ class Auto(WholeLU):
         except NotConverged as failure:
             # the linear solver is not to blame where it solved what it was given, and Newton's method is nowhere near
             far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
-            if far or (problem.brief and isinstance(failure, Restless)):
+            if far or _is_left(problem, failure):
                 raise
             self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
         start_again(problem)
@@ -100,3 +100,8 @@ class Auto(WholeLU):
         if self.other is not None:
             self.other.destroy()
         super().destroy()
+
+
+def _is_left(problem: StepProblem, failure: NotConverged) -> bool:
+    """Whether a step that failed is not tried in other ways: it may be shorter, and its sections kept changing."""
+    return problem.brief and isinstance(failure, Restless)

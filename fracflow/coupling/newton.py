@@ -27,6 +27,7 @@ from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
+BRIEF = 20  # iterations with the same statuses, where a shorter step may be taken instead
 PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
@@ -87,7 +88,8 @@ class Newton:
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
-                raise self._failure(why_stopped(self.snes), iterations)
+                is_brief = problem.brief and self.scene.accuracy.max_iterations > BRIEF
+                raise self._failure(why_stopped(self.snes, is_brief), iterations)
             if self.only == "flow" or problem.hold:
                 break
             self._restless = self._rounds.change(problem, self._searches())
@@ -249,6 +251,7 @@ class Newton:
         problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
         assert problem is not None
         self._out_of_balance.append(problem.residual.out_of_balance)
+        problem.tried += iteration > 0
         if iteration == 0:
             self._inner.begin()
         returns = self._inner.see(statuses(problem))
@@ -261,7 +264,8 @@ class Newton:
         self._polished = self._balanced(problem, iteration)
         if self._polished and not (more and 0 < iteration < accuracy.max_iterations):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
-        return int(reasons.DIVERGED_MAX_IT if iteration >= accuracy.max_iterations else reasons.ITERATING)
+        most = min(accuracy.max_iterations, BRIEF) if problem.brief else accuracy.max_iterations
+        return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,7 @@ PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures
 MOST_CELLS = 100_000
+MOST_NAMES = 8  # fractures told of
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
 SAME = 0.99  # sizes that differ by less need no new mesh
@@ -69,12 +70,35 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
     """A line for each length that a mesh does not resolve, but for those of the scene card. On one process."""
     view = View(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)
+    coarse = coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
     return [
+        f"mesh: {what} is not resolved: how slip begins and how far it runs is a choice of the mesh in {of_fractures(names)}"
+        for what, names in coarse.items()
+    ] + [
         f"mesh: {need.what} is not resolved: it needs {'joints' if need.along else 'cells'} of {need.size:.3g}{unit}, and"
         f" has {need.found:.3g}{unit}, {need.where}"
         for need in needs(view, mesh)
         if need.is_told and SAME * need.found > need.size
     ]
+
+
+def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
+    """Each length of slip that a mesh does not resolve -> the fractures where it does not, the worst first. On one process."""
+    joints = (view := View(scene, gather(scene, mesh, wells))).joints
+    found = {}
+    for what, size in slip.longest_joints(view).items():
+        worst = np.zeros(len(joints.names))
+        np.maximum.at(worst, joints.fracture, joints.length / size)
+        order = np.argsort(-worst, kind="stable")
+        if named := tuple(joints.names[f] for f in order if SAME * worst[f] > 1.0):
+            found[what] = named
+    return found
+
+
+def of_fractures(names: Sequence[str]) -> str:
+    """The first of some names of fractures, and how many more there are."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more fractures" if more > 0 else "")
 
 
 def needs(view: View, mesh: SplitMesh) -> list[Need]:

@@ -75,9 +75,7 @@ class Recorder:
         self._watch_spurious(step)
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
-        self.totals.steps += 1
-        self.totals.newton += step.report.newton
-        self.totals.factorisations += step.report.factorisations
+        self.totals.add(step.report)
         self._tell_coupling(step)
 
     def _tell_coupling(self, step: Step) -> None:
@@ -268,6 +266,8 @@ class Files:
             "step/minimum_aperture_flow": snapshot.least[1],
             "step/digits": report.digits,
             "step/located": report.located,
+            "step/rejected": report.rejected,
+            "step/wasted": report.wasted,
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fracflow.state import StepReport
+
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
 
 
@@ -15,6 +17,7 @@ class Totals:
     """Counts over the run.
 
     injected  net volume that wells of given rates have brought [length^3]
+    rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """
 
@@ -30,7 +33,23 @@ class Totals:
     handed_over: int = 0
     told_factor: float = np.nan
     injected: float = 0.0
+    rejected: int = 0
+    wasted: int = 0
     undone: dict[str, str] = field(default_factory=dict)
+
+    def add(self, report: StepReport) -> None:
+        """Count a step."""
+        self.steps += 1
+        self.newton += report.newton
+        self.factorisations += report.factorisations
+        self.rejected += report.rejected
+        self.wasted += report.wasted
+
+    def besides(self) -> str:
+        """The trials that were thrown away, in words; empty without any."""
+        if not self.rejected:
+            return ""
+        return f"; besides {self.rejected} trials rejected, on which {self.wasted} Newton iterations were spent"
 
     def last_words(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
         """What the log ends with, after so many ``seconds``."""
@@ -52,5 +71,6 @@ class Totals:
         if self.handed_over:
             yield f"{self.handed_over} steps were handed over to the monolithic solver"
         yield (
-            f"{self.steps} steps, {self.newton} Newton iterations, {self.factorisations} factorisations in {seconds:.2f} s"
+            f"{self.steps} steps, {self.newton} Newton iterations, {self.factorisations} factorisations"
+            f"{self.besides()} in {seconds:.2f} s"
         )

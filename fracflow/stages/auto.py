@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from fracflow.begin.planned import why_inertia
+from fracflow.begin.setup import on_root
+from fracflow.coupling.newton_failure import fractures_of, places_of
 from fracflow.coupling.period import longest_period
+from fracflow.elements import joint
 from fracflow.errors import NotConverged, PutBack
 from fracflow.plan.inertia import key_of, next_kink, slow_stages
+from fracflow.plan.mesh_sizes import coarse_of_slip, of_fractures
 from fracflow.stages.shaken import shaken
-from fracflow.stages.unrest import Course, begin, may_rest, runs_away, weak_waves
+from fracflow.stages.unrest import RADIATED, SETTLED, Course, Slipped, begin, may_rest, slipped, weak_waves
 from fracflow.state import State, StepReport
 from fracflow.stepping import Explicit
 from fracflow.steps.accuracy import step_error
@@ -22,6 +26,7 @@ from fracflow.steps.step import Progress, Step, Stepping, stepper_of
 NEAR = 1e-9  # of a step: times so near are one
 ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
+TOLD = 4  # trials rejected on the way to one step: the log tells of so many
 REST, WAVES = "quasi-static", "dynamic"
 Log = Callable[[str], None]
 
@@ -62,24 +67,47 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
                 entered = stepping.enter(state, regimes.waves, course.least)
                 period = longest_period(model.operators, model.loads, state.sections)
                 course = course.onset(entered, period, weak_waves(model, state, period))
-                yield Step(entered, number, 0.0, StepReport(), course.as_progress(), WAVES)
+                yield Step(entered, number, 0.0, report, course.as_progress(), WAVES)
                 state = entered
                 continue
             dt, state = found.time - state.time, found
             yield Step(state, number, dt, report, course.as_progress(), REST)
             continue
+        if not place.fraction and course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
+            settled, course = regimes.rest(state, course)
+            if settled is not None:
+                state, place = settled, Place()
+                yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
+                continue
         for part, dt in regimes.wave_step(state, course, place):
             before = state.time
             state, place = part.state, part.place.next_step() if part.is_last else part.place
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
             if told := course.restless(before, state.time, bool(model.scene.absorbing)):
                 log(f"time {state.time:.9g}: {told}")
-            yield Step(state, number, dt, part.report, course.as_progress(place), WAVES)
-        if course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
-            settled, course = regimes.rest(state, course)
-            if settled is not None:
-                state, place = settled, Place()
-                yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
+            yield Step(state, number, dt, regimes.counted(part.report), course.as_progress(place), WAVES)
+
+
+def in_words(spent: StepReport) -> str:
+    """How many trials were thrown away, and at what cost, in words."""
+    return f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A step without inertia that may be taken, and whether one twice as long may follow as far as its slip tells."""
+
+    state: State
+    report: StepReport
+    may_double: bool
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Why a step without inertia may not be taken, and the iterations spent on it."""
+
+    why: str
+    newton: int
 
 
 class _Regimes:
@@ -104,6 +132,8 @@ class _Regimes:
         self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
         self.decision = key_of(number, self.stage)
         self.period = period
+        self.vain = StepReport()
+        self.coarse: dict[str, tuple[str, ...]] | None = None
         self.shaken = () if self.most is not None else shaken(scene, period)
         shakes = {span.start for span in self.shaken}
         self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
@@ -115,27 +145,56 @@ class _Regimes:
         if why := self.is_shaken(state.time):
             self.log(f"time {state.time:.9g}: an event begins: {why}")
             return None, StepReport(), course
+        spent = StepReport()
         while True:
             time, jumps = self._target(state.time, course.step)
             dt = time - state.time
-            brief = min(dt, course.step) > course.least * (1.0 + NEAR)
-            tried = self._attempt(state, time, brief)
-            if not isinstance(tried, str):
+            tried = self._attempt(state, time)
+            if isinstance(tried, Taken):
                 break
-            if not brief:
-                self.log(f"time {state.time:.9g}: an event begins: {tried}")
-                return None, StepReport(), course
+            spent = spent.with_rejected(tried.newton)
+            self.stepping.tell_trial(state.time, dt, tried.why)
+            if min(dt, course.step) <= course.least * (1.0 + NEAR):
+                self.log(
+                    f"time {state.time:.9g}: an event begins, after {in_words(spent)}: {tried.why}{self._coarse(state)}"
+                )
+                return None, spent, course
             course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
-        new, report = tried
+        if spent.rejected >= TOLD:
+            self.log(f"time {state.time:.9g}: {in_words(spent)}; the step of {dt:.3g} is taken")
         course = replace(course, calm=course.calm + 1.0)
-        if report.newton > EFFORT:
+        if tried.report.newton > EFFORT:
             course = replace(course, step=max(0.5 * course.step, course.least), calm=0.0)
-        elif course.calm > CALM:
+        elif course.calm > CALM and tried.may_double:
             course = replace(course, step=min(2.0 * course.step, max(self.stage.time_step, course.least)), calm=0.0)
         if jumps:
             after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
             course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
-        return new, report, course
+        return tried.state, tried.report.after_trials(spent), course
+
+    def _where(self, slip: Slipped) -> str:
+        """Fracture and place of the section that slips the most, so far as anyone resists it. Collective."""
+        natural = joint.RULES[self.scene.method.quadrature][0]
+        return places_of(self.model.operators.blocks, slip.worst, natural)
+
+    def _coarse(self, state: State) -> str:
+        """Which fractures slide whose lengths of slip the mesh does not resolve, in words; empty if none. Collective."""
+        if self.coarse is None:
+            model, comm = self.model, self.model.operators.layout.comm
+            found = on_root(comm, lambda: coarse_of_slip(model.scene, model.mesh, model.placed.wells))
+            self.coarse = comm.bcast(found, root=0)
+        slides = fractures_of(self.model.operators.blocks, state.sections.is_sliding).split(", ")
+        said = [
+            f"{what} in {of_fractures(here)}"
+            for what, names in self.coarse.items()
+            if (here := [name for name in names if name in slides])
+        ]
+        return f"; of what slides the mesh does not resolve {', '.join(said)}" if said else ""
+
+    def counted(self, report: StepReport) -> StepReport:
+        """The report of a step that is recorded, with the trials at rest that were thrown away since the one before."""
+        vain, self.vain = self.vain, StepReport()
+        return report.after_trials(vain)
 
     def is_shaken(self, time: float) -> str:
         """What shakes the rock from a time on, or has not ended; empty if nothing."""
@@ -174,24 +233,27 @@ class _Regimes:
             end, jumps = 0.5 * (time + end), False
         return end, jumps
 
-    def _attempt(self, state: State, time: float, brief: bool = False) -> tuple[State, StepReport] | str:
-        """A step without inertia, or why there is none of its length; ``brief`` as in ``Stepping.step``."""
+    def _attempt(self, state: State, time: float, radiated: float = RADIATED) -> Taken | Refused:
+        """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective."""
         dt, allowed = time - state.time, self.scene.accuracy.step_error
         try:
-            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=brief)
+            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=True)
         except NotConverged as failure:
             if self.most is not None:
                 raise PutBack(self.decision, state.time, "there is no step without it") from failure
-            return str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0]
+            return Refused(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton)
         self._must_not_matter(state, new)
-        why = runs_away(self.model, state, new, dt)
+        slip = slipped(self.model, state, new, dt)
+        why = slip.why_not(radiated)
         if not why and allowed is not None and state.motion.velocity.norm() > 0.0:
             error = step_error(self.model.operators, self.still, dt, state, new)
             why = f"an error of {error:.3g}" if error > allowed else ""
+        elif why:
+            why += f", most in {self._where(slip)}"
         if not why:
-            return new, report
+            return Taken(new, report, slip.may_double)
         new.destroy()
-        return why
+        return Refused(why, report.newton)
 
     def wave_step(self, state: State, course: Course, place: Place) -> Iterator[tuple]:
         """The parts of a step with inertia, from a place in it, and their lengths. Collective."""
@@ -216,12 +278,15 @@ class _Regimes:
         if not may_rest(self.model, state):
             return None, course
         entered, still = self.stepping.enter(state, self.still), course.at_rest()
-        tried = self._attempt(entered, self._target(entered.time, still.step)[0], brief=True)
-        if isinstance(tried, str):
+        time = self._target(entered.time, still.step)[0]
+        tried = self._attempt(entered, time, SETTLED * RADIATED)
+        if isinstance(tried, Refused):
             entered.destroy()
-            self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {tried}")
+            self.vain = self.vain.with_rejected(tried.newton)
+            self.stepping.tell_trial(state.time, time - state.time, tried.why)
+            self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {tried.why}")
             return None, replace(course, loud=state.time)
-        tried[0].destroy()
+        tried.state.destroy()
         lasted = state.time - course.begun
         self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
         return entered, still

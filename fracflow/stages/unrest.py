@@ -9,18 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.assembly.inertia import fastest_cell
+from fracflow.begin.regimes import SHARE, deforming, wave_step
 from fracflow.begin.setup import Model
-from fracflow.coupling.period import longest_period
-from fracflow.errors import SolveError
+from fracflow.mesh.data import Bools
 from fracflow.scene_actions import Stage
-from fracflow.scene_materials import Rock
 from fracflow.state import State
 from fracflow.steps.parts import Place
 
-SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther
+AHEAD = 0.4  # of the slip that a step may have: one that slips so far may be twice as long next
 RADIATED = 1e-3  # of the strength: what rho c_s v/2 of slip without inertia may reach
-PARTS = 50  # of the longest period, at least, in steps with inertia
+SETTLED = 0.3  # of that: what slip may radiate as inertia goes
+FLOOR = 0.1  # of the largest traction: strength of what pressure has all but opened, in what slip radiates of it
 LONG = 20.0  # longest periods: an event that has lasted so long may have nothing that ends it
 CREEP = 2.0  # times the kinetic energy at the onset: no more than slow slip goes on with
 
@@ -58,7 +57,7 @@ class Course:
     @classmethod
     def of(cls, progress: Mapping[str, float]) -> Course:
         """The one that a checkpoint kept."""
-        return cls(**{name: progress[name] for name in cls.__dataclass_fields__})
+        return cls(**{name: progress[name] for name in cls.__dataclass_fields__ if name in progress})
 
     def onset(self, state: State, period: float, weak: float) -> Course:
         """As an event begins from a state whose books have its kinetic energy; ``weak`` waves have less than that."""
@@ -95,46 +94,76 @@ class Course:
 
 def begin(model: Model, state: State, stage: Stage) -> Course:
     """The course at the start of a stage. Raises SolveError where nothing tells how long an event lasts. Collective."""
-    period = longest_period(model.operators, model.loads, state.sections)
-    cell = fastest_cell(model.operators, model.scene)
-    least = stage.dynamic_time_step or min(2.0 / math.sqrt(cell) if cell > 0.0 else math.inf, period / PARTS)
-    if not math.isfinite(least + period):
-        raise SolveError(
-            f"stage {stage.title}: nothing has mass and can move, so that there are no dynamics to change to"
-        )
+    least, period = wave_step(model, state, stage)
     assert stage.time_step is not None
     return Course(least, period, max(stage.time_step, least))
 
 
-def runs_away(model: Model, old: State, new: State, dt: float) -> str:
-    """Why slip in a step without inertia is not that of a slow process; empty where it is. Collective.
+@dataclass(frozen=True)
+class Slipped:
+    """How fast and how far a step without inertia slips.
 
-    Strength that drops at once leaves no equilibrium at all; where it falls with slip a step must resolve that; and what
-    slip radiates, rho c_s v/2, is to be small beside the strength.
+    drops     some strength drops at once
+    share     of the distance over which strength falls: the largest of the sections that still weaken [1]
+    radiated  of the strength: rho c_s v/2, in the mean over all that slips [1]
+    worst     (s,) the section of all ranks that does most against its strength
+    """
+
+    drops: bool
+    share: float
+    radiated: float
+    worst: Bools
+
+    def why_not(self, radiated: float = RADIATED) -> str:
+        """Why that is not a slow process, which radiates at most ``radiated`` of the strength; empty where it is."""
+        if self.drops:
+            return "strength drops at once"
+        if self.share > SHARE:
+            return f"slip of {self.share:.3g} of the distance over which strength falls"
+        if self.radiated > radiated:
+            return f"slip that radiates {self.radiated:.3g} of the strength"
+        return ""
+
+    @property
+    def may_double(self) -> bool:
+        """Whether a step twice as long is expected to resolve the weakening, too."""
+        return self.share <= AHEAD * SHARE
+
+
+def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
+    """How fast and how far sections slip in a step without inertia. Collective.
+
+    Strength that drops at once leaves no equilibrium at all; where it falls with slip a step must resolve that; and the
+    power that slip radiates, the sum of rho c_s v^2/2, is to be small beside its power against strength, the sum of v R. Sums
+    are over all that slips, by area: fast slip outweighs slow. Pressure may take all strength from a section, which then
+    resists nothing and radiates as little: R is the strength, or FLOOR of the largest traction since the start if that is
+    more; and a fall of strength counts over the fall under that pressure.
     """
     joints, comm = model.operators.joints, model.operators.layout.comm
-    slipped = np.linalg.norm((new.sections.inelastic - old.sections.inelastic)[:, :-1], axis=1)
+    before, after = old.sections, new.sections
+    far = np.linalg.norm((after.inelastic - before.inelastic)[:, :-1], axis=1)
+    scale = FLOOR * np.maximum(after.record, np.linalg.norm(before.traction, axis=1))
     drops, share = False, 0.0
-    for group in joints.laws:
+    for group, past in zip(joints.laws, before.past, strict=True):
         here = group.sections
-        drop = group.law.strength_drop(np.maximum(-new.sections.traction[here, -1], 0.0))
-        length = np.where(drop > 0.0, group.law.slip_length(len(here)), np.inf)
-        starts = (new.sections.is_sliding[here] | (slipped[here] > 0.0)) & ~old.sections.is_sliding[here]
-        drops |= bool(np.any(starts & (length == 0.0)))
-        gradual = np.where(length > 0.0, length, np.inf)
-        share = max(share, float((slipped[here] / gradual).max(initial=0.0)))
-    strength = np.where(np.isfinite(new.sections.strength), new.sections.strength, np.inf)
-    least = model.operators.scales.pressure * 1e-6
-    radiated = _impedance(model) * slipped / dt / np.maximum(strength, least)
-    found = np.array([float(drops), share, float(radiated.max(initial=0.0))])
-    comm.Allreduce(MPI.IN_PLACE, found, op=MPI.MAX)
-    if found[0]:
-        return "strength drops at once"
-    if found[1] > SHARE:
-        return f"slip of {found[1]:.3g} of the distance over which strength falls"
-    if found[2] > RADIATED:
-        return f"slip that radiates {found[2]:.3g} of the strength"
-    return ""
+        pressed = np.maximum(-after.traction[here, -1], 0.0)
+        drop, length = group.law.strength_drop(pressed), group.law.slip_length(len(here))
+        starts = (after.is_sliding[here] | (far[here] > 0.0)) & ~before.is_sliding[here]
+        drops |= bool(np.any(starts & (drop > 0.0) & (length == 0.0)))
+        falls = (group.law.steepness(after.traction[here], past) > 0.0) & (drop > 0.0) & (length > 0.0)
+        all_of_it = np.where(falls, group.law.strength_drop(np.maximum(pressed, scale[here])), 1.0)
+        parts = far[here] / np.where(falls, length, 1.0) * drop / all_of_it
+        share = max(share, float(np.where(falls, parts, 0.0).max(initial=0.0)))
+    strength = np.maximum(np.where(np.isfinite(after.strength), after.strength, 0.0), scale)
+    sent = _impedance(model) / dt * float(joints.weights @ far**2)
+    worst = np.array([float(drops), share])
+    comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
+    power = joints.weights * far * strength
+    powers = np.array([sent, power.sum()])
+    comm.Allreduce(MPI.IN_PLACE, powers, op=MPI.SUM)
+    most = comm.allreduce(float(power.max(initial=0.0)), op=MPI.MAX)
+    radiated = float(powers[0] / powers[1]) if powers[1] > 0.0 else 0.0
+    return Slipped(bool(worst[0]), float(worst[1]), radiated, (power == most) & (most > 0.0))
 
 
 def weak_waves(model: Model, state: State, period: float) -> float:
@@ -145,7 +174,7 @@ def weak_waves(model: Model, state: State, period: float) -> float:
     strength = state.sections.strength
     here = float(np.max(np.where(np.isfinite(strength), strength, 0.0), initial=0.0))
     stress = RADIATED * model.operators.layout.comm.allreduce(here, op=MPI.MAX)
-    return max((0.5 * stress**2 * period**2 / rock.density for rock in _deforming(model) if rock.density), default=0.0)
+    return max((0.5 * stress**2 * period**2 / rock.density for rock in deforming(model) if rock.density), default=0.0)
 
 
 def may_rest(model: Model, state: State) -> bool:
@@ -161,11 +190,7 @@ def may_rest(model: Model, state: State) -> bool:
 
 def _impedance(model: Model) -> float:
     """Largest rho c_s/2 of the rocks that deform [stress time/length]."""
-    rocks = _deforming(model)
+    rocks = deforming(model)
     moduli = [(rock.youngs_modulus or 0.0) / (2.0 * (1.0 + (rock.poissons_ratio or 0.0))) for rock in rocks]
     products = (modulus * (rock.density or 0.0) for modulus, rock in zip(moduli, rocks, strict=True))
     return max((0.5 * math.sqrt(product) for product in products), default=0.0)
-
-
-def _deforming(model: Model) -> list[Rock]:
-    return [rock for rock in model.scene.rock.values() if not rock.rigid and rock.density]

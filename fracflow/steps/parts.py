@@ -137,6 +137,7 @@ def in_parts(
     while place.fraction < 1.0:
         most = rules.most + (place.level if rules.finest else 0)
         refused: list[tuple[int, float]] = []
+        spent = StepReport()
         for level, size in _sizes(place, max(most, rules.finest)):
             if rules.finest and level < place.level:
                 continue
@@ -147,20 +148,24 @@ def in_parts(
             try:
                 found = attempt(state, start, end, place.events < rules.events)
             except NotConverged as error:
+                spent = spent.with_rejected(error.newton)
                 log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
                 if level < most:
                     continue
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
-                raise NotConverged(f"{error}{tried}") from error
+                failure = NotConverged(f"{error}{tried}")
+                failure.newton = spent.wasted
+                raise failure from error
             if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
+                spent = spent.with_rejected(found.report.newton)
                 refused.append((level, min(found.error, HOPELESS)))
                 deeper = min(level + _halvings(refused, rules.order), rules.finest) if rules.finest else level + 1
                 place = replace(place, level=deeper, calm=0)
                 continue
             break
         place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
-        yield PartOfStep(found.state, found.report, start, place)
+        yield PartOfStep(found.state, found.report.after_trials(spent), start, place)
         state = found.state
 
 

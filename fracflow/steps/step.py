@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
@@ -33,6 +33,8 @@ Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
 DONE: Progress = {"done": 1.0}
+Trial = Callable[[float, float, str], None]
+"""(time, length, why) of a step that was tried from a time, and thrown away."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class Stepping:
     def __init__(self, model: Model) -> None:
         """Make the solvers that the stages need when they first need them."""
         self.model = model
+        self.tell_trial: Trial = lambda time, length, why: None
         self.network = Network(model)
         self.couplings = Couplings(model, lambda line: self.network.log(line))
         self._network_version = 0
@@ -103,7 +106,7 @@ class Stepping:
         hold     all joint sections keep their status
         ahead    length of the step that follows, 0 where the stage ends or this one is cut at a jump; by default as long as
                  this one, and without inertia what jumps at its end is in the midst of that
-        brief    it will be shortened where sections keep changing, and not be given to another solver
+        brief    where sections keep changing it is given up early, for a shorter one or one with inertia
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         if isinstance(stepper, Explicit) and (count := self.explicit.count(dt)) > 1:
@@ -156,7 +159,7 @@ class Stepping:
         if network is not None:
             self.network.look_at(state)
         trial: tuple[Floats, Floats] | None = None
-        failed, same = None, False
+        failed, same, spent = None, False, 0
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
             limited = self._limited(loads, reached)
             closed = self._closed(limited, rule.storage)
@@ -179,6 +182,8 @@ class Stepping:
                     raise
             except NotConverged as error:
                 failed = error
+                spent += problem.tried
+                error.newton = spent
                 if self._is_closed(problem, limited, rule.storage):
                     full = self.network.overfull(limited, rule.storage, problem)
                     if not full:
@@ -197,13 +202,16 @@ class Stepping:
                 new = replace(new, energy=energy, limited=wells, friction=friction)
                 return replace(new, memory=memory, around=around), report
             new.destroy()
+            spent += report.newton
             reached, failed = now, None
         if same and not failed:
             refuse_cycle(reached, time)
-        raise NotConverged(
+        failure = NotConverged(
             f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
             f" time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}"
         )
+        failure.newton = spent
+        raise failure
 
     def _refuse_jumps(self, old: State, new: State) -> None:
         """Raise SolveError, on every rank, where a joint's strength fell faster than its spring unloads. Collective."""

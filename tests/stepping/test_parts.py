@@ -1,7 +1,5 @@
 """A step in parts: halved where it fails or is not accurate, longer again when calm, divided anew after an event."""
 
-from types import SimpleNamespace
-
 import pytest
 
 from fracflow.errors import NotConverged
@@ -41,7 +39,7 @@ def reaching(longest=1.0, event=None, error=0.0, newton=1):
             raise NotConverged("too long")
         at = event if event is not None and may_stop and begin < event < end else end
         wrong = error(at - begin) if callable(error) else error
-        return Attempted(Fake(at), SimpleNamespace(newton=newton), at, wrong)
+        return Attempted(Fake(at), StepReport(newton=newton), at, wrong)
 
     attempt.tried = tried
     return attempt
@@ -69,7 +67,7 @@ def test_the_rest_after_an_event_is_one_part_and_ends_with_the_step():
 def test_events_beyond_the_most_are_not_stopped_at():
     def attempt(state, begin, end, may_stop):
         at = begin + 0.01 if may_stop else end
-        return Attempted(Fake(at), SimpleNamespace(newton=1), at)
+        return Attempted(Fake(at), StepReport(newton=1), at)
 
     ends = [part[1] for part in taken(attempt, Rules(6, events=3))]
     assert ends == pytest.approx([0.01, 0.02, 0.03, 1.0])
