@@ -9,6 +9,7 @@ from fracflow.begin.planned import why_inertia
 from fracflow.coupling.period import longest_period
 from fracflow.errors import NotConverged, PutBack
 from fracflow.plan.inertia import key_of, next_kink, slow_stages
+from fracflow.stages.instability import patch_at_limit
 from fracflow.stages.shaken import shaken
 from fracflow.stages.unrest import Course, begin, may_rest, runs_away, weak_waves
 from fracflow.state import State, StepReport
@@ -124,6 +125,8 @@ class _Regimes:
                 break
             if not brief:
                 self.log(f"time {state.time:.9g}: an event begins: {tried}")
+                if patch := patch_at_limit(self.model, state):
+                    self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
                 return None, StepReport(), course
             course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
         new, report = tried
