@@ -28,6 +28,7 @@ from fracflow.scene import Scene, load
 from fracflow.scene_actions import Stage
 from fracflow.stages.auto import run_auto
 from fracflow.stages.equilibrate import equilibrate
+from fracflow.stages.instability import LimitPoint
 from fracflow.stages.plain import run_stage
 from fracflow.state import StepReport
 from fracflow.steps.step import Step, Stepping, stepper_of
@@ -216,20 +217,25 @@ def _steps(
                     state.destroy()
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
-                for step in steps(stepping, state, number, recorder.log, going_on):
-                    recorder.record(step)
-                    watch_tied(stepping.model, step.state)
-                    if progress is not None:
-                        progress(step)
-                    state.destroy()
-                    state = step.state
-                    wish = watch.wish(recorder.totals.steps)
-                    if wish is not Wish.GO_ON:
-                        recorder.save(step)
-                        recorder.last(step, whole=wish is Wish.STOP)
-                    if wish is Wish.STOP:
-                        failure = Interrupted(f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps")
-                        raise failure
+                try:
+                    for step in steps(stepping, state, number, recorder.log, going_on):
+                        recorder.record(step)
+                        watch_tied(stepping.model, step.state)
+                        if progress is not None:
+                            progress(step)
+                        state.destroy()
+                        state = step.state
+                        wish = watch.wish(recorder.totals.steps)
+                        if wish is not Wish.GO_ON:
+                            recorder.save(step)
+                            recorder.last(step, whole=wish is Wish.STOP)
+                        if wish is Wish.STOP:
+                            failure = Interrupted(f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps")
+                            raise failure
+                except LimitPoint as limit:
+                    if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
+                        raise
+                    recorder.log(f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}")
                 going_on = {}
         except PutBack:
             for each in {id(state): state, id(step.state): step.state}.values():

@@ -75,6 +75,11 @@ def _lengths(view: View, factor: float, of_layer: float) -> Floats:
     return np.where(view.weakens, each, np.nan)
 
 
+def critical_length(shear_modulus: float, layer: float, fall: float) -> float:
+    """L_c of slip whose strength falls by ``fall`` [stress/length]: 1.158 mu*/fall, or pi sqrt(E' D/fall) in a thin layer."""
+    return float(min(UNSTABLE * shear_modulus / fall, np.pi * np.sqrt(layer / fall))) if fall > 0.0 else np.inf
+
+
 def longest_joints(view: View) -> dict[str, Floats]:
     """The longest joints (j,) that resolve each length of slip, as the numbers of the card ask; inf where there is none."""
     with np.errstate(divide="ignore", invalid="ignore"):

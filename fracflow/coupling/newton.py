@@ -27,7 +27,8 @@ from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 
 MOST_CHANGES = 50  # rounds of status changes in one step
-BRIEF = 20  # iterations with the same statuses, where a shorter step may be taken instead
+BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
+BRIEF = 20  # iterations with the same statuses there
 PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
@@ -77,7 +78,8 @@ class Newton:
         made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm
         self._rounds = Rounds(problem)
         self.factors.begin()
-        for _ in range(MOST_CHANGES):
+        most = BRIEF_CHANGES if problem.brief else MOST_CHANGES
+        for _ in range(most):
             self._pack(problem)
             self._is_start, self._circles, self._polished = True, False, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
@@ -98,7 +100,7 @@ class Newton:
             if self._rounds.is_lost:
                 raise self._failure(CIRCLES, iterations)
         else:
-            raise self._failure(f"after {MOST_CHANGES} rounds of changes of status", iterations)
+            raise self._failure(f"after {most} rounds of changes of status", iterations)
         if self._floats(problem):
             self._refuse_floating(problem)
         return NewtonReport(iterations, self._krylov, self.factors.made - made, tuple(self._out_of_balance))

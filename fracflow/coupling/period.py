@@ -23,7 +23,7 @@ def longest_period(operators: Operators, loads: Loads, sections: Sections) -> fl
     Collective.
     """
     held, layout, joints = loads.standing().held, operators.layout, operators.joints
-    stiff, mass = _sticking(operators, sections), with_diagonal(operators.mass)
+    stiff, mass = sprung(operators, _stuck(joints, sections)), with_diagonal(operators.mass)
     numbers = (stiff.getOwnershipRange()[0] + held).astype(PETSc.IntType)
     mass.zeroRowsColumns(numbers, 0.0)
     stiff.zeroRowsColumns(numbers, 1.0)
@@ -49,10 +49,10 @@ def longest_period(operators: Operators, loads: Loads, sections: Sections) -> fl
     return float(2.0 * np.pi / np.sqrt(lowest)) if lowest > 0.0 else float("inf")
 
 
-def _sticking(operators: Operators, sections: Sections) -> PETSc.Mat:
-    """K_s + G' W D G with the stiffness of joints that stick, in a new matrix. Collective."""
+def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
+    """K_s + G' W D G with D (s, dim, dim) of this rank's sections, in a new matrix. Collective."""
     joints, dim = operators.joints, operators.blocks.sizes.dim
-    moduli = joints.weights[:, None, None] * _stuck(joints, sections)
+    moduli = joints.weights[:, None, None] * moduli
     count = len(moduli) * dim
     first = joints.jump.getOwnershipRange()[0]
     columns = first + np.repeat(np.arange(count).reshape(-1, dim), dim, axis=0)

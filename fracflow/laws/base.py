@@ -135,6 +135,10 @@ class JointLaw(Protocol):
         """
         return np.zeros(len(traction))
 
+    def softening(self, traction: Floats, past: Past) -> Floats:
+        """How fast the strength (n,) falls with slip after ``past`` at tractions (n, dim) [stress/length]."""
+        return np.zeros(len(traction))
+
     def strength_drop(self, pressed: Floats) -> Floats:
         """By how much strength (n,) falls in all once a section slips under a pressure ``pressed`` (n,) >= 0 [stress]."""
         return np.zeros(len(pressed))

@@ -107,9 +107,14 @@ class SlipWeakening(FrictionLaw):
 
     def steepness(self, traction: Floats, past: Past) -> Floats:
         """|f_n| (mu_p - mu_d)/(D_c k_s) while friction falls; 0 once it has."""
+        result: Floats = self.softening(traction, past) / per_section(self.shear_stiffness, len(traction))
+        return result
+
+    def softening(self, traction: Floats, past: Past) -> Floats:
+        """|f_n| (mu_p - mu_d)/D_c while friction falls; 0 once it has."""
         _, falls = self.friction(past["slip_path"])
         pressed = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
-        result: Floats = pressed * falls / per_section(self.shear_stiffness, len(traction))
+        result: Floats = pressed * falls
         return result
 
     def strength_drop(self, pressed: Floats) -> Floats:

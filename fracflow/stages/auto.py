@@ -13,6 +13,7 @@ from fracflow.elements import joint
 from fracflow.errors import NotConverged, PutBack
 from fracflow.plan.inertia import key_of, next_kink, slow_stages
 from fracflow.plan.mesh_sizes import coarse_of_slip, of_fractures
+from fracflow.stages.instability import patch_at_limit
 from fracflow.stages.shaken import shaken
 from fracflow.stages.unrest import RADIATED, SETTLED, Course, Slipped, begin, may_rest, slipped, weak_waves
 from fracflow.state import State, StepReport
@@ -158,6 +159,8 @@ class _Regimes:
                 self.log(
                     f"time {state.time:.9g}: an event begins, after {in_words(spent)}: {tried.why}{self._coarse(state)}"
                 )
+                if patch := patch_at_limit(self.model, state):
+                    self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
                 return None, spent, course
             course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
         if spent.rejected >= TOLD:

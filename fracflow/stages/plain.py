@@ -9,6 +9,7 @@ from fracflow._petsc import MPI
 from fracflow.begin.setup import Model
 from fracflow.errors import SolveError
 from fracflow.scene_actions import Stage
+from fracflow.stages.instability import is_near, refuse_jump, to_limit_point, weakens
 from fracflow.state import State, StepReport
 from fracflow.stepping import Steady
 from fracflow.steps.accuracy import Judge
@@ -28,6 +29,7 @@ from fracflow.steps.prescribed import prescribed
 from fracflow.steps.step import DONE, Progress, Step, Stepping, stepper_of
 
 DOUBLINGS = 60
+JUST_OVER = 1.5  # times the shortest part: longer ones are halved where they fail
 SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
 
 
@@ -158,6 +160,7 @@ def run_stage(
     # what may jump in any step is sampled by means, as all is where events are not located
     splits = bool(rules.events) and not model.scene.jumps_anywhere
     cuts = judge.finest > 0 and not stepper.inertia
+    hurries, shortest = weakens(model) and not stepper.inertia, JUST_OVER * 0.5**rules.most
     given = prescribed(model.scene, stepper.inertia, splits, judge.tolerance if judge.finest else None)
 
     def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
@@ -166,6 +169,7 @@ def run_stage(
         end = end if cut is None else cut
         jumps = cut is not None and next_jump(given.jumps, at, dt, begin, end) is not None
         whole = dt * (end - begin)
+        brief = hurries and (end - begin > shortest or is_near(model, state))
 
         def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
             # what jumps while a film fills is there at once: spread over a halved step, it would come half a step late
@@ -183,10 +187,14 @@ def run_stage(
                 ahead = 0.0 if n == count else stage.step_length(start, n + 1)
             else:
                 ahead = share * whole if share == 1.0 else (1.0 - to) * dt
-            return stepping.step(old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead)
+            return stepping.step(
+                old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead, brief=brief
+            )
 
         found = take_part(stepping, state, reach, begin, end, whole, may_stop)
         new, length = found.state, dt * (found.fraction - begin)
+        if not stepper.inertia:
+            refuse_jump(model, state, new)
         error = judge.error(length, stepping.explicit.part(stepper, length), state, new)
         if found.fraction == end and jumps and not (n == count and end == 1.0):
             left = new
@@ -207,7 +215,8 @@ def run_stage(
         dt = stage.step_length(start, n)
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + n * stage.increment_per_step)
-        for part in in_parts(attempt, state, rules, log, place, is_straight):
+        parts = in_parts(attempt, state, rules, log, place, is_straight)
+        for part in parts if stepper.inertia else to_limit_point(model, state, parts, dt):
             state = part.state
             failed = utilisation(model, state) >= 1.0
             if failed and stage.then == "hold" and not held:

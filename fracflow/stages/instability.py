@@ -1,0 +1,189 @@
+"""Limit points: where slip in a stage without inertia has no state at rest to go on to, and what is told of it.
+
+Strength that falls with slip lets a slipping patch grow at rest up to a length of its own; past it no state at rest is near.
+A step that comes to another one, farther away, has jumped: it slips far on the length over which strength falls, and is
+unstable somewhere on its way. Such a step is refused and halved, and where no short one is left the stage ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.assembly.properties import on_joints
+from fracflow.begin.setup import Model, on_root
+from fracflow.card.joints import gather
+from fracflow.card.slip import critical_length
+from fracflow.coupling.stability import Weakening, largest_share, of_state, of_step
+from fracflow.errors import NotConverged, SolveError
+from fracflow.mesh.data import Floats
+from fracflow.scene import Scene
+from fracflow.state import Sections, State
+from fracflow.steps.parts import PartOfStep, most_halvings
+
+RESOLVED = 0.1  # of the slip over which strength falls: in a shorter step it cannot have jumped
+NEAR = 0.7  # of what the rock takes up: a state from which a patch that grows by a joint may have nowhere to go
+REMEDY = '; slip goes on with inertia: set kind = "auto", or let a stage of kind = "dynamic" follow'
+SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
+
+
+class Jumped(NotConverged):
+    """A step without inertia came to a state that slip does not reach at rest; with what slid on its way."""
+
+    def __init__(self, message: str, sections: Sections, weakening: Weakening) -> None:
+        """Of the sections as they would be at its end."""
+        super().__init__(message)
+        self.sections, self.weakening = sections, weakening
+
+
+class LimitPoint(SolveError):
+    """A stage without inertia has come to where slip goes on by itself. The state is the last one at rest."""
+
+    @property
+    def told(self) -> str:
+        """Without what to change."""
+        return str(self).removesuffix(REMEDY)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What slips as a limit point is reached.
+
+    share     of what rock takes up that the falling strength gives; unstable from 1 on
+    fracture  its name
+    place     of the most slip (dim,) [length]
+    length    of what weakens as it slips, along that fracture [length]
+    critical  the nucleation length beside; None where the rock is rigid [length]
+    """
+
+    share: float
+    fracture: str
+    place: tuple[float, ...]
+    length: float
+    critical: float | None
+
+    def told(self, scene: Scene) -> str:
+        """Fracture, place and lengths, for messages."""
+        unit = f" {scene.unit_system.length}" if scene.units != "none" else ""
+        spot = ", ".join(f"{value:.6g}" for value in self.place)
+        beside = "rigid rock" if self.critical is None else f"nucleation length {self.critical:.4g}{unit}"
+        return (
+            f"fracture {self.fracture} at ({spot}), slipping patch {self.length:.4g}{unit}, {beside}; its strength falls"
+            f" {self.share:.3g} times as fast as rock unloads it"
+        )
+
+
+def refuse_jump(model: Model, old: State, new: State) -> None:
+    """Free ``new`` and raise Jumped, on every rank, where slip may not have come to it from ``old`` at rest. Collective."""
+    slipped = weakened(model, old.sections, new.sections)
+    if slipped <= RESOLVED:
+        return
+    weakening = of_step(model.operators, old.sections, new.sections)
+    share, _ = largest_share(model.operators, model.loads, new.sections, weakening)
+    if share >= 1.0:
+        new.destroy()
+        told = f"slip of {slipped:.3g} of the distance over which strength falls, {share:.3g} times as fast as rock unloads"
+        raise Jumped(f"time {new.time:.6g}: {told}", new.sections, weakening)
+
+
+def weakens(model: Model) -> bool:
+    """Whether the strength of any fracture falls over a length of slip. Collective."""
+    here = False
+    for group in model.operators.joints.laws:
+        length = group.law.slip_length(len(group.sections))
+        here |= bool(np.any((length > 0.0) & np.isfinite(length)))
+    return bool(model.operators.layout.comm.allreduce(here, op=MPI.LOR))
+
+
+def weakened(model: Model, old: Sections, new: Sections) -> float:
+    """Most slip of a step over the length of its law, of sections whose strength fell with it. Collective."""
+    slipped = np.linalg.norm((new.inelastic - old.inelastic)[:, :-1], axis=1)
+    most = 0.0
+    for group, past in zip(model.operators.joints.laws, old.past, strict=True):
+        here = group.sections
+        falls = np.maximum(group.law.softening(old.traction[here], past), group.law.softening(new.traction[here], past))
+        length = np.where(falls > 0.0, group.law.slip_length(len(here)), np.inf)
+        most = max(most, float((slipped[here] / length).max(initial=0.0)))
+    return float(model.operators.layout.comm.allreduce(most, op=MPI.MAX))
+
+
+def patch_of(model: Model, sections: Sections, weakening: Weakening) -> Patch | None:
+    """The patch that is nearest to slip by itself; None where no strength falls with slip. Collective."""
+    share, mode = largest_share(model.operators, model.loads, sections, weakening)
+    if share == 0.0:
+        return None
+    blocks, joints = model.operators.blocks, model.operators.joints
+    ends = blocks.solid.points[blocks.joints.bottom]
+    places = on_joints(ends, joints.natural).reshape(-1, ends.shape[-1])
+    owner = np.repeat(np.arange(len(blocks.joints.ids)), joints.points)
+    size = np.abs(mode) * weakening.counts
+    best = int(size.argmax()) if len(size) else -1
+    mine = (0.0, 0, "", (), 0)
+    if best >= 0 and size[best] > 0.0:
+        joint = owner[best]
+        name = blocks.joints.fractures[blocks.joints.fracture[joint]]
+        mine = (float(size[best]), -int(blocks.joints.ids[joint]), name, tuple(map(float, places[best])), 0)
+    comm = blocks.comm
+    _, number, fracture, place, _ = max(comm.allgather(mine))
+    names = np.array(blocks.joints.fractures, dtype=object)
+    there = (size > SEEN) & (names[blocks.joints.fracture[owner]] == fracture) if len(size) else size > SEEN
+    weights = joints.weights[there]
+    length = comm.allreduce(float(weights.sum()), op=MPI.SUM)
+    fall = comm.allreduce(float(weights @ weakening.fall[there]), op=MPI.SUM) / max(length, 1e-300)
+    critical = on_root(comm, lambda: _critical(model, -number, fall))
+    return Patch(share, fracture, place, length, comm.bcast(critical, root=0))
+
+
+def _critical(model: Model, joint: int, fall: float) -> float | None:
+    assert model.mesh is not None
+    joints = gather(model.scene, model.mesh, model.placed.wells)
+    length = critical_length(joints.shear_modulus[joint], joints.layer[joint], fall)
+    return float(length) if np.isfinite(length) else None
+
+
+def to_limit_point(model: Model, state: State, parts: Iterator[PartOfStep], dt: float) -> Iterator[PartOfStep]:
+    """The parts of a step ``dt`` without inertia from a state, up to where there is no other: at a limit point or not.
+
+    Raises LimitPoint or NotConverged, on every rank. Collective.
+    """
+    for_sure = dt * 0.5 ** most_halvings(model.scene)
+    try:
+        for part in parts:
+            yield part
+            state = part.state
+    except NotConverged as failure:
+        error = limit_point(model, state, failure, for_sure)
+        if error is None:
+            raise
+        raise error from failure
+
+
+def limit_point(model: Model, state: State, failure: NotConverged, least: float) -> LimitPoint | None:
+    """The limit point that a failed step of ``least`` length after a state is taken for; None for another one. Collective."""
+    cause = failure.__cause__ or failure
+    patch = patch_at_limit(model, state)
+    if patch is None and isinstance(cause, Jumped):
+        patch = patch_of(model, cause.sections, cause.weakening)
+    if patch is None:
+        return None
+    scene = model.scene
+    unit = f" {scene.unit_system.time}" if scene.units != "none" else ""
+    return LimitPoint(
+        f"time {state.time:.9g}: limit point: within {least:.3g}{unit} slip goes on by itself, and no state at rest is near:"
+        f" {patch.told(scene)}{REMEDY}"
+    )
+
+
+def patch_at_limit(model: Model, state: State) -> Patch | None:
+    """The patch that slips, if it may have nowhere to go at rest. Collective."""
+    patch = patch_of(model, state.sections, of_state(model.operators, state.sections))
+    return patch if patch is not None and patch.share >= NEAR else None
+
+
+def is_near(model: Model, state: State) -> bool:
+    """Whether there is one, for less. Collective."""
+    weakening = of_state(model.operators, state.sections)
+    return largest_share(model.operators, model.loads, state.sections, weakening)[0] >= NEAR
