@@ -119,7 +119,7 @@ def _reversed(case: Case, random: Random) -> tuple[Case, Back]:
 
 
 def _permuted(case: Case, random: Random) -> tuple[Case, Back]:
-    """Fractures, wells, probes and sides in another order."""
+    """Fractures, wells, probes and sides of the mesh in another order."""
 
     def shuffled(parts: Any) -> Any:
         order = random.permutation(len(parts))
@@ -129,7 +129,7 @@ def _permuted(case: Case, random: Random) -> tuple[Case, Back]:
         return [parts[i] for i in order]
 
     data = copied(case)
-    for key in ("fracture", "well", "probe", "support"):
+    for key in ("fracture", "well", "probe"):  # of supports the first holds where they meet
         if key in data:
             data[key] = shuffled(data[key])
     traces, sides = shuffled(case.traces), shuffled(case.sides)
