@@ -30,6 +30,7 @@ class Totals:
     handed_over: int = 0
     told_factor: float = np.nan
     injected: float = 0.0
+    strained: int = 0
     undone: dict[str, str] = field(default_factory=dict)
 
     def last_words(self, watches_spurious: bool, seconds: float) -> Iterator[str]:

@@ -189,18 +189,18 @@ def _steps(random: np.random.Generator, data: Data, scale: float) -> None:
     kind = str(random.choice(STAGES, p=[0.4, 0.2, 0.15, 0.15, 0.1]))
     if kind == "incipient" and "flow_rate" not in data.get("well", [{}])[0]:
         kind = "quasi-static"
-    step = end / float(random.choice([8, 16]))
+    step = end / float(random.choice([6, 10]))
     if kind == "quasi-static":
         data["stage"] = [{"kind": "quasi-static", "time_step": step, "end": end}]
     elif kind == "mixed":
         data["stage"] = [
             {"kind": "quasi-static", "time_step": step, "end": end / 2},
-            {"kind": "dynamic", "time_step": 10 * fine, "steps": 8},
+            {"kind": "dynamic", "time_step": 10 * fine, "steps": 6},
         ]
     elif kind == "dynamic":
         short = random.random() < 0.6  # else about as slow as a stage without inertia
-        _hurry(data, 12 * fine / end if short else 1.0)
-        data["stage"] = [{"kind": "dynamic", "time_step": fine if short else step, "steps": 16 if short else 12}]
+        _hurry(data, 8 * fine / end if short else 1.0)
+        data["stage"] = [{"kind": "dynamic", "time_step": fine if short else step, "steps": 12 if short else 10}]
         if random.random() < 0.3 and "displacement" not in data["support"][-1]:
             data["support"], data["absorbing"] = [{"on": EVERY_SIDE[:2]}], [{"on": EVERY_SIDE[2:]}]
     elif kind == "auto":
@@ -219,7 +219,7 @@ def _steps(random: np.random.Generator, data: Data, scale: float) -> None:
         data["stage"] = [
             {"kind": "steady", "until": "incipient", "control": "pump"},
             {
-                "kind": "dynamic", "time_step": 10 * fine, "steps": 8, "control": "pump",
+                "kind": "dynamic", "time_step": 10 * fine, "steps": 6, "control": "pump",
                 "increment_per_step": 0.05, "then": "hold",
             },
         ]  # fmt: skip

@@ -37,6 +37,7 @@ LIKEWISE = 0.3  # of a difference: what a shaken scene must move by for it to be
 SHAKES = 3
 LIMIT = 0.6  # CPU seconds of the scene as it is: more scenes tell more than longer ones
 PATIENCE = 15.0  # times that, for the same scene in another way
+HANGS = 200.0  # seconds of a scene on ranks, which share the cores with whatever else runs
 RESUMED, TOLERANT = "resumed", "tolerance, resumed"
 OVER, EXPLAINED, BROKEN = "above", "ill-conditioned", "failed alone"
 
@@ -210,7 +211,7 @@ def judge_on_ranks(scenes: list[Scene], ranks: int, tally: Tally, folder: Path) 
     for scene in scenes:
         folders.append(folder / f"ranks{ranks}" / str(scene.seed))
         write(scene.case, folders[-1])
-    on_ranks(folders, ranks, 20.0 * LIMIT)
+    on_ranks(folders, ranks, HANGS)
     for scene, place in zip(scenes, folders, strict=True):
         tally.judge(f"{ranks} ranks", scene, scene.base, left_by_ranks(place), Back())
         shutil.rmtree(place)
