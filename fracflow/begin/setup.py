@@ -16,6 +16,7 @@ from fracflow.assembly.contact_mass import redistributed, redistributes
 from fracflow.assembly.loads import Loads, assemble_loads
 from fracflow.assembly.operators import Operators, assemble
 from fracflow.begin.hydraulic import told_apart
+from fracflow.begin.meeting import meeting_supports, refuse_two_pressures
 from fracflow.coupling.defaults import set_defaults
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
@@ -171,6 +172,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
     refuse_missing(scene, mesh, probes)
     refuse_lone_wells(scene, mesh, wells)
+    refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
     spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
     spots |= {f"probe.{name}": found.point for name, found in probes.items()}
@@ -180,7 +182,10 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         probes,
         points,
         tied_components(scene, mesh),
-        tuple(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
+        (
+            *(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
+            *meeting_supports(scene, mesh, points),
+        ),
     )
 
 

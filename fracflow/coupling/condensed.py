@@ -173,7 +173,7 @@ class Condensed:
         """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
         joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
         problem.evaluate()
-        if _largest(problem) <= least:  # what rests is left at rest, to the last digit
+        if max(_largest(problem), problem.residual.carried) <= least:  # what rests is left at rest, to the last digit
             return 0, 0
         force, free = problem.load.duplicate(), problem.load.duplicate()
         try:
@@ -188,11 +188,11 @@ class Condensed:
                 joints.force(sections.pushed(problem, change), force)
                 problem.move(free.getArray() - rock.solve(force))
                 problem.evaluate()
-                # beside what runs, too, where that is little: unasked, fewer digits are not to be had
-                unasked = 0.0 if self._is_asked else problem.residual.carried
-                if max(_largest(problem), unasked) <= least:
+                # beside what runs, too, where that is little: the books hold what is left of it, times the pressure
+                beside = problem.residual.carried
+                if max(_largest(problem), beside) <= least:
                     break
-                if cycle == MOST_CYCLES and unasked > NEARLY * least:
+                if cycle == MOST_CYCLES and beside > NEARLY * least and not self._is_asked:
                     raise NotConverged("of what little runs all unknowns know more digits")
         finally:
             force.destroy()

@@ -264,7 +264,7 @@ class Newton:
         # one more where little runs beside what full pressure would drive: wells are to work by what runs
         more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
         self._polished = self._balanced(problem, iteration)
-        if self._polished and not (more and 0 < iteration < accuracy.max_iterations):
+        if self._polished and not (more and iteration < accuracy.max_iterations):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
         most = min(accuracy.max_iterations, BRIEF) if problem.brief else accuracy.max_iterations
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)

@@ -38,6 +38,7 @@ KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto":
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
 TOLD_FROM = 0.1  # smaller factors are all the same
 
+STRAINED = 0.1  # p/E: a tenth is no small strain
 SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
 
 
@@ -73,6 +74,7 @@ class Recorder:
             self.totals.least = max(self.totals.least, snapshot.least[0])
             self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
         self._watch_spurious(step)
+        self._watch_pressure(step)
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
@@ -111,6 +113,24 @@ class Recorder:
                     ' method.storage = "lumped" has none'
                 )
             totals.spurious, totals.spurious_time = share, step.state.time
+
+    def _watch_pressure(self, step: Step) -> None:
+        """A line, once, where a pressure would strain the rock by over ``STRAINED``: a rate through next to nothing."""
+        stiff = [rock.youngs_modulus for rock in self.model.scene.rock.values() if rock.youngs_modulus is not None]
+        drive, totals, wells = step.state.drive, self.totals, self.model.scene.well
+        if totals.strained or not stiff or drive <= STRAINED * min(stiff):
+            return
+        totals.strained = 1
+        rates = ", ".join(well.name for well in wells if well.flow_rate is not None)
+        self.log(
+            f"time {step.state.time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
+            f" over {STRAINED:g}, where neither strains nor joints are those of the model: what follows means nothing;"
+            + (
+                f" give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
+                if rates
+                else " lower the pressures that wells and fractures prescribe"
+            )
+        )
 
     def last(self, step: Step, whole: bool = True) -> None:
         """Write the fields of the last state on record, unless they were; those of an earlier such state go. Collective.

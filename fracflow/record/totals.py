@@ -35,6 +35,7 @@ class Totals:
     injected: float = 0.0
     rejected: int = 0
     wasted: int = 0
+    strained: int = 0
     undone: dict[str, str] = field(default_factory=dict)
 
     def add(self, report: StepReport) -> None:

@@ -163,3 +163,17 @@ def test_newmark_with_gamma_above_a_half_damps(run_scene):
     assert found.history["energy/scheme"][-1] > 0.05 * total[0]
     assert total[0] - total[-1] == pytest.approx(found.history["energy/scheme"][-1], rel=1e-9)
     assert found.closes()
+
+
+@pytest.mark.parametrize("coupling", ["whole-lu", "condensed"])
+def test_books_close_where_little_runs_beside_what_full_pressure_would_drive(run_scene, coupling):
+    """A wide fracture, filled and then at rest: what each long step leaves of the flow works by the whole pressure.
+
+    Full pressure would drive some 0.5 m^2/s; 1e-11 of that, which passed for balanced, opened the books by 1e-6 of their
+    largest entry.
+    """
+    pressure = "well.in.pressure=[[0, 1e6], [0.4, 5.5e6], [100, 5.5e6]]"
+    fills = "\n[[stage]]\nkind = 'quasi-static'\ntime_step = 0.1\nsteps = 4\n"
+    rests = "\n[[stage]]\nkind = 'quasi-static'\ntime_step = 1\nsteps = 16\n"
+    text = CRACK.split('[[well]]\nname = "out"')[0] + fills + rests
+    assert run_scene(text, f"method.coupling={coupling}", pressure).closes(3e-11)

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
+from fracflow._petsc import MPI
 from fracflow.errors import InputError
+from fracflow.run import run
+from fracflow.scene import load
 
 from .test_along_fractures import RIGID
+from .test_books import CRACK, QUASI
 
 PUMPED = (
     RIGID.replace('{along = [0, 3], value = ["1 mm", "0.25 mm"]}', '"1 mm"').replace(
@@ -67,3 +71,15 @@ def test_a_well_draws_no_lower_than_its_lowest_pressure(run_scene):
 def test_limits_the_wrong_way_round_are_refused(run_scene):
     with pytest.raises(InputError, match=r"well.in.maximum_pressure = .* must be above minimum_pressure"):
         run_scene(PUMPED, "well.in.minimum_pressure=6e4")
+
+
+@pytest.mark.parametrize(("aperture", "is_told"), [("1e-9", True), ("1e-3", False)])
+def test_a_rate_that_takes_more_pressure_than_rock_is_stiff_is_told(shared_tmp, aperture, is_told):
+    """1e-9 m^2/s through 1e-9 m: 12 mu q h / d^3 is 1e16 Pa over a metre."""
+    file, folder = shared_tmp / "scene.toml", shared_tmp / "run"
+    if MPI.COMM_WORLD.rank == 0:
+        file.write_text(CRACK.replace("pressure = 2e6", "flow_rate = 1e-9") + QUASI, encoding="utf-8")
+    MPI.COMM_WORLD.barrier()
+    run(load(file, [f"fracture.default.aperture={aperture}", "stage.0.time_step=1e-6"]), folder)
+    told = MPI.COMM_WORLD.bcast((folder / "log.txt").read_text() if MPI.COMM_WORLD.rank == 0 else "")
+    assert told.count("what follows means nothing; give a maximum_pressure to in") == int(is_told)

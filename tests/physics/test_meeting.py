@@ -1,0 +1,65 @@
+"""Two entries of a scene that prescribe one unknown in two ways: told of supports, refused of wells."""
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.errors import InputError
+from fracflow.scene import load
+
+from .conftest import JOINT, ROCK
+
+BLOCK = (
+    ROCK
+    + JOINT
+    + """
+fluid = {viscosity = 1e-3, initial_pressure = 1e6}
+initial_stress = {xx = -5e6, yy = -5e6}
+geometry = {domain = [0, 0, 4, 3], size = 1.5, fracture = [{name = "crack", points = [[1, 1], [3, 2]]}]}
+stage = [{kind = "quasi-static", time_step = 1, steps = 1}]
+[[support]]
+on = ["south", "east"]
+displacement = {x = 0}
+[[support]]
+on = "north"
+displacement = {x = [[0, 0], [1, 1e-3], [2, 0]], y = 1e-3}
+"""
+)
+
+
+def _notes(folder, *overrides):
+    file = folder / "scene.toml"
+    if MPI.COMM_WORLD.rank == 0:
+        first, _, rest = BLOCK.partition("\nfluid")  # tables of a line go before those with a heading
+        lines, supports = ("fluid" + rest).split("[[support]]", 1)
+        file.write_text(lines + first + "\n[[support]]" + supports, encoding="utf-8")
+    MPI.COMM_WORLD.barrier()
+    return [note for note in prepare(load(file, list(overrides)), MPI.COMM_WORLD).placed.notes if "support." in note]
+
+
+def test_supports_that_move_a_corner_in_two_ways_are_told(shared_tmp):
+    """North and east meet at (4, 3), and differ in x between 0 and 2 s; east prescribes no y."""
+    (note,) = _notes(shared_tmp)
+    assert "support.1 (north)" in note and "support.0 (south, east)" in note
+    assert "in x than" in note and "(4, 3)" in note and "first entry holds" in note
+
+
+def test_supports_that_agree_at_their_corner_are_not_told(shared_tmp):
+    """One affine motion, written as a table for north and as a gradient for east: u_x = 1e-4 y."""
+    shear = "displacement_gradient = [[0, 1e-4], [0, 0]]"
+    north = "support.1={on = 'north', displacement = {x = 3e-4, y = 0}}"
+    assert _notes(shared_tmp, f"support.0={{on = 'east', {shear}}}", north) == []
+    assert len(_notes(shared_tmp, f"support.0={{on = 'east', {shear}}}", north.replace("3e-4", "3.1e-4"))) == 1
+
+
+@pytest.mark.parametrize(("other", "is_refused"), [("2 MPa", True), ("1 MPa", False)])
+def test_two_pressures_at_one_node_are_refused(shared_tmp, other, is_refused):
+    """Of the wells at one node, the last one named had its way, and nothing was said."""
+    at = "at = {fracture = 'crack', end = 'start'}"
+    wells = f"well=[{{name = 'in', {at}, pressure = '1 MPa'}}, {{name = 'too', at = [1, 1], pressure = '{other}'}}]"
+    if is_refused:
+        with pytest.raises(InputError, match=r"well\.too: at: sits on the node of well\.in"):
+            _notes(shared_tmp, wells)
+    else:
+        assert not np.any(_notes(shared_tmp, wells, "support.1.displacement={x = 0}"))
