@@ -67,7 +67,8 @@ def shape_at(points: Floats, place: Floats) -> Floats:
         if np.abs(miss).max() <= _MISS * size:
             break
         natural = natural + np.linalg.solve((rule.gradients[0].T @ points).T, miss)
-    return rule.values[0]
+    found: Floats = rule.values[0]
+    return found
 
 
 def rule_for(rules: dict[int, Rule], nodes: int) -> Rule:
