@@ -47,6 +47,7 @@ def _quad(points: Floats, weights: Floats) -> Rule:
 
 
 _G = 1.0 / np.sqrt(3.0)
+_MOST, _MISS = 20, 1e-14  # iterations to a place in a cell, and how far from it they may end, over the cell's size
 _MIDDLE = _triangle(np.array([[1.0, 1.0]]) / 3.0, np.array([0.5]))
 _THREE = _triangle(np.array([[1.0, 1.0], [4.0, 1.0], [1.0, 4.0]]) / 6.0, np.full(3, 1.0 / 6.0))
 _GAUSS = _quad(np.array([[-_G, -_G], [_G, -_G], [_G, _G], [-_G, _G]]), np.ones(4))
@@ -54,6 +55,20 @@ _GAUSS = _quad(np.array([[-_G, -_G], [_G, -_G], [_G, _G], [-_G, _G]]), np.ones(4
 STIFFNESS_RULES: dict[int, Rule] = {3: _MIDDLE, 4: _GAUSS}
 MASS_RULES: dict[int, Rule] = {3: _THREE, 4: _GAUSS}
 CENTROID_RULES: dict[int, Rule] = {3: _MIDDLE, 4: _quad(np.zeros((1, 2)), np.array([4.0]))}
+
+
+def shape_at(points: Floats, place: Floats) -> Floats:
+    """(2.1) Shape functions (k,) of a convex cell with points (k, 2) at a place (2,) inside it, by Newton's method."""
+    shape = _triangle if len(points) == 3 else _quad
+    natural, size = np.full(2, 1.0 / 3.0 if len(points) == 3 else 0.0), float(np.ptp(points, axis=0).max())
+    for _ in range(_MOST):
+        rule = shape(natural[None], np.ones(1))
+        miss = place - rule.values[0] @ points
+        if np.abs(miss).max() <= _MISS * size:
+            break
+        natural = natural + np.linalg.solve((rule.gradients[0].T @ points).T, miss)
+    found: Floats = rule.values[0]
+    return found
 
 
 def rule_for(rules: dict[int, Rule], nodes: int) -> Rule:

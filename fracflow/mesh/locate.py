@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fracflow.elements.shape import shape_at
 from fracflow.errors import InputError
-from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 
 ROUND_OFF = 1e-6  # of the mesh's extent
 At = Sequence[float] | str | tuple[str, str]
@@ -35,18 +36,22 @@ class FracturePlace:
 
 @dataclass(frozen=True)
 class RockPlace:
-    """A node of the rock and the cells around it.
+    """A node of the rock and the cells around it, or a point inside a cell.
 
-    node     its number in the split mesh
-    point    (dim,) its coordinates [length]
-    cells    (k,) cells that have it, of the rock that is meant
+    node     its number in the split mesh; of a point, the nearest corner of its cell
+    point    (dim,) coordinates [length]
+    cells    (k,) cells that have the node, of the rock that is meant; of a point, those of all corners, its own the first
     corners  (k, w) their nodes, -1 pads
+    within   corners of the cell of a point, each a place of its own; none at a node
+    shares   (2.1) the shape functions of the cell at the point
     """
 
     node: int
     point: Floats
     cells: Ints
     corners: Ints
+    within: tuple[RockPlace, ...] = ()
+    shares: tuple[float, ...] = ()
 
 
 def coordinates(mesh: SplitMesh, at: At, what: str) -> Floats:
@@ -97,29 +102,47 @@ def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None)
     return FracturePlace(flow, mesh.points[mesh.flow_origin[flow]], nodes, joints, ends)
 
 
-def _is_covered(points: Floats, cells: Ints, point: Floats) -> bool:
-    """Whether a point lies in one of the counter-clockwise cells, or nearer to it than round-off."""
+def _covering(points: Floats, cells: Ints, point: Floats) -> int | None:
+    """The counter-clockwise cell that a point lies in, or is nearer to than round-off; None where there is none."""
     corners = points[np.where(cells < 0, cells[:, :1], cells)]
     sides = np.roll(corners, -1, axis=1) - corners
     away = point - corners
     turn = sides[..., 0] * away[..., 1] - sides[..., 1] * away[..., 0]
-    return bool(
-        np.any(np.all(turn >= -ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1))
-    )
+    inside = np.all(turn >= -ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1)
+    found = np.flatnonzero(inside)
+    return int(found[np.argmax(turn[found].min(axis=1))]) if len(found) else None
 
 
 def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> RockPlace:
-    """The node nearest to ``at``, of the named rock where one is given. Raises InputError outside it."""
+    """The node or the point inside a cell at ``at``, of the named rock where one is given. Raises InputError outside it."""
     point = coordinates(mesh, at, what)
     chosen = np.ones(len(mesh.cells), dtype=bool) if rock is None else mesh.cell_rock == mesh.rocks.index(rock)
-    if not _is_covered(mesh.points, mesh.cells[chosen], point):
+    cell = _covering(mesh.points, mesh.cells[chosen], point)
+    if cell is None:
         inside = "the mesh" if rock is None else f'rock "{rock}"'
         raise InputError(f"{what}: at = {point.tolist()}: is outside {inside}; move it in")
     nodes = np.unique(mesh.cells[chosen])
     nodes = nodes[nodes >= 0]
-    node = int(nodes[np.argmin(np.linalg.norm(mesh.points[nodes] - point, axis=1))])
+    away = np.linalg.norm(mesh.points[nodes] - point, axis=1)
+    if away.min() <= ROUND_OFF * np.ptp(mesh.points, axis=0).max():
+        return _at_node(mesh, int(nodes[np.argmin(away)]), chosen)
+    return _in_cell(mesh, int(np.flatnonzero(chosen)[cell]), point)
+
+
+def _at_node(mesh: SplitMesh, node: int, chosen: Bools) -> RockPlace:
     around = np.flatnonzero((mesh.cells == node).any(axis=1) & chosen)
     return RockPlace(node, mesh.points[node], around, mesh.cells[around])
+
+
+def _in_cell(mesh: SplitMesh, cell: int, point: Floats) -> RockPlace:
+    """A point inside a cell; of cells around its corners count those of the same rock."""
+    nodes = mesh.cells[cell][mesh.cells[cell] >= 0]
+    within = tuple(_at_node(mesh, int(node), mesh.cell_rock == mesh.cell_rock[cell]) for node in nodes)
+    others = np.setdiff1d(np.concatenate([corner.cells for corner in within]), cell)
+    cells = np.append(cell, others)
+    nearest = int(nodes[np.argmin(np.linalg.norm(mesh.points[nodes] - point, axis=1))])
+    shares = shape_at(mesh.points[nodes], point)
+    return RockPlace(nearest, point, cells, mesh.cells[cells], within, tuple(shares.tolist()))
 
 
 def _distance_to_fractures(mesh: SplitMesh, point: Floats) -> float:

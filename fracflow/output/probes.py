@@ -68,7 +68,8 @@ def probe_record(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place], sna
 
     On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace; what
     belongs to joints is the mean over those that end there. In the rock, strain and stress are means by area over the
-    cells around the node, sigma_0 being that of the node itself.
+    cells around the node, sigma_0 being that of the node itself; inside a cell everything is interpolated from its corners
+    by their shape functions, but for sigma_0, which is that of the point.
     """
     record: dict[str, Any] = {}
     for probe in scene.probe:
@@ -101,12 +102,20 @@ def _on_fracture(scene: Scene, place: FracturePlace, snapshot: Snapshot) -> dict
 
 
 def _in_rock(scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapshot, strained: bool) -> dict[str, Any]:
-    values: dict[str, Any] = _moves(place.node, snapshot)
-    return values | _in_cells(scene, mesh, place, snapshot) if strained else values
+    found = []
+    for part in place.within or (place,):
+        moves: dict[str, Any] = _moves(part.node, snapshot)
+        found.append(moves | _in_cells(scene, mesh, part, snapshot) if strained else moves)
+    values, shares = found[0], np.array(place.shares)
+    if place.within:
+        values = {name: shares @ np.array([each[name] for each in found]) for name in values}
+    if "stress" in values:
+        values["stress"] = values["stress"] + rock.initial_components(scene, place.point)
+    return values
 
 
 def _in_cells(scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapshot) -> dict[str, Any]:
-    """Strain and stress (4,): xx, yy, zz, xy."""
+    """Strain and the stress it adds (4,) at a node: xx, yy, zz, xy."""
     able = rock.deforms(mesh, scene)[place.cells]
     if not able.any():
         return {}
@@ -120,4 +129,4 @@ def _in_cells(scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapsho
     change = rock.stress_change(strains, *moduli)
     area = rock.per_cell(local, lambda _, corner: solid.area(points[corner]))
     mean = area / area.sum()
-    return {"strain": mean @ strains, "stress": mean @ change + rock.initial_components(scene, place.point)}
+    return {"strain": mean @ strains, "stress": mean @ change}
