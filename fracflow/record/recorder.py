@@ -22,7 +22,6 @@ from fracflow.mesh.store import save_mesh
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.chatter import Chatter
 from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
-from fracflow.output.handed import told_handed
 from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
@@ -143,8 +142,6 @@ class Recorder:
         for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
             self.log(line)
         if self.files is not None:
-            for line in told_handed(self.files.events.rows, self.files.mesh):
-                self.log(line)
             done = factorisations(self.totals.newton, self.totals.factorisations)
             self.files.write_plan([*self.files.decisions, done])
 
