@@ -20,6 +20,7 @@ from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.near import HEAD
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
+from fracflow.output.handed import told_handed
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.record.recorder import Recorder, watches_spurious
 from fracflow.record.totals import Totals
@@ -179,6 +180,8 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
     try:
         failure = _steps(stepping, recorder, step, progress)
+        for line in told_handed(recorder.files.events.rows, recorder.files.mesh) if recorder.files is not None else ():
+            recorder.log(line)
         recorder.finish(clock.perf_counter() - began, _status(failure))
     finally:
         recorder.close()

@@ -12,8 +12,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from fracflow.mesh.store import load_mesh
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
+from fracflow.output.handed import told_handed
 from fracflow.output.history import read_attributes, read_history
 
 BOOKS = (
@@ -95,6 +97,8 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
             f"{event['slip']:.4e}",
         )
     console.print(slips)
+    for line in told_handed(events, load_mesh(folder / "mesh.h5")):
+        console.print(line, soft_wrap=True, markup=False)
     if len(events) > MOST_EVENTS:
         console.print(
             f"and {len(events) - MOST_EVENTS} more, of smaller slip, in {folder / 'events.csv'}", soft_wrap=True
