@@ -54,7 +54,9 @@ class Vibration:
     @classmethod
     def of(cls, progress: Mapping[str, float]) -> Vibration:
         """That which a checkpoint kept."""
-        parts, acceleration, jerk = (progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk"))
+        parts, acceleration, jerk = (
+            progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk")
+        )
         return cls(int(parts), acceleration, jerk)
 
 
