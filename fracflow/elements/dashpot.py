@@ -100,7 +100,7 @@ def energy_returned(poissons_ratio: float, degrees: float, kind: str, share: flo
 def energy_over_directions(poissons_ratio: float, kind: str) -> float:
     """Share of the energy that comes back where waves of one kind come as strong from all directions of the plane."""
     critical = _critical(poissons_ratio, kind)
-    at, weight = np.polynomial.legendre.leggauss(POINTS)
+    at, weight = np.polynomial.legendre.leggauss(POINTS)  # type: ignore[no-untyped-call]
     back = 0.0
     for low, high in ((0.0, critical), (critical, 90.0)):
         angles = low + 0.5 * (high - low) * (1.0 + at)

@@ -54,8 +54,10 @@ class Vibration:
     @classmethod
     def of(cls, progress: Mapping[str, float]) -> Vibration:
         """That which a checkpoint kept."""
-        parts, *most = (progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk"))
-        return cls(int(parts), *most)
+        parts, acceleration, jerk = (
+            progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk")
+        )
+        return cls(int(parts), acceleration, jerk)
 
 
 def vibration(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Vibration:
