@@ -191,7 +191,9 @@ def test_injection_as_by_implicit_steps(run_scene, compressibility):
     """Both of second order, steps a fifth of the critical one: pressures, openings and slips to 1 % of their changes."""
     text = CRACK.format(compressibility=compressibility)
     undamped = "method.fault_damping=0"  # the equations of both are the same then
-    implicit, explicit = (run_scene(text, f"method.stepper={each}", AT_ENDS, undamped) for each in ("newmark", "explicit"))
+    implicit, explicit = (
+        run_scene(text, f"method.stepper={each}", AT_ENDS, undamped) for each in ("newmark", "explicit")
+    )
     away = ["slip", "shear_traction"]  # in the middle they are nothing, by symmetry
     for probe, more in (("middle", []), ("quarter", away)):
         for quantity in ("pressure", "opening", "flow_rate", *more):

@@ -1,0 +1,150 @@
+"""Damping of the cells at faults in explicit steps: what it cures, where it acts, what it costs, what stays as it was."""
+
+import numpy as np
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.assembly.fault_damping import asymmetry, fault_damping
+from fracflow.begin.setup import prepare
+from fracflow.scene import load
+from fracflow.stepping.explicit import damped_rate
+
+FAULT = """
+[output]
+pictures = false
+[method]
+stepper = "explicit"
+[rock.rock]
+youngs_modulus = "80 GPa"
+poissons_ratio = 0.25
+density = 2670
+[initial_stress]
+xx = "-120 MPa"
+yy = "-120 MPa"
+xy = "70 MPa"
+unbalanced = "carried"
+[[absorbing]]
+on = ["west", "east", "south", "north"]
+[fracture.main]
+law = "slip-weakening"
+normal_stiffness = "1000 GPa/m"
+shear_stiffness = "1000 GPa/m"
+aperture = "1 m"
+friction_coefficient = 0.677
+dynamic_friction_coefficient = 0.525
+slip_weakening_distance = "0.4 m"
+[fracture.main.initial_shear_traction]
+along = ["0 km", "3.499 km", "3.501 km", "6.499 km", "6.501 km", "10 km"]
+value = ["70 MPa", "70 MPa", "81.6 MPa", "81.6 MPa", "70 MPa", "70 MPa"]
+[[probe]]
+name = "left"
+at = ["-2.5 km", 0]
+on = "main"
+[[probe]]
+name = "middle"
+at = [0, 0]
+on = "main"
+[[probe]]
+name = "right"
+at = ["2.5 km", 0]
+on = "main"
+[[stage]]
+kind = "dynamic"
+time_step = "10 ms"
+end = "3.2 s"
+"""
+TRIANGLES = """
+[geometry]
+domain = ["-8 km", "-4 km", "8 km", "4 km"]
+size = "500 m"
+size_at_fractures = "125 m"
+[[geometry.fracture]]
+name = "main"
+points = [["-5 km", 0], ["5 km", 0]]
+"""
+QUADRILATERALS = """
+[mesh]
+file = "fault.geo"
+"""
+GEO = """
+h = 125;
+For j In {{0:2}}
+  Point(4*j + 1) = {{-8000, 4000*(j - 1), 0}}; Point(4*j + 2) = {{-5000, 4000*(j - 1), 0}};
+  Point(4*j + 3) = {{5000, 4000*(j - 1), 0}}; Point(4*j + 4) = {{8000, 4000*(j - 1), 0}};
+  For i In {{1:3}}
+    Line(10*j + i) = {{4*j + i, 4*j + i + 1}};
+    Transfinite Curve{{10*j + i}} = (i == 2 ? 80 : 24) + 1;
+  EndFor
+EndFor
+For i In {{1:4}}
+  Line(100 + i) = {{i, i + 4}}; Transfinite Curve{{100 + i}} = 16 + 1 Using Progression 1/1.06;
+  Line(110 + i) = {{i + 4, i + 8}}; Transfinite Curve{{110 + i}} = {above} + 1 Using Progression 1.06;
+EndFor
+For i In {{1:3}}
+  Curve Loop(i) = {{i, 101 + i, -(10 + i), -(100 + i)}}; Plane Surface(i) = {{i}};
+  Curve Loop(10 + i) = {{10 + i, 111 + i, -(20 + i), -(110 + i)}}; Plane Surface(10 + i) = {{10 + i}};
+EndFor
+Transfinite Surface "*";
+Recombine Surface "*";
+Physical Surface("rock") = {{1, 2, 3, 11, 12, 13}};
+Physical Curve("main") = {{12}};
+Physical Curve("south") = {{1, 2, 3}}; Physical Curve("north") = {{21, 22, 23}};
+Physical Curve("west") = {{101, 111}}; Physical Curve("east") = {{104, 114}};
+"""
+ONLY_OF_SLIP = ("friction", "dynamic_friction", "slip_weakening", "aperture")
+PLACES = ("left", "middle", "right")
+
+
+def model(folder, text, *overrides):
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    return prepare(load(folder / "scene.toml", list(overrides)), MPI.COMM_SELF)
+
+
+@pytest.mark.serial
+def test_a_rupture_on_triangles_slips_as_on_quadrilaterals(run_scene, shared_tmp):
+    """Behind the front, from 0.3 s on, the normal traction keeps its value; undamped it is out by 1 % rms, 3 % at worst."""
+    (shared_tmp / "fault.geo").write_text(GEO.format(above=16))
+    even, found = run_scene(FAULT + QUADRILATERALS), run_scene(FAULT + TRIANGLES)
+    for place in PLACES:
+        slip, time = np.abs(found.probe(place, "slip")), found.history["time"]
+        off = found.probe(place, "normal_traction")[time > time[np.argmax(slip > 1e-3)] + 0.3] / -120e6 - 1.0
+        assert np.sqrt(np.mean(off**2)) < 0.004 and np.abs(off).max() < 0.012, place
+        assert slip[-1] == pytest.approx(np.abs(even.probe(place, "slip"))[-1], rel=0.02), place
+    assert found.closes(1e-12)
+    assert 0.0 < found.history["energy/damping"][-1] < 0.01 * found.history["energy/friction"][-1]
+    assert not even.history["energy/damping"].any()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("above", "is_damped"), [(16, False), (20, True)])
+def test_only_walls_that_are_no_mirror_images_are_damped(tmp_path, above, is_damped):
+    (tmp_path / "fault.geo").write_text(GEO.format(above=above))
+    made = model(tmp_path, FAULT + QUADRILATERALS)
+    ops = made.operators
+    assert (asymmetry(ops.blocks, made.scene).max() > 1e-3) == is_damped
+    assert (fault_damping(ops, made.scene) is not None) == is_damped
+    given = model(tmp_path, FAULT + QUADRILATERALS, "method.fault_damping=0.1")
+    found = fault_damping(given.operators, given.scene)
+    assert found.ratio == 0.1
+    assert (found.scale > 1.0).sum() == 2 * 3 * (80 + 2 * 3)  # three layers all around
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("override", ["model=report", "method.fault_damping=0", "fracture.main.law=linear"])
+def test_none_where_none_is_wanted(tmp_path, override):
+    text = FAULT + TRIANGLES
+    if "linear" in override:
+        text = "\n".join(line for line in text.splitlines() if not line.startswith(ONLY_OF_SLIP))
+    made = model(tmp_path, text, override, "method.storage=lumped")
+    assert fault_damping(made.operators, made.scene) is None
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ratio", [0.0, 0.1, 0.25, 1.0])
+def test_the_critical_step_of_a_damped_vibration(ratio):
+    """u_new - 2 u + u_old + dt^2 u + 2 ratio dt (u - u_old) = 0 stays bounded up to the step that damped_rate tells."""
+    limit = 2.0 / np.sqrt(damped_rate(ratio))
+    for share, bounded in ((0.999, True), (1.001, False)):
+        dt = share * limit
+        roots = np.roots([1.0, -2.0 + dt**2 + 2.0 * ratio * dt, 1.0 - 2.0 * ratio * dt])
+        assert (np.abs(roots).max() <= 1.0 + 1e-12) == bounded
