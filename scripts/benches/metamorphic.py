@@ -33,10 +33,10 @@ from _meta_turns import SHAKEN, TURNS, Back, shaken
 
 SAME = 1e-8  # of natural size
 CLOSED = 1e-10  # energy books over their largest entry
-LIKEWISE = 0.3  # of a difference: what a shaken scene must move by for it to be explained
+LIKEWISE = 0.1  # of a difference: what a shaken scene must move by for it to be explained
 SHAKES = 3
-LIMIT = 0.6  # CPU seconds of the scene as it is: more scenes tell more than longer ones
-PATIENCE = 15.0  # times that, for the same scene in another way
+LIMIT = 1.2  # CPU seconds of the scene as it is: more scenes tell more than longer ones
+PATIENCE = 10.0  # times that, for the same scene in another way
 HANGS = 200.0  # seconds of a scene on ranks, which share the cores with whatever else runs
 RESUMED, TOLERANT = "resumed", "tolerance, resumed"
 OVER, EXPLAINED, BROKEN = "above", "ill-conditioned", "failed alone"
