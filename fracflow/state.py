@@ -171,6 +171,7 @@ class StepReport:
     measured        that of the cycles as they were made, between the last two
     handed_over     why the fixed point left the step to the monolithic solver; empty if it did not
     located         sections whose friction changed its status at the end of the step, which was sought
+    widening        largest factor by which an aperture grew in the step
     """
 
     newton: int = 0
@@ -186,6 +187,7 @@ class StepReport:
     handed_over: str = ""
     round_off: float = 0.0
     located: int = 0
+    widening: float = 1.0
 
     def after(self, earlier: StepReport) -> StepReport:
         """The report of this solve with the cost of one before it in the same step, and what happened there."""

@@ -272,6 +272,7 @@ class Files:
             "step/minimum_aperture_flow": snapshot.least[1],
             "step/digits": report.digits,
             "step/located": report.located,
+            "step/widening": report.widening,
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}

@@ -40,7 +40,9 @@ def bench(*arguments):
 def test_few_scenes_agree_in_other_ways():
     done = bench(BENCHES / "metamorphic.py", *FEW, "--ranks-every", "0", "--only", *WAYS)
     assert done.returncode == 0, done.stdout + done.stderr
-    rows = {line.split("│")[1].strip(): line.split("│")[2:] for line in done.stdout.splitlines() if line.startswith("│")}
+    rows = {
+        line.split("│")[1].strip(): line.split("│")[2:] for line in done.stdout.splitlines() if line.startswith("│")
+    }
     assert set(rows) <= set(WAYS) and {"mirrored", "other units", "resumed"} <= set(rows)
     assert all(int(rows[name][0]) == int(rows[name][1]) == 2 for name in ("mirrored", "other units", "resumed"))
     assert "0 open energies, 0 with NaN, 0 findings" in done.stdout
