@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.flow import Compression
@@ -37,9 +38,28 @@ def taken_between(operators: Operators, old: State, new: State) -> PETSc.Vec:
 
 def narrowing(operators: Operators, old: State, new: State) -> float:
     """Least share that is left of an aperture which the flow goes by; 1 or more where none narrows. Collective."""
-    network = operators.flow
-    if network is None:
+    if operators.flow is None:
         return 1.0
+    return float(operators.layout.comm.allreduce(float(_left(operators, old, new).min(initial=1.0)), op=MPI.MIN))
+
+
+def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
+    """Largest factor by which an aperture that the flow goes by has grown, at least 1, and where that is. Collective."""
+    if operators.flow is None:
+        return 1.0, ""
+    joints, found = operators.blocks.joints, (1.0, "")
+    grown = _left(operators, old, new)
+    if grown.size and grown.max() > 1.0:
+        joint, end = np.unravel_index(grown.argmax(), grown.shape)
+        x, y = operators.blocks.solid.points[joints.bottom[joint, end]][:2]
+        found = float(grown[joint, end]), f"{joints.fractures[joints.fracture[joint]]} at ({x:.6g}, {y:.6g})"
+    return max(operators.layout.comm.allgather(found))
+
+
+def _left(operators: Operators, old: State, new: State) -> NDArray[np.float64]:
+    """Share that is left of each aperture (j, 2) by which the flow goes; 1 where it is given. Collective."""
+    network = operators.flow
+    assert network is not None
     before, after = (
         np.maximum(
             network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain)), least
@@ -47,5 +67,4 @@ def narrowing(operators: Operators, old: State, new: State) -> float:
         for state, least in ((old, network.least), (new, network.least))
     )
     wide = (before > 0.0) & np.isnan(network.given)[:, None]
-    share = np.divide(after, before, out=np.ones_like(before), where=wide)
-    return float(operators.layout.comm.allreduce(float(share.min(initial=1.0)), op=MPI.MIN))
+    return np.divide(after, before, out=np.ones_like(before), where=wide)

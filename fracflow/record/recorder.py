@@ -288,6 +288,7 @@ class Files:
             "step/located": report.located,
             "step/rejected": report.rejected,
             "step/wasted": report.wasted,
+            "step/widening": report.widening,
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}

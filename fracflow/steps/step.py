@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
-from fracflow.assembly.compression import narrowing
+from fracflow.assembly.compression import narrowing, widening
 from fracflow.assembly.energy import book, dissipated
 from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.loads import Limit, Loads
@@ -130,6 +130,10 @@ class Stepping:
             rule = first(stepper)
             new, report = self._step_by(rule, state, *given)
         self.network.tell(time)
+        if rule.storage:
+            grown, where = widening(self.model.operators, state, new)
+            report = replace(report, widening=grown)
+            self.network.tell_widening(time, grown, where)
         return new, report
 
     def _step_by(

@@ -28,7 +28,6 @@ TENSORS = ("strain", "stress")
 ALONG = ("slip", "plastic_slip", "slip_rate", "shear_traction")
 ONE_PAIR = VECTORS  # of walls: where fractures meet there are several
 SAME_TIME = 1e-7  # of the run
-ROUND_OFF = float(np.finfo(float).eps)
 LEAST_BOOK = 1e-4  # of the natural energy: where nothing moves, the books hold round-off
 
 
@@ -192,28 +191,10 @@ def _by_place(events: list[dict[str, Any]], back: Back, case: Case) -> dict[tupl
 
 
 def open_books(record: Record, case: Case, back: Back) -> float:
-    """The residual of the energy books over their largest entry, beyond the round-off of pressures in wide fractures.
-
-    The flow of an element is the difference of what the pressures at its ends would drive, of which a double holds 16
-    digits: what is lost works by the whole pressure for the whole run.
-    """
-    told = read_back(record, back)
-    books = {key: values for key, values in told.items() if key.startswith("energy/")}
+    """The residual of the energy books over their largest entry."""
+    books = {key: values for key, values in read_back(record, back).items() if key.startswith("energy/")}
     largest = max(np.nanmax(np.abs(v), initial=0.0) for k, v in books.items() if not k.startswith("energy/residual"))
-    pressure = max((np.nanmax(np.abs(v), initial=0.0) for k, v in told.items() if k.endswith("/pressure")), default=0.0)
-    known = 0.0
-    if "fluid" in case.data:
-        wide = max(np.nanmax(np.abs(v), initial=0.0) for k, v in told.items() if k.endswith("/aperture"))
-        length = min(_lengths(case))
-        known = ROUND_OFF * wide**3 / (12.0 * case.data["fluid"]["viscosity"] * length) * pressure**2 * told["time"][-1]
-    left = max(np.nanmax(np.abs(books["energy/residual"])) - known, 0.0)
-    return float(left / max(largest, LEAST_BOOK * sizes(case)["energy"]))
-
-
-def _lengths(case: Case) -> NDArray[Any]:
-    """Lengths of all elements on fractures."""
-    ends = case.points[np.concatenate(list(case.traces.values()))]
-    return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    return float(np.nanmax(np.abs(books["energy/residual"])) / max(largest, LEAST_BOOK * sizes(case)["energy"]))
 
 
 def not_numbers(record: Record) -> list[str]:

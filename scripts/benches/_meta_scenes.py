@@ -95,7 +95,7 @@ def _material(random: np.random.Generator, kind: str, names: list[str], scale: f
     """Rock, fractures and the stress in them."""
     normal = float(10.0 ** random.choice([9, 10, 11, 13])) / scale
     friction = float(random.choice([0.0, 0.1, 0.6, 0.6, 0.6, 0.6]))
-    press = float(random.choice([0.0, 1e5, 5e6, 5e6, 2e7]))
+    press = float(random.choice([1e5, 1e6, 5e6, 5e6, 2e7]))  # without any, walls touch by round-off
     stress = {"xx": -press, "yy": -press, "zz": -press, "xy": 0.0}
     if friction > 0.3:
         stress |= {"xx": -press * float(random.uniform(0.8, 1.3)), "xy": press * float(random.uniform(-0.4, 0.4))}
@@ -107,7 +107,7 @@ def _material(random: np.random.Generator, kind: str, names: list[str], scale: f
             "shear_stiffness": normal * float(random.uniform(0.2, 1.0)),
             "aperture": aperture,
             "friction_coefficient": friction,
-            "cohesion": float(random.choice([0.0, 0.0, 1e5])) if press else 1e4,
+            "cohesion": float(random.choice([0.0, 0.0, 1e5])),
             "stick_slip_ratio": float(random.choice([1.0, 0.9, 0.7])),
         }
     if random.random() < 0.25:

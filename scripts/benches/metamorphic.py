@@ -5,8 +5,11 @@
 Each scene of ``_meta_scenes`` is run as it is, and changed in each way of ``_meta_turns`` that fits it, stopped and
 resumed, with a tolerance stopped and resumed, and some of them on 2 and 3 ranks. What is told of probes, energies and
 events is read back and compared over sizes that follow from the scene. A difference above the limit is explained only
-where the scene as it is, shaken in the thirteenth digit of its numbers, moves as much: that is its condition. Exit code
-1 if a difference is left unexplained, the energy books stay open, something is no number, or a run fails in one way only.
+where the scene as it is, shaken in the thirteenth digit of its numbers, moves as much, which is its condition; or where
+an aperture more than doubled in one step, which the log tells, for such steps have several solutions.
+
+Exit code 1 if a difference is left unexplained, the energy books stay open, something is no number, or a run fails in
+one way only.
 """
 
 from __future__ import annotations
@@ -33,10 +36,11 @@ from _meta_turns import SHAKEN, TURNS, Back, shaken
 
 SAME = 1e-8  # of natural size
 CLOSED = 1e-10  # energy books over their largest entry
-LIKEWISE = 0.3  # of a difference: what a shaken scene must move by for it to be explained
+LIKEWISE = 0.1  # of a difference: what a shaken scene must move by for it to be explained
 SHAKES = 3
-LIMIT = 0.6  # CPU seconds of the scene as it is: more scenes tell more than longer ones
-PATIENCE = 15.0  # times that, for the same scene in another way
+WIDENS = 2.0  # growth of an aperture in a step that the log tells of: there may be several solutions
+LIMIT = 1.2  # CPU seconds of the scene as it is: more scenes tell more than longer ones
+PATIENCE = 10.0  # times that, for the same scene in another way
 HANGS = 200.0  # seconds of a scene on ranks, which share the cores with whatever else runs
 RESUMED, TOLERANT = "resumed", "tolerance, resumed"
 OVER, EXPLAINED, BROKEN = "above", "ill-conditioned", "failed alone"
@@ -47,7 +51,8 @@ class Row:
     """What became of all scenes in one way of writing them down.
 
     worst      largest difference over natural size that is not explained, with its scene and quantity
-    condition  smallest and largest factor by which scenes whose difference is explained magnify what is given
+    condition  factors by which scenes whose difference is explained magnify what is given
+    widened    largest factor by which an aperture grew in a step of scenes whose difference that explains
     """
 
     scenes: int = 0
@@ -58,6 +63,7 @@ class Row:
     worst: float = 0.0
     where: str = ""
     condition: list[float] = field(default_factory=list)
+    widened: float = 0.0
 
 
 class Scene:
@@ -137,6 +143,12 @@ class Tally:
             row.alike += 1
             self._worst(row, scene, found)
             return
+        widest = max(float(each.history["step/widening"].max()) for each in (base, record))
+        if widest > WIDENS:
+            row.explained += 1
+            row.widened = max(row.widened, widest)
+            self.tell("several solutions", scene, name, f"an aperture grew {widest:.3g} times as wide in one step")
+            return
         moved = {key: max(d.get(key, 0.0) for _, d in scene.shakes()) for key in over}
         left = {key: value for key, value in over.items() if not moved[key] >= LIKEWISE * value}
         told = ", ".join(f"{key} {value:.1e} (shaken {moved[key]:.1e})" for key, value in sorted(over.items()))
@@ -166,6 +178,7 @@ class Tally:
             table.add_column(heading)
         for name, row in self.rows.items():
             by = f"{min(row.condition):.0e} to {max(row.condition):.0e}" if row.condition else ""
+            by += f" widened {row.widened:.3g}" if row.widened else ""
             worst = f"{row.worst:.1e} {row.where}" if row.where else "0"
             table.add_row(
                 name, *map(str, (row.scenes, row.alike)), worst, str(row.above), str(row.explained), by, str(row.broken)
