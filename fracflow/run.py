@@ -26,7 +26,7 @@ from fracflow.scene import Scene, load
 from fracflow.scene_actions import Stage
 from fracflow.stages.auto import run_auto
 from fracflow.stages.equilibrate import equilibrate
-from fracflow.stages.plain import run_stage
+from fracflow.stages.plain import first_part, run_stage
 from fracflow.state import StepReport
 from fracflow.steps.step import Step, Stepping, stepper_of
 
@@ -193,7 +193,7 @@ def _steps(
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
                     moves = stage.kind == "auto" and is_moving(scene, step)
                     stepper = stepper_of(scene, stage, "dynamic" if moves else "")
-                    entered = stepping.enter(state, stepper, stage.step_length(state.time))
+                    entered = stepping.enter(state, stepper, first_part(stepping, stage, stepper, state.time))
                     state.destroy()
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)

@@ -39,7 +39,7 @@ from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import Forces, Motion, MotionValues, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
-from fracflow.tables_time import AT_ONCE, Around
+from fracflow.tables_time import AT_ONCE, Around, Rates
 
 
 class StepProblem:
@@ -58,22 +58,25 @@ class StepProblem:
         start: tuple[Floats, Floats] | None = None,
         hold: bool = False,
         around: Around = AT_ONCE,
+        rates: Rates | None = None,
     ) -> None:
-        """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective.
+        """Sample loads and wells over the step; ``restraint`` is a force beside the loads. Collective.
 
         lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
         start    this rank's motion since the state, and pressures, to begin from
         hold     sections keep the status they have, whatever their tractions
         around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
+        rates    how flow rates are sampled, if not as above; without inertia jumps of supports are as ``around`` says
         """
         self.operators, self.loads, self.state, self.hold = operators, loads, state, hold
         self.alphas, self.time, self.controls, self.brief = alphas, time, controls, False
         layout = operators.layout
         self.around, self.load, self.source = around, layout.solid_vector(), layout.flow_vector()
-        loads.force(time, controls, self.load, around)
+        loads.force(time, controls, self.load, around, rates if rates is not None and rates.of_forces else None)
         if restraint is not None:
             self.load.axpy(1.0, restraint)
-        loads.source(time, controls, self.source, around)
+        self.rates = rates
+        loads.source(time, controls, self.source, around, rates)
         self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
         self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
         self.moving = MovingTerms.of(operators, state, alphas, self.absorption)
@@ -96,7 +99,8 @@ class StepProblem:
 
     def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write what is prescribed at the end of the step into both vectors."""
-        self.loads.impose(self.time, displacement, pressure, self.around)
+        side = AT_ONCE if self.rates is None or self.rates.of_forces else self.around
+        self.loads.impose(self.time, displacement, pressure, self.around, side)
         for vector, parts, lags in (
             (displacement, self.loads.supports, self.lag.displacement),
             (pressure, self.loads.pressures, self.lag.pressure),
@@ -160,6 +164,10 @@ class StepProblem:
         before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
         record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
         self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
+
+    def asked(self, well: str) -> float:
+        """Flow rate that a well asks for in the step, over the whole depth."""
+        return self.loads.demanded(well, self.time, self.controls, self.around, self.rates)
 
     def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them. Collective."""
