@@ -26,6 +26,7 @@ from fracflow.tables import TimeTable
 from fracflow.tables_time import AT_ONCE, Around, Rates, sampled
 
 TimeFunction = Callable[[float], float]
+Controls = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class Loads:
         self,
         well: str,
         time: float,
-        controls: Mapping[str, float],
+        controls: Controls,
         around: Around = AT_ONCE,
         rates: Rates | None = None,
     ) -> float:
@@ -114,12 +115,7 @@ class Loads:
         return _factor(next(each for each in self.wells if each.well == well), time, controls, around, rates)
 
     def force(
-        self,
-        time: float,
-        controls: Mapping[str, float],
-        result: PETSc.Vec,
-        around: Around = AT_ONCE,
-        rates: Rates | None = None,
+        self, time: float, controls: Controls, result: PETSc.Vec, around: Around = AT_ONCE, rates: Rates | None = None
     ) -> None:
         """``result`` = R(t) of (2.38), jumps and bends in time as ``TimeTable.around`` and ``bent`` say, or ``rates``."""
         _sum(self.forces, time, controls, result, around, rates)
@@ -129,17 +125,12 @@ class Loads:
         _sum(tuple(pattern for pattern in self.forces if pattern.initial), 0.0, {}, result)
 
     def source(
-        self,
-        time: float,
-        controls: Mapping[str, float],
-        result: PETSc.Vec,
-        around: Around = AT_ONCE,
-        rates: Rates | None = None,
+        self, time: float, controls: Controls, result: PETSc.Vec, around: Around = AT_ONCE, rates: Rates | None = None
     ) -> None:
         """``result`` = Q(t) of (3.20), per unit thickness; as above."""
         _sum(self.wells, time, controls, result, around, rates)
 
-    def integral(self, begin: float, end: float, controls: Mapping[str, float]) -> float:
+    def integral(self, begin: float, end: float, controls: Controls) -> float:
         """Volume that the wells of given flow rates bring between two times, over the whole depth."""
         mean = Rates(now=1.0, share=0.0, begin=begin)
         return (end - begin) * sum(_factor(pattern, end, controls, AT_ONCE, mean) for pattern in self.wells)
@@ -154,11 +145,12 @@ class Loads:
         displacement: PETSc.Vec,
         pressure: PETSc.Vec,
         around: Around = AT_ONCE,
-        around_supports: Around = AT_ONCE,
+        rates: Rates | None = None,
     ) -> None:
-        """Write the prescribed values into both vectors, jumps as ``TimeTable.around`` says."""
+        """Write the prescribed values into both vectors, jumps as above; those of supports at once where there is inertia."""
+        side = AT_ONCE if rates is None or rates.of_forces else around
         for part in self.supports:
-            displacement.getArray()[part.numbers] = part.value(time, around_supports)
+            displacement.getArray()[part.numbers] = part.value(time, side)
         for part in self.pressures:
             pressure.getArray()[part.numbers] = sampled(part.value, time, around)
 
@@ -166,7 +158,7 @@ class Loads:
 def _sum(
     patterns: tuple[Pattern, ...],
     time: float,
-    controls: Mapping[str, float],
+    controls: Controls,
     result: PETSc.Vec,
     around: Around = AT_ONCE,
     rates: Rates | None = None,
@@ -176,9 +168,7 @@ def _sum(
         result.axpy(_factor(pattern, time, controls, around, rates), pattern.vector)
 
 
-def _factor(
-    pattern: Pattern, time: float, controls: Mapping[str, float], around: Around, rates: Rates | None = None
-) -> float:
+def _factor(pattern: Pattern, time: float, controls: Controls, around: Around, rates: Rates | None = None) -> float:
     return (rates or Rates(around=around)).of(pattern.value, time, pattern.control, controls)
 
 

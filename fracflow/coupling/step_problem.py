@@ -68,14 +68,12 @@ class StepProblem:
         around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
         rates    how flow rates are sampled, if not as above; without inertia jumps of supports are as ``around`` says
         """
-        self.operators, self.loads, self.state, self.hold = operators, loads, state, hold
+        self.operators, self.loads, self.state, self.hold, layout = operators, loads, state, hold, operators.layout
         self.alphas, self.time, self.controls, self.brief = alphas, time, controls, False
-        layout = operators.layout
-        self.around, self.load, self.source = around, layout.solid_vector(), layout.flow_vector()
+        self.around, self.rates, self.load, self.source = around, rates, layout.solid_vector(), layout.flow_vector()
         loads.force(time, controls, self.load, around, rates if rates is not None and rates.of_forces else None)
         if restraint is not None:
             self.load.axpy(1.0, restraint)
-        self.rates = rates
         loads.source(time, controls, self.source, around, rates)
         self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
         self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
@@ -85,8 +83,7 @@ class StepProblem:
         if start is not None:
             self.pressure.setArray(start[1])
         self.move(np.zeros(layout.solid_count) if start is None else start[0])
-        self.branch: Past = state.sections.past
-        self.sections: Sections = state.sections
+        self.branch, self.sections = state.sections.past, state.sections
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
@@ -99,8 +96,7 @@ class StepProblem:
 
     def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write what is prescribed at the end of the step into both vectors."""
-        side = AT_ONCE if self.rates is None or self.rates.of_forces else self.around
-        self.loads.impose(self.time, displacement, pressure, self.around, side)
+        self.loads.impose(self.time, displacement, pressure, self.around, self.rates)
         for vector, parts, lags in (
             (displacement, self.loads.supports, self.lag.displacement),
             (pressure, self.loads.pressures, self.lag.pressure),
@@ -164,10 +160,6 @@ class StepProblem:
         before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
         record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
         self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
-
-    def asked(self, well: str) -> float:
-        """Flow rate that a well asks for in the step, over the whole depth."""
-        return self.loads.demanded(well, self.time, self.controls, self.around, self.rates)
 
     def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them. Collective."""

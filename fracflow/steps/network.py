@@ -125,7 +125,8 @@ class Network:
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
         numbers = self.model.operators.layout.flow_numbers
         for part, wells, gives in parts:
-            rates = [problem.asked(well) for well in wells]
+            given = problem.time, problem.controls, problem.around, problem.rates
+            rates = [loads.demanded(well, *given) for well in wells]
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
                 inside = numbers(part.nodes)
