@@ -7,9 +7,12 @@ step after it. Flow rates are then sampled as the rule takes the derivative of w
 
 from __future__ import annotations
 
+from fracflow.assembly.loads import Loads
 from fracflow.state import State
 from fracflow.stepping import Alphas, Stepper
-from fracflow.tables_time import JUST_AFTER, JUST_BEFORE, Around, Rates
+from fracflow.tables_time import JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
+
+MOST_GROWTH = 1e3  # of steps, beyond which the last one tells nothing
 
 
 def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
@@ -17,6 +20,18 @@ def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
     if rule.inertia:
         return dt, dt if ahead is None else ahead
     return JUST_BEFORE if dt > 0.0 else JUST_AFTER
+
+
+def begins_anew(rule: Stepper, loads: Loads, state: State, dt: float, ahead: float | None) -> bool:
+    """Whether a step of a rule that remembers goes without its memory, by backward Euler.
+
+    There is none, or that of a step so short that round-off is all of it; or the length of the step after this one is not
+    known, with which a rule that weighs both ends would share what a table leaves within this one.
+    """
+    if not rule.memory or state.memory.time_step == 0.0 or dt > MOST_GROWTH * state.memory.time_step:
+        return True
+    rows = (time for well in loads.wells if isinstance(well.value, TimeTable) for time in well.value.times)
+    return ahead is None and rule.alphas(dt).a4 > 0.0 and any(state.time < time < state.time + dt for time in rows)
 
 
 def rates_of(
@@ -34,12 +49,11 @@ def rates_of(
         return Rates(now=1.0, share=0.0, begin=state.time, of_forces=True) if rule.balance == "end" else None
     if not rule.storage or dt == 0.0:
         return Rates(around=sides_of(rule, dt, ahead))
-    after = dt if ahead is None else ahead
     if alphas.a4 > 0.0:
-        return Rates(around=(dt, after))
-    if follows.alphas(dt).a4 > 0.0 and after > 0.0:
-        share = 0.5 * after / (dt + 0.5 * after)
-        return Rates(now=1.0 - share, share=share, around=(0.0, after), begin=state.time)
+        return Rates(around=(dt, ahead or 0.0))
+    if follows.alphas(dt).a4 > 0.0 and ahead:
+        share = 0.5 * ahead / (dt + 0.5 * ahead)
+        return Rates(now=1.0 - share, share=share, around=(0.0, ahead), begin=state.time)
     last = state.memory.time_step
     if alphas.a6 > 0.0 and last > 0.0 and not state.limited:
         before, factors = state.time - last, (alphas.a1 * dt, alphas.a6)

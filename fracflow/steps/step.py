@@ -27,7 +27,7 @@ from fracflow.steps.couplings import Couplings
 from fracflow.steps.explicit import ExplicitSteps
 from fracflow.steps.instants import change, enter
 from fracflow.steps.network import Network
-from fracflow.steps.sampling import rates_of, sides_of
+from fracflow.steps.sampling import begins_anew, rates_of, sides_of
 from fracflow.steps.wells import reached_after, reached_before, refuse_cycle
 
 Progress = Mapping[str, float]
@@ -117,8 +117,8 @@ class Stepping:
                 controls,
                 count,
             )
-        rule = stepper if state.memory.time_step > 0.0 else first(stepper)
         loads = loads or self.model.loads
+        rule = first(stepper) if begins_anew(stepper, loads, state, dt, ahead) else stepper
         given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief)
         new, report = self._step_by(rule, state, *given)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
