@@ -30,7 +30,7 @@ from fracflow.scene_actions import Stage
 from fracflow.stages.auto import run_auto
 from fracflow.stages.equilibrate import equilibrate
 from fracflow.stages.instability import LimitPoint
-from fracflow.stages.plain import run_stage
+from fracflow.stages.plain import first_part, run_stage
 from fracflow.state import StepReport
 from fracflow.steps.step import Step, Stepping, stepper_of
 
@@ -216,7 +216,7 @@ def _steps(
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
                     moves = stage.kind == "auto" and is_moving(scene, step)
                     stepper = stepper_of(scene, stage, "dynamic" if moves else "")
-                    entered = stepping.enter(state, stepper, stage.step_length(state.time))
+                    entered = stepping.enter(state, stepper, first_part(stepping, stage, stepper, state.time))
                     state.destroy()
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
@@ -233,12 +233,16 @@ def _steps(
                             recorder.save(step)
                             recorder.last(step, whole=wish is Wish.STOP)
                         if wish is Wish.STOP:
-                            failure = Interrupted(f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps")
+                            failure = Interrupted(
+                                f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
+                            )
                             raise failure
                 except LimitPoint as limit:
                     if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
                         raise
-                    recorder.log(f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}")
+                    recorder.log(
+                        f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
+                    )
                 going_on = {}
         except PutBack:
             for each in {id(state): state, id(step.state): step.state}.values():

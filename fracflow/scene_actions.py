@@ -179,7 +179,9 @@ class Stage(Part):
         default=None, description="time at which the stage ends [time]"
     )
     time_step: Duration | None = Field(
-        default=None, description="time step; of a stage auto, the longest one without inertia [time]"
+        default=None,
+        description="time step; of a stage auto, the longest one without inertia; a steady stage of a number of steps may do"
+        " without, and takes no time [time]",
     )
     dynamic_time_step: Duration | None = Field(
         default=None,
@@ -241,7 +243,8 @@ class Stage(Part):
             raise fault(f'contradicts kind = "{self.kind}"; it belongs to kind = "auto"', key="dynamic_time_step")
         if self.kind == "dynamic" and self.until is not None:
             raise fault('contradicts kind = "dynamic"; allowed kinds: "steady", "quasi-static"', key="until")
-        if self.time_step is None:
+        stands_still = self.kind == "steady" and self.steps is not None and self.end is None
+        if self.time_step is None and not stands_still:
             raise fault(f"missing; a {self.kind} stage needs it", key="time_step")
         if self.until is None and self.end is None and self.steps is None:
             raise fault(f"missing; a {self.kind} stage needs end or steps", key="end")

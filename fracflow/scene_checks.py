@@ -192,7 +192,7 @@ def _actions(scene: Scene) -> Iterator[Fault]:
         steps = stage.step_count(clock) if bounded and clock is not None else None
         if steps is not None and steps > MOST_STEPS:
             yield ("stage", index, "time_step"), f"would take {steps:.2g} steps; raise it, or end the stage earlier"
-        clock = stage.finish(clock) if clock is not None and steps and stage.time_step else None
+        clock = stage.finish(clock) if clock is not None and steps else None
 
 
 def check_mesh_names(

@@ -134,6 +134,7 @@ class State:
     energy    running totals of the energy books [energy per thickness]
     limited   wells that are kept at a limit of their pressure
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
+    injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
     around    lengths of the step that led here and of the next one as foreseen, by which what jumps in time was sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     drive     largest pressure, above that at rest, at the end of a step since the start [stress]
@@ -153,6 +154,7 @@ class State:
     uptake: PETSc.Vec | None = None
     drive: float = 0.0
     power: float = 0.0
+    injected: float = 0.0
     around: tuple[float, float] = (0.0, 0.0)
 
     def destroy(self) -> None:
@@ -163,6 +165,14 @@ class State:
         self.memory.destroy()
         if self.uptake is not None:
             self.uptake.destroy()
+
+
+def forgetful(state: State) -> State:
+    """A copy with vectors of its own, without what a rule remembers of the step before."""
+    motion = Motion(*(v.copy() for v in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)))
+    uptake = None if state.uptake is None else state.uptake.copy()
+    forces, pressure = state.forces.copy(), state.pressure.copy()
+    return replace(state, motion=motion, pressure=pressure, forces=forces, memory=Memory(), uptake=uptake)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +14,9 @@ Floats = NDArray[np.float64]
 Around = tuple[float, float]
 """Lengths of the step that ends at a time and of the one that follows; 0 where a stage begins or ends, or time has no part."""
 AT_ONCE: Around = (0.0, 0.0)
+JUST_BEFORE: Around = (1e-200, 0.0)
+"""Around a time at which only what comes before a jump counts; and only what comes after it."""
+JUST_AFTER: Around = (0.0, 1e-200)
 
 
 @dataclass(frozen=True)
@@ -33,9 +37,9 @@ class TimeTable:
         """Make a table that has one value for ever."""
         return TimeTable((0.0,), (value,))
 
-    def __call__(self, time: float) -> float:
-        """Sample the table; at a jump, within 1e-12 of its time, the mean of both sides."""
-        return float(self.around(time, *AT_ONCE)[0])
+    def __call__(self, time: float, around: Around = AT_ONCE) -> float:
+        """Sample the table; at a jump, within 1e-12 of its time, by default the mean of both sides."""
+        return float(self.around(time, *around)[0])
 
     @property
     def jumps(self) -> tuple[Floats, Floats]:
@@ -44,6 +48,17 @@ class TimeTable:
         found = np.diff(values)
         at = found != 0.0 if self.interpolation == "step" else (np.diff(times) == 0.0) & (found != 0.0)
         return times[1:][at], found[at]
+
+    @cached_property
+    def kinks(self) -> tuple[Floats, Floats]:
+        """Times and sizes of the changes of its slope, jumps left out; two at one time add up."""
+        times, values = np.array(self.times), np.array(self.values)
+        length = np.diff(times)
+        moves = length > 0.0
+        if self.interpolation == "step" or not moves.any():
+            return np.zeros(0), np.zeros(0)
+        slopes = np.diff(values)[moves] / length[moves]
+        return np.concatenate([times[:-1][moves], times[1:][moves]]), np.concatenate([slopes, -slopes])
 
     @property
     def spread(self) -> float:
@@ -107,9 +122,76 @@ class TimeTable:
             result = result + size * (share - is_past)
         return result
 
+    def mean(self, begin: float, end: float) -> float:
+        """Its integral between two times over the time between them, to round-off; ``begin`` < ``end``."""
+        times = np.array(self.times)
+        knots = np.concatenate([[begin], np.unique(times[(times > begin) & (times < end)]), [end]])
+        first, last = (
+            self.around(knots[part], *side) for part, side in ((slice(-1), JUST_AFTER), (slice(1, None), JUST_BEFORE))
+        )
+        return float(np.diff(knots) @ (0.5 * (first + last))) / (end - begin)
+
+    def bent(self, time: float, before: float, after: float) -> float:
+        """What to add to ``around``, so that a sum over the steps, halves at both ends, is the integral to round-off.
+
+        A change m of slope at s in a step from a to b leaves -m (s - a)(b - s)/2 beside the trapezoid's sum. Its end makes up
+        for that, which counts (before + after)/2: nothing acts before its time.
+        """
+        if before <= 0.0 or len(self.times) == 1:
+            return 0.0
+        at, sizes = self.kinks
+        inside = np.clip(at - (time - before), 0.0, None) * np.clip(time - at, 0.0, None)
+        return -float(sizes @ inside) / (before + after)
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How a step samples flow rates, and with inertia forces, so that what it takes up is what they bring.
+
+    A factor ``now`` times the mean over the step, less ``last`` times that over the one before, plus a ``share`` of the value
+    at the end as ``around`` says.
+    begin      of the step [time]
+    before     of the one before it [time]
+    controls   load factors in the one before it
+    of_forces  forces are sampled so too, and supports at once
+    """
+
+    now: float = 0.0
+    last: float = 0.0
+    share: float = 1.0
+    around: Around = JUST_BEFORE
+    begin: float = 0.0
+    before: float = 0.0
+    controls: Mapping[str, float] = field(default_factory=dict)
+    of_forces: bool = False
+
+    def of(
+        self, value: Callable[[float], Any], time: float, control: str | None, controls: Mapping[str, float]
+    ) -> float:
+        """The rate of a table, times the load factor that is named, in a step to ``time``; a constant if it is no table."""
+        factor = 1.0 if control is None else controls[control]
+        rate = 0.0
+        if self.share or not isinstance(value, TimeTable):
+            rate += (self.share or 1.0) * factor * integrated(value, time, self.around)
+        if not isinstance(value, TimeTable):
+            return rate
+        if self.now:
+            rate += self.now * factor * value.mean(self.begin, time)
+        if self.last:
+            old = 1.0 if control is None else self.controls.get(control, factor)
+            rate -= self.last * old * value.mean(self.before, self.begin)
+        return rate
+
 
 def sampled(value: Callable[[float], Any], time: float, around: Around) -> Any:
     """A function of time at the end of a step; a table as ``TimeTable.around`` does between the lengths ``around`` it."""
     if isinstance(value, TimeTable):
         return float(value.around(time, *around)[0])
+    return value(time)
+
+
+def integrated(value: Callable[[float], Any], time: float, around: Around) -> Any:
+    """The same of a force or a flow rate, whose sum over the steps is to be its integral: with ``TimeTable.bent``."""
+    if isinstance(value, TimeTable):
+        return float(value.around(time, *around)[0]) + value.bent(time, *around)
     return value(time)

@@ -21,11 +21,12 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.profiles import Pressures
-from fracflow.scene import Load, Scene
+from fracflow.scene import Load, Scene, Well
 from fracflow.tables import TimeTable
-from fracflow.tables_time import AT_ONCE, Around, sampled
+from fracflow.tables_time import AT_ONCE, Around, Rates, sampled
 
 TimeFunction = Callable[[float], float]
+Controls = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class Loads:
     def at_limit(self, reached: Collection[Limit]) -> Loads:
         """The same with some wells kept at the pressure of a limit, in place of their flow rates."""
         names = {limit.well for limit in reached}
-        kept = [Prescribed(limit.local, TimeTable.constant(limit.pressure)) for limit in reached]
+        kept = [Prescribed(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in reached]
         return replace(
             self,
             pressures=(*self.pressures, *kept),
@@ -102,31 +103,54 @@ class Loads:
             fixed_flow=np.union1d(self.fixed_flow, np.array([limit.node for limit in reached], dtype=np.int64)),
         )
 
-    def demanded(self, well: str, time: float, controls: Mapping[str, float]) -> float:
-        """Flow rate that a well asks for, over the whole depth."""
-        pattern = next(pattern for pattern in self.wells if pattern.well == well)
-        return pattern.value(time) * (1.0 if pattern.control is None else controls[pattern.control])
+    def demanded(
+        self,
+        well: str,
+        time: float,
+        controls: Controls,
+        around: Around = AT_ONCE,
+        rates: Rates | None = None,
+    ) -> float:
+        """Flow rate that a well asks for, over the whole depth, as ``source`` samples it."""
+        return _factor(next(each for each in self.wells if each.well == well), time, controls, around, rates)
 
-    def force(self, time: float, controls: Mapping[str, float], result: PETSc.Vec, around: Around = AT_ONCE) -> None:
-        """``result`` = R(t) of (2.38), jumps in time spread as ``TimeTable.around`` says."""
-        _sum(self.forces, time, controls, result, around)
+    def force(
+        self, time: float, controls: Controls, result: PETSc.Vec, around: Around = AT_ONCE, rates: Rates | None = None
+    ) -> None:
+        """``result`` = R(t) of (2.38), jumps and bends in time as ``TimeTable.around`` and ``bent`` say, or ``rates``."""
+        _sum(self.forces, time, controls, result, around, rates)
 
     def initial_force(self, result: PETSc.Vec) -> None:
         """``result`` = the part of R that the initial stress of the cut-off rock makes."""
         _sum(tuple(pattern for pattern in self.forces if pattern.initial), 0.0, {}, result)
 
-    def source(self, time: float, controls: Mapping[str, float], result: PETSc.Vec, around: Around = AT_ONCE) -> None:
-        """``result`` = Q(t) of (3.20), per unit thickness; jumps as above."""
-        _sum(self.wells, time, controls, result, around)
+    def source(
+        self, time: float, controls: Controls, result: PETSc.Vec, around: Around = AT_ONCE, rates: Rates | None = None
+    ) -> None:
+        """``result`` = Q(t) of (3.20), per unit thickness; as above."""
+        _sum(self.wells, time, controls, result, around, rates)
+
+    def integral(self, begin: float, end: float, controls: Controls) -> float:
+        """Volume that the wells of given flow rates bring between two times, over the whole depth."""
+        mean = Rates(now=1.0, share=0.0, begin=begin)
+        return (end - begin) * sum(_factor(pattern, end, controls, AT_ONCE, mean) for pattern in self.wells)
 
     def release(self, vector: PETSc.Vec) -> None:
         """Set a vector on the solid unknowns to zero where they are held."""
         vector.getArray()[self.held] = 0.0
 
-    def impose(self, time: float, displacement: PETSc.Vec, pressure: PETSc.Vec, around: Around = AT_ONCE) -> None:
-        """Write the prescribed values into both vectors; jumps of pressures as above."""
+    def impose(
+        self,
+        time: float,
+        displacement: PETSc.Vec,
+        pressure: PETSc.Vec,
+        around: Around = AT_ONCE,
+        rates: Rates | None = None,
+    ) -> None:
+        """Write the prescribed values into both vectors, jumps as above; those of supports at once where there is inertia."""
+        side = AT_ONCE if rates is None or rates.of_forces else around
         for part in self.supports:
-            displacement.getArray()[part.numbers] = part.value(time)
+            displacement.getArray()[part.numbers] = part.value(time, side)
         for part in self.pressures:
             pressure.getArray()[part.numbers] = sampled(part.value, time, around)
 
@@ -134,14 +158,18 @@ class Loads:
 def _sum(
     patterns: tuple[Pattern, ...],
     time: float,
-    controls: Mapping[str, float],
+    controls: Controls,
     result: PETSc.Vec,
     around: Around = AT_ONCE,
+    rates: Rates | None = None,
 ) -> None:
     result.set(0.0)
     for pattern in patterns:
-        factor = 1.0 if pattern.control is None else controls[pattern.control]
-        result.axpy(factor * sampled(pattern.value, time, around), pattern.vector)
+        result.axpy(_factor(pattern, time, controls, around, rates), pattern.vector)
+
+
+def _factor(pattern: Pattern, time: float, controls: Controls, around: Around, rates: Rates | None = None) -> float:
+    return (rates or Rates(around=around)).of(pattern.value, time, pattern.control, controls)
 
 
 def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
@@ -190,19 +218,19 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
     return patterns
 
 
-def _swapped(pressure: Pressures) -> Callable[[float, Floats], Any]:
-    return lambda time, along: pressure(along, time)
+def _swapped(pressure: Pressures) -> Callable[..., Any]:
+    return lambda time, along, around: pressure(along, time)
 
 
 def _well_pressure(
-    blocks: Blocks, scene: Scene, layout: Layout, node: int, given: TimeTable | str, held: Ints
+    blocks: Blocks, scene: Scene, layout: Layout, node: int, well: Well, held: Ints
 ) -> tuple[Prescribed, Ints]:
     """The pressure kept at a well; "initial" is p0 there."""
     local = own(layout.flow_starts, blocks.comm.rank, np.array([node]))
-    if isinstance(given, TimeTable):
-        return Prescribed(local, given), np.union1d(held, [node])
+    if isinstance(well.pressure, TimeTable):
+        return Prescribed(local, well.pressure, well.name), np.union1d(held, [node])
     initial = initial_pressure(scene, blocks.flow.points[local])
-    return Prescribed(local, lambda time: initial), np.union1d(held, [node])
+    return Prescribed(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, [node])
 
 
 def assemble_loads(
@@ -221,13 +249,13 @@ def assemble_loads(
     """
     comm, starts = blocks.comm, blocks.solid.unknown_starts
     taken = blocks.solid.unused
-    supports = [Prescribed(own(starts, comm.rank, taken), lambda time: 0.0)]
+    supports = [Prescribed(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
     for support in scene.support:
         for name in support.on:
             for part, found in supported(blocks, support, name, points).items():
                 here, taken = prescribe(starts, comm, found, taken, motion(support, part))
                 supports.append(here)
-    resting, at_rest = prescribe(starts, comm, resting_unknowns(blocks, scene), taken, lambda time, place: 0.0)
+    resting, at_rest = prescribe(starts, comm, resting_unknowns(blocks, scene), taken, lambda time, place, around: 0.0)
     forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
     if scene.body_force is not None:
         forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
@@ -238,7 +266,7 @@ def assemble_loads(
     for well in scene.well if scene.has_flow else ():
         node = well_nodes[well.name]
         if well.pressure is not None:
-            here, held = _well_pressure(blocks, scene, layout, node, well.pressure, held)
+            here, held = _well_pressure(blocks, scene, layout, node, well, held)
             pressures.append(here)
         else:
             vector = layout.flow_vector()

@@ -13,18 +13,23 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Support
-from fracflow.tables_time import Around
+from fracflow.tables_time import AT_ONCE, Around, TimeTable
 
-Values = Callable[[float], "float | Floats"]
+Values = Callable[..., "float | Floats"]
+"""(time, around = AT_ONCE) -> one value or one for each; ``around`` tells which side of a jump counts."""
 AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
 class Prescribed:
-    """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each."""
+    """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each.
+
+    well  whose pressure it is, if that is a well's
+    """
 
     numbers: Ints
     value: Values
+    well: str = ""
 
     def speed(self, time: float, around: Around) -> float | Floats:
         """Mean velocity over the halves of the steps ``around`` a time: no ringing where it jumps, as Newmark's would."""
@@ -86,26 +91,25 @@ def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
 
 
 def prescribe(
-    starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[[float, Floats], Any]
+    starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[..., Any]
 ) -> tuple[Prescribed, Ints]:
     """What this rank holds of numbers (n,) found anywhere, but for those taken before; and all that is taken now.
 
-    value  of time and of what was found with each number (n, k)
+    value  of time, of what was found with each number (n, k), and of what is ``around`` that time
     """
     numbers, data = (np.concatenate(parts) for parts in zip(*comm.allgather(found), strict=True))
     everywhere, first = np.unique(numbers, return_index=True)
     is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
     here = is_new & (owner_of(starts, everywhere) == comm.rank)
     with_it = data[first[here]]
-    return Prescribed(everywhere[here] - starts[comm.rank], lambda time: value(time, with_it)), np.union1d(
-        taken, everywhere
-    )
+    numbers = everywhere[here] - starts[comm.rank]
+    return Prescribed(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(taken, everywhere)
 
 
-def motion(support: Support, part: str) -> Callable[[float, Floats], Any]:
-    """Displacement of a supported component over time at places (n, dim)."""
-    base = (support.displacement or {}).get(part, lambda time: 0.0)
+def motion(support: Support, part: str) -> Callable[..., Any]:
+    """Displacement of a supported component over time at places (n, dim), jumps as ``TimeTable.around`` has them."""
+    base = (support.displacement or {}).get(part, TimeTable.constant(0.0))
     if support.displacement_gradient is None or part not in AXES:
-        return lambda time, place: base(time)
+        return lambda time, place, around: base(time, around)
     row = support.displacement_gradient[AXES.index(part)]
-    return lambda time, place: base(time) + place @ np.array([entry(time) for entry in row])
+    return lambda time, place, around: base(time, around) + place @ np.array([entry(time, around) for entry in row])

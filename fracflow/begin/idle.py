@@ -15,6 +15,7 @@ from fracflow.mesh.glue import parts
 from fracflow.plan.decision import Parts
 from fracflow.scene import Scene
 from fracflow.scene_actions import Support
+from fracflow.tables_time import TimeTable
 
 
 def moves(support: Support) -> bool:
@@ -93,7 +94,7 @@ def without_idle(model: Model) -> tuple[Model, Parts]:
     free = np.setdiff1d(mine, np.concatenate([part.numbers for part in loads.supports]))
     held = replace(
         loads,
-        supports=(*loads.supports, Prescribed(free, lambda time: 0.0)),
+        supports=(*loads.supports, Prescribed(free, TimeTable.constant(0.0))),
         fixed_solid=np.union1d(loads.fixed_solid, joined),
         fixed_resting=np.setdiff1d(loads.fixed_resting, joined),
         resting=np.setdiff1d(loads.resting, mine),

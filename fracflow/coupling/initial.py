@@ -18,6 +18,7 @@ from fracflow.coupling.true_residual import check_solution
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Scene
+from fracflow.tables_time import JUST_AFTER, JUST_BEFORE
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
         network.taken_up(held.slope * parting.getArray().reshape(-1, 2), given)
         parting.destroy()
         for part in problem.loads.pressures:
-            change = (part.value(problem.time + dt) - part.value(problem.time)) / dt
+            change = (part.value(problem.time + dt, JUST_BEFORE) - part.value(problem.time, JUST_AFTER)) / dt
             walls, fluid = given.getArray()[part.numbers], weight.getArray()[part.numbers]
             rate.getArray()[part.numbers] = walls + fluid * change
     weight.destroy()

@@ -8,6 +8,7 @@ from fracflow._petsc import PETSc
 from fracflow.assembly.loads import Loads
 from fracflow.mesh.data import Floats
 from fracflow.state import State
+from fracflow.tables_time import JUST_AFTER
 
 
 @dataclass(frozen=True)
@@ -19,17 +20,20 @@ class Lag:
 
     @staticmethod
     def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Lag:
-        """A share of what ``state`` lacks; forces that lack, and rates ``of_wells``, go into ``load`` and ``source``."""
+        """A share of what ``state`` lacks, what jumps there included.
+
+        Forces that lack, and rates ``of_wells``, go into ``load`` and ``source``.
+        """
         for total, term, had, now in (
             (load, load.duplicate(), state.forces.load, loads.force),
             (source, source.duplicate(), state.forces.source, loads.source),
         ):
-            now(state.time, state.controls, term)
+            now(state.time, state.controls, term, JUST_AFTER)
             if total is load or of_wells:
                 total.axpy(share, had)
                 total.axpy(-share, term)
             term.destroy()
         return Lag(*(
-            tuple(share * (vector.getArray(readonly=True)[part.numbers] - part.value(state.time)) for part in parts)
+            tuple(share * (vector.getArray(readonly=True)[part.numbers] - part.value(state.time, JUST_AFTER)) for part in parts)
             for vector, parts in ((state.motion.displacement, loads.supports), (state.pressure, loads.pressures))
         ))  # fmt: skip

@@ -39,7 +39,7 @@ from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats
 from fracflow.state import Forces, Motion, MotionValues, Past, Sections, State
 from fracflow.stepping import Alphas, acceleration, velocity
-from fracflow.tables_time import AT_ONCE, Around
+from fracflow.tables_time import AT_ONCE, Around, Rates
 
 
 class StepProblem:
@@ -58,22 +58,23 @@ class StepProblem:
         start: tuple[Floats, Floats] | None = None,
         hold: bool = False,
         around: Around = AT_ONCE,
+        rates: Rates | None = None,
     ) -> None:
-        """Sample loads and wells at the end of the step; ``restraint`` is a force beside the loads. Collective.
+        """Sample loads and wells over the step; ``restraint`` is a force beside the loads. Collective.
 
         lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
         start    this rank's motion since the state, and pressures, to begin from
         hold     sections keep the status they have, whatever their tractions
         around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
+        rates    how flow rates are sampled, if not as above; without inertia jumps of supports are as ``around`` says
         """
-        self.operators, self.loads, self.state, self.hold = operators, loads, state, hold
+        self.operators, self.loads, self.state, self.hold, layout = operators, loads, state, hold, operators.layout
         self.alphas, self.time, self.controls, self.brief, self.tried = alphas, time, controls, False, 0
-        layout = operators.layout
-        self.around, self.load, self.source = around, layout.solid_vector(), layout.flow_vector()
-        loads.force(time, controls, self.load, around)
+        self.around, self.rates, self.load, self.source = around, rates, layout.solid_vector(), layout.flow_vector()
+        loads.force(time, controls, self.load, around, rates if rates is not None and rates.of_forces else None)
         if restraint is not None:
             self.load.axpy(1.0, restraint)
-        loads.source(time, controls, self.source, around)
+        loads.source(time, controls, self.source, around, rates)
         self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
         self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
         self.moving = MovingTerms.of(operators, state, alphas, self.absorption)
@@ -82,8 +83,7 @@ class StepProblem:
         if start is not None:
             self.pressure.setArray(start[1])
         self.move(np.zeros(layout.solid_count) if start is None else start[0])
-        self.branch: Past = state.sections.past
-        self.sections: Sections = state.sections
+        self.branch, self.sections = state.sections.past, state.sections
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
@@ -96,7 +96,7 @@ class StepProblem:
 
     def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write what is prescribed at the end of the step into both vectors."""
-        self.loads.impose(self.time, displacement, pressure, self.around)
+        self.loads.impose(self.time, displacement, pressure, self.around, self.rates)
         for vector, parts, lags in (
             (displacement, self.loads.supports, self.lag.displacement),
             (pressure, self.loads.pressures, self.lag.pressure),

@@ -140,8 +140,14 @@ def _told_small(around: list[Source], misses: list[NearMiss], fine: float) -> li
         return []
     beside = [miss for miss in misses if np.linalg.norm(places - miss.point, axis=1).min() <= 2.0 * miss.distance]
     place = beside[0].point if beside else places[0]
-    why = f"by the near miss of {beside[0].subject}" if beside else "where traces are near each other or meet at a small angle"
-    return [f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({place[0]:.6g}, {place[1]:.6g}): {why}"]
+    why = (
+        f"by the near miss of {beside[0].subject}"
+        if beside
+        else "where traces are near each other or meet at a small angle"
+    )
+    return [
+        f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({place[0]:.6g}, {place[1]:.6g}): {why}"
+    ]
 
 
 def side_names(domain: Floats) -> list[str]:

@@ -33,6 +33,9 @@ def natural_snap(domain: Floats, traces: Sequence[Trace]) -> tuple[float, str]:
         shortest = int(np.argmin(lengths))
         found += [
             (FRACTION * float(np.median(lengths)), f"{percent} the median length of traces"),
-            (SPARE * float(lengths[shortest]), f'{SPARE:g} of the length of fracture "{traces[shortest][0]}", the shortest'),
+            (
+                SPARE * float(lengths[shortest]),
+                f'{SPARE:g} of the length of fracture "{traces[shortest][0]}", the shortest',
+            ),
         ]
     return min(each for each in found if each[0] > 0.0)  # a domain that is none is refused by name later

@@ -45,7 +45,7 @@ class Instant:
     """What the catalogue looks at of a recorded state: plastic slip, shear traction, slip rate (n,) and who slides.
 
     energy    the books
-    injected  volume that wells of given rates have brought since the start of the run [length^3]
+    injected  net volume that wells have brought since the start of the run [length^3]
     began     from when on what slides in it may have slid, ``time`` if not given [time]
     """
 

@@ -174,6 +174,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         uptake=saved(RATES[0]),
         drive=notes["drive"],
         power=notes["power"],
+        injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
         around=tuple(notes.get("around", (0.0, 0.0))),
     )
 

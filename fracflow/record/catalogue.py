@@ -1,4 +1,4 @@
-"""What the catalogue of events must know of a scene: its joint ends, and what its wells have brought."""
+"""What the catalogue of events must know of a scene: its joint ends."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from fracflow.begin.setup import Model
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.output.catalogue import Catalogue, FaultEnds, Instant
 from fracflow.output.sampling import Snapshot
 from fracflow.scene import Scene
 from fracflow.state import State
-from fracflow.steps.wells import at_node
 
 
 def catalogue_of(scene: Scene, mesh: SplitMesh, place: Ints, notes: Mapping[str, Any] | None) -> Catalogue | None:
@@ -48,21 +46,8 @@ def _shear_modulus(scene: Scene, name: str) -> float:
     return rock.youngs_modulus / (2.0 * (1.0 + (rock.poissons_ratio or 0.0)))
 
 
-def instant(state: State, snapshot: Snapshot, injected: float, began: float) -> Instant:
+def instant(state: State, snapshot: Snapshot, began: float) -> Instant:
     """What the catalogue looks at; ``began`` as ``Instant`` has it."""
     slip, traction, rate = (snapshot.column(name).ravel() for name in ("plastic_slip", "shear_traction", "slip_rate"))
     sliding = snapshot.column("sliding").astype(bool).ravel()
-    return Instant(state.time, slip, traction, rate, sliding, state.energy, injected, began)
-
-
-def brought(model: Model, state: State, dt: float) -> float:
-    """Net volume that wells of given rates have brought in the step of length ``dt`` to a state [length^3]. Collective."""
-    loads, fluid, volume = model.loads, model.scene.fluid, 0.0
-    limits = {limit.well: limit for limit in loads.limits}
-    for well in (pattern.well for pattern in loads.wells if dt > 0.0):
-        assert well is not None and fluid is not None
-        if well in state.limited:
-            volume += dt * fluid.flow_depth * at_node(limits[well], state.forces.source)
-        else:
-            volume += dt * loads.demanded(well, state.time - 0.5 * dt, state.controls)
-    return volume
+    return Instant(state.time, slip, traction, rate, sliding, state.energy, state.injected, began)

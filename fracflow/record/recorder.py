@@ -28,7 +28,7 @@ from fracflow.output.rock import rock_fields
 from fracflow.output.status import RUNNING, Status, write_status
 from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
-from fracflow.record.catalogue import brought, catalogue_of, instant
+from fracflow.record.catalogue import catalogue_of, instant
 from fracflow.record.totals import Totals
 from fracflow.scene import Scene
 from fracflow.state import State
@@ -64,13 +64,12 @@ class Recorder:
 
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
-        snapshot = sampling.take(self.sampler, step.state)
-        self.totals.injected += brought(self.model, step.state, step.dt)
+        snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
         if self.files is not None and snapshot is not None:
             margin = float(snapshot.column("margin").min(initial=np.inf))
             if margin < self.totals.narrowest:
                 self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
-            self.files.append(step, snapshot, margin, self.totals.injected)
+            self.files.append(step, snapshot, margin)
             self.totals.least = max(self.totals.least, snapshot.least[0])
             self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
         self._watch_spurious(step)
@@ -252,13 +251,13 @@ class Files:
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
         notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
-        notes |= {"drive": state.drive, "power": state.power}
+        notes |= {"drive": state.drive, "power": state.power, "injected": state.injected}
         notes |= {"incident": state.forces.incident, "around": list(state.around)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
 
-    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float, injected: float) -> None:
+    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
         """One row of history and the events up to it."""
         state, report = step.state, step.report
         # a step that is cut where a status changes ends with the change; else it came somewhere in the step
@@ -315,7 +314,7 @@ class Files:
 
         if self.catalogue is not None:
             moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
-            if event := self.catalogue.update(instant(state, snapshot, injected, began), moves):
+            if event := self.catalogue.update(instant(state, snapshot, began), moves):
                 self.events.add(event)
 
     def _advice(self) -> str:

@@ -16,7 +16,7 @@ NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not
 class Totals:
     """Counts over the run.
 
-    injected  net volume that wells of given rates have brought [length^3]
+    injected  net volume that wells have brought, as in the last state [length^3]
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """

@@ -16,6 +16,7 @@ from fracflow.state import State
 from fracflow.stepping import Steady
 from fracflow.steps.parts import Attempted, Rules, in_parts, most_halvings
 from fracflow.steps.step import DONE, Progress, Step, Stepping
+from fracflow.tables_time import AT_ONCE
 
 
 def equilibrate(
@@ -59,7 +60,7 @@ def _resting_fluid(model: Model) -> Loads:
         return loads
     points = ops.blocks.flow.points
     initial = initial_pressure(model.scene, points)
-    kept = Prescribed(np.arange(len(points)), lambda time: initial)
+    kept = Prescribed(np.arange(len(points)), lambda time, around=AT_ONCE: initial)
     everywhere = ops.layout.flow_numbers(np.arange(ops.layout.flow_starts[-1]))
     return replace(loads, pressures=(kept,), fixed_flow=everywhere, limits=())
 

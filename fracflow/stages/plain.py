@@ -10,8 +10,8 @@ from fracflow.begin.setup import Model
 from fracflow.errors import SolveError
 from fracflow.scene_actions import Stage
 from fracflow.stages.instability import is_near, refuse_jump, to_limit_point, weakens
-from fracflow.state import State, StepReport
-from fracflow.stepping import Steady
+from fracflow.state import State, StepReport, forgetful
+from fracflow.stepping import Newmark, Steady, Stepper
 from fracflow.steps.accuracy import Judge
 from fracflow.steps.events import take_part
 from fracflow.steps.parts import (
@@ -24,6 +24,7 @@ from fracflow.steps.parts import (
     next_jump,
     on_the_way,
     still_lacking,
+    to_next,
 )
 from fracflow.steps.prescribed import prescribed
 from fracflow.steps.step import DONE, Progress, Step, Stepping, stepper_of
@@ -127,6 +128,15 @@ def search_incipient(
     yield Step(best[0], number, 0.0, best[1], DONE)
 
 
+def first_part(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) -> float:
+    """Length of a stage's first part, as it is foreseen: up to the first jump, where parts with inertia end there."""
+    length, scene = stage.step_length(time), stepping.model.scene
+    by_means = scene.jumps_anywhere or scene.method.events == "at-step-ends" or scene.accuracy.max_events == 0
+    if stage.kind == "auto" or by_means or not isinstance(stepper, Newmark):
+        return length
+    return to_next(scene.jump_times, time, length)
+
+
 def run_stage(
     stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
 ) -> Iterator[Step]:
@@ -158,37 +168,40 @@ def run_stage(
     )
     fills = stepper.storage and model.operators.flow is not None
     # what may jump in any step is sampled by means, as all is where events are not located
-    splits = bool(rules.events) and not model.scene.jumps_anywhere
-    cuts = judge.finest > 0 and not stepper.inertia
+    splits = bool(rules.events) and not model.scene.jumps_anywhere if stepper.inertia else dt > 0.0
     hurries, shortest = weakens(model) and not stepper.inertia, JUST_OVER * 0.5**rules.most
     given = prescribed(model.scene, stepper.inertia, splits, judge.tolerance if judge.finest else None)
+    anew = stepper.inertia or judge.finest > 0  # else a rule that remembers forgets, and no more is needed
+
+    def following(n: int, to: float) -> float:
+        """Length of the part after the fraction ``to`` of step ``n``, as it is foreseen: up to the next jump."""
+        if whole_step == 0.0 or (to == 1.0 and n == count):
+            return 0.0
+        length, now = stage.step_length(start, n + 1) if to == 1.0 else (1.0 - to) * dt, moment(n, to)
+        return to_next(given.ends, now, length)
+
+    def moment(n: int, to: float) -> float:
+        return start + (n - 1 + to * (dt / whole_step)) * whole_step if whole_step > 0.0 else start
 
     def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
         at = start + (n - 1) * whole_step
         cut = next_jump(given.ends, at, dt, begin, end)
         end = end if cut is None else cut
         jumps = cut is not None and next_jump(given.jumps, at, dt, begin, end) is not None
-        whole = dt * (end - begin)
+        whole, arrives = dt * (end - begin), next_jump(given.jumps, at, dt, begin, 1.0) or 1.0
         brief = hurries and (end - begin > shortest or is_near(model, state))
 
         def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
             # what jumps while a film fills is there at once: spread over a halved step, it would come half a step late
-            lacking = 0.0 if stepper.inertia or fills else still_lacking(begin, to)
-            now, time = (
-                on_the_way(old.controls, controls, begin, to),
-                start + (n - 1 + to * (dt / whole_step)) * whole_step,
-            )
-            ahead: float | None
-            if splits or cuts:  # parts end at jumps, which are then no matter of means
+            lacking = 0.0 if stepper.inertia or fills else still_lacking(begin, to, arrives)
+            now = on_the_way(old.controls, controls, begin, to)
+            ahead = following(n, to)
+            if jumps and to == end:  # which is then no matter of means
                 ahead = 0.0
-            elif not stepper.inertia:
-                ahead = None
-            elif to == 1.0:
-                ahead = 0.0 if n == count else stage.step_length(start, n + 1)
-            else:
-                ahead = share * whole if share == 1.0 else (1.0 - to) * dt
+            elif share == 1.0 and to < 1.0:
+                ahead = min(ahead, share * whole)
             return stepping.step(
-                old, stepper, time, share * whole, now, lacking=lacking, hold=hold, ahead=ahead, brief=brief
+                old, stepper, moment(n, to), share * whole, now, lacking=lacking, hold=hold, ahead=ahead, brief=brief
             )
 
         found = take_part(stepping, state, reach, begin, end, whole, may_stop)
@@ -199,7 +212,7 @@ def run_stage(
         if found.fraction == end and jumps and not (n == count and end == 1.0):
             left = new
             try:
-                new = stepping.enter(left, stepper, dt)
+                new = stepping.enter(left, stepper, following(n, end)) if anew else forgetful(left)
             finally:
                 left.destroy()
         return replace(found, state=new, error=error, foreseen=cut is not None and found.fraction == end)

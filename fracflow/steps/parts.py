@@ -220,6 +220,11 @@ def next_jump(jumps: Sequence[float], start: float, time_step: float, begin: flo
     return None
 
 
+def to_next(times: Sequence[float], now: float, length: float) -> float:
+    """Time to the next of some ascending times, or ``length``, if that is less."""
+    return min([length, *(time - now for time in times if time - now > AT_A_JUMP * length)])
+
+
 def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: float, end: float) -> dict[str, float]:
     """Controls at the fraction ``end`` of a step that goes on to ``after``, from ``before`` at the fraction ``start``."""
     if end == 1.0:
@@ -228,6 +233,6 @@ def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: f
     return {name: value + share * (after[name] - value) for name, value in before.items()}
 
 
-def still_lacking(start: float, end: float) -> float:
-    """Share, at ``end``, of what the state at ``start`` lacks of the prescribed: all of it arrives by the end of the step."""
-    return (1.0 - end) / (1.0 - start)
+def still_lacking(start: float, end: float, arrives: float = 1.0) -> float:
+    """Share, at ``end``, of what the state at ``start`` lacks of the prescribed: by ``arrives`` all of it is there."""
+    return (arrives - end) / (arrives - start)

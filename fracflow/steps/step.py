@@ -11,6 +11,7 @@ from fracflow.assembly.energy import book, dissipated
 from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
+from fracflow.assembly.volume import brought
 from fracflow.begin.setup import Model
 from fracflow.coupling.accept import accept, remember
 from fracflow.coupling.explicit import ExplicitProblem
@@ -26,8 +27,8 @@ from fracflow.steps.couplings import Couplings
 from fracflow.steps.explicit import ExplicitSteps
 from fracflow.steps.instants import change, enter
 from fracflow.steps.network import Network
+from fracflow.steps.sampling import begins_anew, rates_of, sides_of
 from fracflow.steps.wells import reached_after, reached_before, refuse_cycle
-from fracflow.tables_time import AT_ONCE
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
@@ -74,6 +75,7 @@ class Stepping:
         self._at_rest: dict[Loads, Loads] = {}
         self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
         self.explicit = ExplicitSteps(model, lambda line: self.network.log(line))
+        self._counts_volume = any(stage.kind == "auto" for stage in model.scene.stage)  # for the catalogue of events
 
     def _closed(self, loads: Loads, stores: bool) -> Loads:
         """The loads with what nothing drains closed; solvers for parts of the network that are no more are freed."""
@@ -105,7 +107,7 @@ class Stepping:
         lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
         hold     all joint sections keep their status
         ahead    length of the step that follows, 0 where the stage ends or this one is cut at a jump; by default as long as
-                 this one, and without inertia what jumps at its end is in the midst of that
+                 this one
         brief    where sections keep changing it is given up early, for a shorter one or one with inertia
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
@@ -118,8 +120,8 @@ class Stepping:
                 controls,
                 count,
             )
-        rule = stepper if state.memory.time_step > 0.0 else first(stepper)
         loads = loads or self.model.loads
+        rule = first(stepper) if begins_anew(stepper, loads, state, dt, ahead) else stepper
         given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief)
         new, report = self._step_by(rule, state, *given)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
@@ -153,7 +155,7 @@ class Stepping:
     ) -> tuple[State, StepReport]:
         last = state.memory.time_step
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
-        around = (dt, dt if ahead is None else ahead) if rule.inertia or ahead == 0.0 else AT_ONCE
+        around, rates = sides_of(rule, dt, ahead), rates_of(rule, alphas, state, dt, ahead, stepper)
         loads = self._standing(loads) if not rule.inertia else loads
         explicit = self.explicit.coupling if isinstance(rule, Explicit) else None
         weighs = alphas if rule.inertia and explicit is None else None
@@ -168,7 +170,18 @@ class Stepping:
             limited = self._limited(loads, reached)
             closed = self._closed(limited, rule.storage)
             problem = (StepProblem if explicit is None else ExplicitProblem)(
-                self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial, hold, around
+                self.model.operators,
+                closed,
+                state,
+                alphas,
+                time,
+                controls,
+                restraint,
+                lacking,
+                trial,
+                hold,
+                around,
+                rates,
             )
             problem.brief = brief
             try:
@@ -197,13 +210,19 @@ class Stepping:
                 continue
             finally:
                 problem.destroy()
-            now = reached_after(loads, reached, new, fluid.flow_depth if fluid is not None else 1.0) | full
+            depth = fluid.flow_depth if fluid is not None else 1.0
+            now = reached_after(
+                loads, reached, new, lambda well: loads.demanded(well, time, controls, around, rates), depth
+            )
+            now |= full
             if now == reached and same:
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
                 memory = remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
-                friction = dissipated(state, new)
-                new = replace(new, energy=energy, limited=wells, friction=friction)
+                friction, injected = dissipated(state, new), state.injected
+                if self._counts_volume:
+                    injected += brought(self.model.operators, limited, state, new, dt, scheme, depth)
+                new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected)
                 return replace(new, memory=memory, around=around), report
             new.destroy()
             spent += report.newton

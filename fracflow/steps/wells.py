@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NoReturn
 
 from fracflow._petsc import MPI, PETSc
@@ -23,17 +24,20 @@ def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
     return frozenset(limit for _, limit in found.values())
 
 
-def reached_after(loads: Loads, reached: frozenset[Limit], trial: State, depth: float) -> frozenset[Limit]:
+def reached_after(
+    loads: Loads, reached: frozenset[Limit], trial: State, demanded: Callable[[str], float], depth: float
+) -> frozenset[Limit]:
     """Limits at which wells have to be kept once a trial of a step is known. Collective.
 
-    A well comes to a limit that its pressure has passed, and leaves it when the limit lets more through than it asks for.
+    ``demanded`` tells what a well asks for in the step. A well comes to a limit that its pressure has passed, and leaves it
+    when the limit lets more through than it asks for.
     """
     now = set(reached)
     for limit in loads.limits:
         pressure = at_node(limit, trial.pressure)
         if limit in reached:
             through = at_node(limit, trial.forces.source) * depth
-            asked = loads.demanded(limit.well, trial.time, trial.controls)
+            asked = demanded(limit.well)
             if limit.sign * (through - asked) > CLOSE * abs(asked):
                 now.discard(limit)
         elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):

@@ -136,7 +136,8 @@ def shape(traces, domain=SQUARE, names=None):
     geometry = GeometrySpec(domain, tuple((f"f{k}", points) for k, points in zip(names, traces, strict=True)), 20.0)
     network, snap, misses = network_of(geometry)
     pairs = Counter(
-        (miss.kind, frozenset([*miss.owners, miss.other.split('"')[1] if '"' in miss.other else "side"])) for miss in misses
+        (miss.kind, frozenset([*miss.owners, miss.other.split('"')[1] if '"' in miss.other else "side"]))
+        for miss in misses
     )
     return (len(network.points), len(network.edges), len(network.tips), pairs), snap
 

@@ -36,7 +36,9 @@ def scene(size):
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    return {size: fracflow.run(scene(size), tmp_path_factory.mktemp("crossing") / f"{size:g}") for size in (10.0, 5.0, 2.5)}
+    return {
+        size: fracflow.run(scene(size), tmp_path_factory.mktemp("crossing") / f"{size:g}") for size in (10.0, 5.0, 2.5)
+    }
 
 
 def slips(run):
