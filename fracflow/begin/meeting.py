@@ -12,7 +12,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.scene import Scene, Support
 from fracflow.scene_actions import Well
-from fracflow.tables_time import TimeTable
+from fracflow.tables_time import AT_ONCE, TimeTable
 
 APART = 1e-12  # of the largest motion there: less is round-off of its tables
 
@@ -69,7 +69,9 @@ def _apart(mesh: SplitMesh, one: Support, other: Support, part: str, nodes: Ints
         return is_apart
     place = mesh.points[nodes]
     for time in sorted({0.0, *_times(one), *_times(other)}):
-        first, second = (np.broadcast_to(motion(support, part)(time, place), len(nodes)) for support in (one, other))
+        first, second = (
+            np.broadcast_to(motion(support, part)(time, place, AT_ONCE), len(nodes)) for support in (one, other)
+        )
         largest = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
         is_apart |= np.abs(first - second) > APART * largest
     return is_apart
