@@ -18,6 +18,7 @@ from physics.test_absorbing import STILL, STRESSED  # noqa: E402
 from physics.test_along_fractures import RIGID  # noqa: E402
 from physics.test_books import CRACK, DYNAMIC, QUASI  # noqa: E402
 from physics.test_depth import HEAVY  # noqa: E402
+from physics.test_explicit import RUPTURE  # noqa: E402
 from physics.test_slip_weakening import LAYER  # noqa: E402
 from physics.test_supports import PERIODIC  # noqa: E402
 from physics.test_wells import PUMPED  # noqa: E402
@@ -45,6 +46,7 @@ CASES = {
     "stages": (CRACK + QUASI + DYNAMIC + QUASI, [], (3, 5, 8, 10, 12)),
     "bdf2": (CRACK + DYNAMIC + QUASI, ["method.film=bdf2", "method.storage=averaging"], (5, 6, 8)),
     "generalised-alpha": (CRACK + QUASI + DYNAMIC, ["method.stepper=generalised-alpha"], (5, 6, 8)),
+    "damped faults": (RUPTURE, ["method.stepper=explicit", "stage.0.end=0.024"], (2, 4)),
     "absorbing": (STRESSED + STILL + STILL, [], (1, 2, 9, 24)),
     "trapezoid": (CRACK + QUASI, ["method.film=trapezoid", "method.storage=consistent-lumped"], (0, 1, 3)),
     "compressible": (
