@@ -163,6 +163,12 @@ def test_scenes_that_make_no_sense(write, change, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_stated_snap_may_be_longer_than_cells(write):
+    """The network of a coarse mesh must be had on a fine one too, and a scene that is written back be read again."""
+    scene = write(TABLE, SCENE.replace('fractures_csv = "traces.csv"', 'fractures_csv = "traces.csv"\nsnap = 1.5'))
+    assert scene.geometry.snap == 1.5 > 0.5 * scene.geometry.size
+
+
 def test_a_property_that_every_trace_has_need_not_be_in_the_default(write):
     """The default then only fills; one trace without it is named."""
     table = "name,x1,y1,x2,y2,aperture\nA,1,1,2,2,1 mm\nB,3,1,4,4,{}\n"
