@@ -47,7 +47,8 @@ class Rules:
     most     times that it may be halved
     order    order of the local error in its length, 0 where nothing controls it
     events   events in a step that parts end at; later ones are taken as they fall
-    finest   times that it may be halved to be accurate, where that is not ``most``: it is then halved on from there
+    finest   times that it may be halved to be accurate, where that is not ``most``: it is then halved on from there, but
+             not from deeper, or parts would shrink for ever towards an instant past which there is no solution
     prompt   the next part is twice as long as soon as it may be: no factors are kept that would serve again
     """
 
@@ -135,7 +136,7 @@ def in_parts(
     """
     place = place or Place()
     while place.fraction < 1.0:
-        most = rules.most + (place.level if rules.finest else 0)
+        most = rules.most + min(place.level, rules.finest)
         refused: list[tuple[int, float]] = []
         spent = StepReport()
         for level, size in _sizes(place, max(most, rules.finest)):

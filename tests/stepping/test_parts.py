@@ -53,6 +53,22 @@ def test_halves_as_few_as_converge():
     assert [part[:2] for part in taken(reaching(0.3), Rules(6))] == [(0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 1.0)]
 
 
+def test_parts_that_fail_do_not_shrink_for_ever():
+    """Nothing goes past 0.3: every part that converges before leaves 6 more halvings, but of none beyond the finest."""
+    tried = []
+
+    def attempt(state, begin, end, may_stop):
+        tried.append(end - begin)
+        if end > 0.3:
+            raise NotConverged("no solution")
+        assert len(tried) < 300  # shrinking on to round-off would take more
+        return Attempted(Fake(end), SimpleNamespace(newton=1), end, 0.9)
+
+    with pytest.raises(NotConverged, match=r"no solution \(after 6 halvings of the step\)"):
+        taken(attempt, Rules(6, order=1, finest=10))
+    assert min(tried) == 0.5**16
+
+
 def test_gives_up_by_name():
     with pytest.raises(NotConverged, match=r"too long \(after 3 halvings of the step\)"):
         taken(reaching(0.1), Rules(3))
