@@ -1,16 +1,17 @@
 """Damping of the cells at faults: of what slip sends out that the mesh cannot carry.
 
-Mechanism   A rupture shakes the walls at the frequency of single cells. Where the two walls are not meshed as each other's
-            mirror images, this moves them apart and together too, and the normal traction rings. Nothing damps it, and cells
-            that grow away from the fault keep it there. Friction rectifies: a section advances while it is pressed less,
-            and sticks while it is pressed more. Slip creeps on until the shear traction has come down to mu_d times the
-            least pressure, not the mean one; finer cells ring more often, and make it worse.
-Predictor   rms over mean of the normal traction behind the front: slip is too large by about mu_d times the rms over the
-            stress drop. Neither k_n nor a dashpot in the joint changes it: the joint only passes on what the cells do.
-Threshold   one hundredth; undamped triangles have two to ten, those of mirror images and quadrilaterals alike none.
+Mechanism   A rupture shakes its walls at the frequencies of a few cells. Where the walls are not meshed as each other's mirror
+            images, this presses them together and apart too: the normal traction rings. Nothing damps it, and cells that grow
+            away from the fault keep it there. Friction rectifies: a section advances while it is pressed less, and stays
+            while it is pressed more. Slip creeps on behind the front; finer cells ring more often, and make it worse.
+Predictor   ``asymmetry`` of the walls, and the rms of the normal traction behind the front: slip is too large by up to mu_d
+            times that rms over the stress drop. k_n has no part in it, so that neither softer joints nor a dashpot in them
+            help: the joint only passes on what the cells do.
+Threshold   An asymmetry of ``ALIKE``. Triangles of [geometry] have 0.01 to 0.4, and ring by 0.02 to 0.1 of the traction.
 Remedy      F = sum of eta_e K_e v over LAYERS of cells (Day et al. 2005; Kelvin and Voigt), with eta_e = 2 xi/omega_e of a
-            cell's fastest vibration omega_e: the share xi of critical damping there, and xi omega/omega_e of a wave of omega.
-            A strip some cells wide takes off a wave what is of the order of the square of their size.
+            cell's fastest vibration omega_e: xi of the critical damping there, xi omega/omega_e of a wave of omega. One layer
+            leaves twice the ringing of three, and xi below 0.2 leaves slip too large. A strip some cells wide takes off a wave
+            what is of the order of the square of their size.
 """
 
 from __future__ import annotations

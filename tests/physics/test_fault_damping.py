@@ -7,6 +7,7 @@ from fracflow._petsc import MPI
 from fracflow.assembly.fault_damping import asymmetry, fault_damping
 from fracflow.begin.setup import prepare
 from fracflow.scene import load
+from fracflow.scene_advice import advice
 from fracflow.stepping.explicit import damped_rate
 
 FAULT = """
@@ -148,3 +149,12 @@ def test_the_critical_step_of_a_damped_vibration(ratio):
         dt = share * limit
         roots = np.roots([1.0, -2.0 + dt**2 + 2.0 * ratio * dt, 1.0 - 2.0 * ratio * dt])
         assert (np.abs(roots).max() <= 1.0 + 1e-12) == bounded
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("override", "warns"), [("method.fault_damping=0", True), ("method.stepper=newmark", True), ("title=x", False)]
+)
+def test_a_rupture_that_nothing_damps_is_told(tmp_path, override, warns):
+    (tmp_path / "scene.toml").write_text(FAULT + TRIANGLES, encoding="utf-8")
+    assert any("rings" in line for line in advice(load(tmp_path / "scene.toml", [override]))) == warns
