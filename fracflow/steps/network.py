@@ -64,7 +64,7 @@ class Network:
         self._widest = grown
         self.log(
             f"time {time:.6g}: an aperture of {where} grew {grown:.3g} times as wide in one step: above {FOLD:g} the flow"
-            " through it, which goes by its cube, may have fed on itself, and such a step has two solutions, of which this may be the"
+            " through it, which goes by its cube, may have fed on itself, and such a step has two solutions: this may be the"
             " wrong one: take smaller time_steps until nothing changes any more, or give accuracy.tolerance"
         )
 
