@@ -137,7 +137,11 @@ class Tally:
         found = differences(scene.case, base, record, back) if base.history else {}
         over = {key: value for key, value in found.items() if not value <= SAME}
         if base.code != 0:
-            names = (*scene.case.data["fracture"], *(well["name"] for well in scene.case.data.get("well", ())), "block ")
+            names = (
+                *scene.case.data["fracture"],
+                *(well["name"] for well in scene.case.data.get("well", ())),
+                "block ",
+            )
             if any(name in record.message for name in names):
                 row.alike += 1
             else:
