@@ -17,7 +17,6 @@ from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.state import State
-from fracflow.tables_time import JUST_AFTER, JUST_BEFORE
 
 MOST_TOLD = 5  # parts that the log lists
 FOLD = 1.5
@@ -65,8 +64,8 @@ class Network:
         self._widest = grown
         self.log(
             f"time {time:.6g}: an aperture of {where} grew {grown:.3g} times as wide in one step: above {FOLD:g} the flow"
-            " through it, which goes by its cube, may have fed on itself, and such a step has two solutions, of which this may"
-            " be the wrong one: take smaller time_steps until nothing changes any more, or give accuracy.tolerance"
+            " through it, which goes by its cube, may have fed on itself, and such a step has two solutions: this may be the"
+            " wrong one: take smaller time_steps until nothing changes any more, or give accuracy.tolerance"
         )
 
     def close(self, loads: Loads, stores: bool) -> Loads:
@@ -85,7 +84,7 @@ class Network:
         found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
         for part, wells, _ in found.parts:
-            rates = [loads.demanded(well, state.time, state.controls, JUST_AFTER) for well in wells]
+            rates = [loads.demanded(well, state.time, state.controls) for well in wells]
             taken, moved = self._taken(part, state)
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
                 raise SolveError(
@@ -122,10 +121,8 @@ class Network:
             if not moves or len(part.nodes) == 1:
                 continue
             rate = 0.0
-            for time, side, sign in (
-                ((state.time + dt, JUST_BEFORE, 1.0), (state.time, JUST_AFTER, -1.0)) if dt > 0.0 else ()
-            ):
-                rate += sign * sum(loads.demanded(well, time, state.controls, side) for well in wells) / (dt * depth)
+            for time, sign in ((state.time + dt, 1.0), (state.time, -1.0)) if dt > 0.0 else ():
+                rate += sign * sum(loads.demanded(well, time, state.controls) for well in wells) / (dt * depth)
             nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
             found.append(Enclosed(nodes, close(self.model.operators, part, True).weights, rate))
         return found
@@ -140,8 +137,7 @@ class Network:
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
         numbers = self.model.operators.layout.flow_numbers
         for part, wells, gives in parts:
-            given = problem.time, problem.controls, problem.around, problem.rates
-            rates = [loads.demanded(well, *given) for well in wells]
+            rates = [loads.demanded(well, problem.time, problem.controls) for well in wells]
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
                 inside = numbers(part.nodes)

@@ -188,15 +188,19 @@ def _may_split(case: Case) -> bool:
 
 
 def _split(case: Case, random: Random) -> tuple[Case, Back]:
-    """The last stage as two."""
+    """The last stage as two; not at a bend of a side's motion, whose velocity there is that of the stage it belongs to."""
     data = copied(case)
     last = data["stage"].pop()
+    start = sum(stage.get("end", 0.0) for stage in data["stage"])
+    count = last["steps"] if "steps" in last else round((last["end"] - start) / last["time_step"])
+    bends = {row[0] for part in data["support"] for table in part.get("displacement", {}).values() for row in table}
+    ends = start + last["time_step"] * np.arange(1, count)
+    may = [n for n, end in enumerate(ends, 1) if all(abs(end - bend) > 1e-6 * last["time_step"] for bend in bends)]
+    first = int(random.choice(may))
     if "steps" in last:
-        first = int(random.integers(1, last["steps"]))
-        data["stage"] += [last | {"steps": first}, last | {"steps": last["steps"] - first}]
+        data["stage"] += [last | {"steps": first}, last | {"steps": count - first}]
     else:
-        count = round(last["end"] / last["time_step"])
-        data["stage"] += [last | {"end": last["time_step"] * int(random.integers(1, count))}, last]
+        data["stage"] += [last | {"end": start + last["time_step"] * first}, last]
     return Case(data, case.points, case.cells, case.traces, case.sides, case.shared), Back()
 
 

@@ -137,7 +137,16 @@ class Tally:
         found = differences(scene.case, base, record, back) if base.history else {}
         over = {key: value for key, value in found.items() if not value <= SAME}
         if base.code != 0:
-            row.alike += 1
+            names = (
+                *scene.case.data["fracture"],
+                *(well["name"] for well in scene.case.data.get("well", ())),
+                "block ",
+            )
+            if any(name in record.message for name in names):
+                row.alike += 1
+            else:
+                row.broken += 1
+                self.tell(BROKEN, scene, name, f"exit {record.code} names nothing: {record.message[-300:]}")
             return
         if not over:
             row.alike += 1

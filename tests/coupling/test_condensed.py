@@ -107,9 +107,7 @@ def test_agrees_with_newton_on_all_unknowns(case):
     assert comm.allreduce(slides, op=MPI.LOR), "the scene slips"
     if case not in FULL:
         assert sum(step.report.factorisations for step in found) == 1
-        most = (
-            2 if "fluid" in CASES[case] else 1
-        )  # a second one where little runs beside what full pressure would drive
+        most = 2 if "fluid" in CASES[case] else 1  # another where little runs beside what full pressure would drive
         assert max(step.report.cycles for step in found) <= most
 
 
