@@ -210,12 +210,16 @@ def _steps(
                         if wish is not Wish.GO_ON:
                             recorder.save(step)
                         if wish is Wish.STOP:
-                            failure = Interrupted(f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps")
+                            failure = Interrupted(
+                                f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
+                            )
                             raise failure
                 except LimitPoint as limit:
                     if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
                         raise
-                    recorder.log(f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}")
+                    recorder.log(
+                        f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
+                    )
                 going_on = {}
         except PutBack:
             for each in {id(state): state, id(step.state): step.state}.values():

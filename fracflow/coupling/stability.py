@@ -52,7 +52,9 @@ def of_step(operators: Operators, old: Sections, new: Sections) -> Weakening:
     """The most that there may have been in a step: all that slid in it weakens as it did at its start, or does at its end."""
     moved = (new.inelastic - old.inelastic)[:, :-1]
     size = np.linalg.norm(moved, axis=1)
-    way = np.where((size > 0.0)[:, None], moved / np.where(size > 0.0, size, 1.0)[:, None], _sliding_way(operators, new))
+    way = np.where(
+        (size > 0.0)[:, None], moved / np.where(size > 0.0, size, 1.0)[:, None], _sliding_way(operators, new)
+    )
     begins, ends = _weakening(operators, new, old.past, way), _weakening(operators, new, new.past, way)
     before = _weakening(operators, old, old.past, way)
     most = [np.max([getattr(each, name) for each in (before, begins, ends)], axis=0) for name in ("rate", "fall")]

@@ -19,7 +19,6 @@ from fracflow.card.joints import gather
 from fracflow.card.slip import critical_length
 from fracflow.coupling.stability import Weakening, largest_share, of_state, of_step
 from fracflow.errors import NotConverged, SolveError
-from fracflow.mesh.data import Floats
 from fracflow.scene import Scene
 from fracflow.state import Sections, State
 from fracflow.steps.parts import PartOfStep, most_halvings
