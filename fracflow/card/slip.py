@@ -80,13 +80,18 @@ def critical_length(shear_modulus: float, layer: float, fall: float) -> float:
     return float(min(UNSTABLE * shear_modulus / fall, np.pi * np.sqrt(layer / fall))) if fall > 0.0 else np.inf
 
 
+def nucleation_lengths(view: View) -> Floats:
+    """L_c (j, 2) at the joint ends under their initial normal traction; NaN where nothing weakens [length]."""
+    return _lengths(view, UNSTABLE, np.pi)
+
+
 def longest_joints(view: View) -> dict[str, Floats]:
     """The longest joints (j,) that resolve each length of slip, as the numbers of the card ask; inf where there is none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         drops = np.where(view.drops, RESOLVED * view.joints.length[:, None] / _slip_scale(view), np.nan)
         limits = {
             f"E'/k_s / {1.0 / RESOLVED:g}": drops,
-            f"nucleation length / {PATCH:g}": _lengths(view, UNSTABLE, np.pi) / PATCH,
+            f"nucleation length / {PATCH:g}": nucleation_lengths(view) / PATCH,
             f"cohesive zone / {ZONE:g}": _lengths(view, COHESIVE, 1.0) / ZONE,
         }
     return {name: np.where(np.isnan(sizes), np.inf, sizes).min(axis=1) for name, sizes in limits.items()}
@@ -107,7 +112,7 @@ def nucleation(view: View) -> Number:
         return Number(name, formula, 0.0, None, True, where, remedy, "D_c = 0")
     if not view.weakens.any():
         return Number(name, formula, note="no abrupt drop of strength")
-    ratio, joint, where = view.worst(joints.length[:, None] / _lengths(view, UNSTABLE, np.pi))
+    ratio, joint, where = view.worst(joints.length[:, None] / nucleation_lengths(view))
     if not ratio:  # rigid rock: slip has no length at all
         return Number(name, formula, note="rigid rock")
     length, limit = float(joints.length[joint]) / ratio, PATCH * float(joints.length[joint])

@@ -43,9 +43,13 @@ class Weakening:
         return self.rate > 0.0
 
 
-def of_state(operators: Operators, sections: Sections) -> Weakening:
-    """That of the sections which slide, as they are."""
-    return _weakening(operators, sections, sections.past, _sliding_way(operators, sections))
+def of_state(operators: Operators, sections: Sections, almost: float = 1.0) -> Weakening:
+    """That of the sections which slide, as they are, and of others that carry ``almost`` all of their strength."""
+    way, shear = _sliding_way(operators, sections), sections.traction[:, :-1]
+    size = np.linalg.norm(shear, axis=1)[:, None]
+    starts = (sections.utilisation >= almost)[:, None] & ~way.any(axis=1, keepdims=True) & (size > 0.0)
+    way = np.where(starts, shear / np.where(size > 0.0, size, 1.0), way)
+    return _weakening(operators, sections, sections.past, way)
 
 
 def of_step(operators: Operators, old: Sections, new: Sections) -> Weakening:

@@ -24,7 +24,8 @@ from fracflow.state import Sections, State
 from fracflow.steps.parts import PartOfStep, most_halvings
 
 RESOLVED = 0.1  # of the slip over which strength falls: in a shorter step it cannot have jumped
-NEAR = 0.7  # of what the rock takes up: a state from which a patch that grows by a joint may have nowhere to go
+LIMITS = ((1.0, 0.7), (0.95, 1.0))
+"""Least shares of a state that may have nowhere to go: of what slides, which grows by a joint; with what all but slides."""
 REMEDY = '; slip goes on with inertia: set kind = "auto", or let a stage of kind = "dynamic" follow'
 SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
 
@@ -177,12 +178,18 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
 
 
 def patch_at_limit(model: Model, state: State) -> Patch | None:
-    """The patch that slips, if it may have nowhere to go at rest. Collective."""
-    patch = patch_of(model, state.sections, of_state(model.operators, state.sections))
-    return patch if patch is not None and patch.share >= NEAR else None
+    """The patch that slips, or that all but slips, if it may have nowhere to go at rest. Collective."""
+    for almost, least in LIMITS:
+        patch = patch_of(model, state.sections, of_state(model.operators, state.sections, almost))
+        if patch is not None and patch.share >= least:
+            return patch
+    return None
 
 
 def is_near(model: Model, state: State) -> bool:
     """Whether there is one, for less. Collective."""
-    weakening = of_state(model.operators, state.sections)
-    return largest_share(model.operators, model.loads, state.sections, weakening)[0] >= NEAR
+    return any(
+        largest_share(model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost))[0]
+        >= least
+        for almost, least in LIMITS
+    )

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 import fracflow
 from fracflow._petsc import MPI
-from fracflow.output import list_steps, read_mesh, read_step
+from fracflow.output import list_steps, read_history, read_mesh, read_step
+from fracflow.stages.instability import LimitPoint
 
 Floats = NDArray[np.float64]
 Data = dict[str, NDArray[Any]]
@@ -47,8 +48,11 @@ class Found(NamedTuple):
         return float(np.abs(self.history["energy/residual"]).max() / largest)
 
 
-def solve(scene: str | Path, *settings: str, mesh: str = "") -> Found:
-    """Run the scene of a file, or of a text whose mesh is ``mesh.msh`` or ``mesh.geo``. Collective."""
+def solve(scene: str | Path, *settings: str, mesh: str = "", may_stop: bool = False) -> Found:
+    """Run the scene of a file, or of a text whose mesh is ``mesh.msh`` or ``mesh.geo``. Collective.
+
+    may_stop  it may end at a limit point; else that raises LimitPoint
+    """
     comm = MPI.COMM_WORLD
     folder = Path(comm.bcast(tempfile.mkdtemp(prefix="verification-") if comm.rank == 0 else None))
     try:
@@ -62,9 +66,15 @@ def solve(scene: str | Path, *settings: str, mesh: str = "") -> Found:
             scene = folder / "scene.toml"
         loaded = fracflow.load(scene, ["output.pictures=false", *settings])
         start = time.process_time()
-        ran = fracflow.run(loaded, folder / "run")
+        try:
+            fracflow.run(loaded, folder / "run")
+        except LimitPoint:
+            if not may_stop:
+                raise
         seconds = time.process_time() - start
-        return comm.bcast(Found(ran.history, fractures_of(ran.folder), seconds) if comm.rank == 0 else None)
+        ran = folder / "run"
+        found = Found(read_history(ran / "history.h5"), fractures_of(ran), seconds) if comm.rank == 0 else None
+        return comm.bcast(found)
     finally:
         comm.barrier()
         if comm.rank == 0:
