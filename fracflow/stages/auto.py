@@ -14,7 +14,7 @@ from fracflow.errors import NotConverged, PutBack
 from fracflow.plan.inertia import key_of, next_kink, slow_stages
 from fracflow.plan.mesh_sizes import coarse_of_slip, of_fractures
 from fracflow.stages.shaken import shaken
-from fracflow.stages.unrest import RADIATED, SETTLED, Course, Slipped, begin, may_rest, slipped, weak_waves
+from fracflow.stages.unrest import LONG, RADIATED, SETTLED, Course, Slipped, begin, may_rest, slipped, weak_waves
 from fracflow.state import State, StepReport
 from fracflow.stepping import Explicit
 from fracflow.steps.accuracy import step_error
@@ -155,14 +155,13 @@ class _Regimes:
             spent = spent.with_rejected(tried.newton)
             self.stepping.tell_trial(state.time, dt, tried.why)
             if min(dt, course.step) <= course.least * (1.0 + NEAR):
-                self.log(
-                    f"time {state.time:.9g}: an event begins, after {in_words(spent)}: {tried.why}{self._coarse(state)}"
-                )
+                done = f"an event begins, after {course.trials + spent.rejected:.0f} trials rejected"
+                self.log(f"time {state.time:.9g}: {done}: {tried.why}{self._coarse(state)}")
                 return None, spent, course
             course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
         if spent.rejected >= TOLD:
             self.log(f"time {state.time:.9g}: {in_words(spent)}; the step of {dt:.3g} is taken")
-        course = replace(course, calm=course.calm + 1.0)
+        course = replace(course, calm=course.calm + 1.0, trials=course.trials + spent.rejected)
         if tried.report.newton > EFFORT:
             course = replace(course, step=max(0.5 * course.step, course.least), calm=0.0)
         elif course.calm > CALM and tried.may_double:
@@ -277,16 +276,17 @@ class _Regimes:
         """The state as it is taken over without inertia, if a step without it keeps what slips as it is. Collective."""
         if not may_rest(self.model, state):
             return None, course
-        entered, still = self.stepping.enter(state, self.still), course.at_rest()
-        time = self._target(entered.time, still.step)[0]
-        tried = self._attempt(entered, time, SETTLED * RADIATED)
-        if isinstance(tried, Refused):
-            entered.destroy()
+        entered, still, lasted = self.stepping.enter(state, self.still), course.at_rest(), state.time - course.begun
+        # of what has come to rest long ago Newton's method may find no balance for the length of the step alone
+        for length in (still.step, course.least) if lasted > LONG * course.period else (still.step,):
+            time = self._target(entered.time, length)[0]
+            tried = self._attempt(entered, time, SETTLED * RADIATED)
+            if isinstance(tried, Taken):
+                tried.state.destroy()
+                self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
+                return entered, replace(still, step=length)
             self.vain = self.vain.with_rejected(tried.newton)
             self.stepping.tell_trial(state.time, time - state.time, tried.why)
-            self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {tried.why}")
-            return None, replace(course, loud=state.time)
-        tried.state.destroy()
-        lasted = state.time - course.begun
-        self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
-        return entered, still
+        entered.destroy()
+        self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {tried.why}")
+        return None, replace(course, loud=state.time)

@@ -36,6 +36,7 @@ class Course:
     count   whole steps with inertia since then
     creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]
     peak    largest one since
+    trials  steps without inertia that were tried and thrown away since the last event
     loud    when it was last above the share of its peak that counts as rest [time]
     """
 
@@ -49,6 +50,7 @@ class Course:
     creep: float = 0.0
     peak: float = 0.0
     loud: float = 0.0
+    trials: float = 0.0
 
     def as_progress(self, place: Place | None = None) -> dict[str, float]:
         """What a checkpoint keeps of it, and of the place in a step with inertia."""
@@ -89,7 +91,7 @@ class Course:
 
     def at_rest(self) -> Course:
         """As an event ends: the first step without inertia lasts a period."""
-        return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0)
+        return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0, trials=0.0)
 
 
 def begin(model: Model, state: State, stage: Stage) -> Course:
