@@ -67,7 +67,7 @@ class StepProblem:
         around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
         """
         self.operators, self.loads, self.state, self.hold = operators, loads, state, hold
-        self.alphas, self.time, self.controls, self.brief, self.tried = alphas, time, controls, False, 0
+        self.alphas, self.time, self.controls, self.brief, self.most, self.tried = alphas, time, controls, False, 0, 0
         layout = operators.layout
         self.around, self.load, self.source = around, layout.solid_vector(), layout.flow_vector()
         loads.force(time, controls, self.load, around)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from fracflow.begin.regimes import SHARE, deforming, wave_step
 from fracflow.begin.setup import Model
 from fracflow.mesh.data import Bools
 from fracflow.scene_actions import Stage
-from fracflow.state import State
+from fracflow.state import State, StepReport
 from fracflow.steps.parts import Place
 
 AHEAD = 0.4  # of the slip that a step may have: one that slips so far may be twice as long next
@@ -130,6 +130,23 @@ class Slipped:
     def may_double(self) -> bool:
         """Whether a step twice as long is expected to resolve the weakening, too."""
         return self.share <= AHEAD * SHARE
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A step without inertia.
+
+    why         it may not be taken; empty where it may
+    newton      iterations spent on it
+    state       that it led to, with its ``report``; None where it may not be taken
+    may_double  whether one twice as long may follow, as far as its slip tells
+    """
+
+    why: str
+    newton: int
+    state: State | None = None
+    report: StepReport = field(default_factory=StepReport)
+    may_double: bool = False
 
 
 def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:

@@ -96,6 +96,7 @@ class Stepping:
         hold: bool = False,
         ahead: float | None = None,
         brief: bool = False,
+        most: int = 0,
     ) -> tuple[State, StepReport]:
         """One step to ``time``, by default under the loads of the scene and no restraint.
 
@@ -106,7 +107,8 @@ class Stepping:
         hold     all joint sections keep their status
         ahead    length of the step that follows, 0 where the stage ends or this one is cut at a jump; by default as long as
                  this one, and without inertia what jumps at its end is in the midst of that
-        brief    where sections keep changing it is given up early, for a shorter one or one with inertia
+        brief    it will be shortened where sections keep changing, and not be given to another solver
+        most     iterations that it is given while no section changes, where accuracy.max_iterations is more; 0: no such limit
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         if isinstance(stepper, Explicit) and (count := self.explicit.count(dt)) > 1:
@@ -120,7 +122,7 @@ class Stepping:
             )
         rule = stepper if state.memory.time_step > 0.0 else first(stepper)
         loads = loads or self.model.loads
-        given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief)
+        given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief, most)
         new, report = self._step_by(rule, state, *given)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
         if left < NARROWS:
@@ -146,6 +148,7 @@ class Stepping:
         hold: bool,
         ahead: float | None,
         brief: bool,
+        most: int,
     ) -> tuple[State, StepReport]:
         last = state.memory.time_step
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
@@ -166,7 +169,7 @@ class Stepping:
             problem = (StepProblem if explicit is None else ExplicitProblem)(
                 self.model.operators, closed, state, alphas, time, controls, restraint, lacking, trial, hold, around
             )
-            problem.brief = brief
+            problem.brief, problem.most = brief, most
             try:
                 report = (explicit or self.couplings.of(closed)).solve(problem)
                 new = accept(problem, state.energy)
