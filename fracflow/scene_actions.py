@@ -185,8 +185,8 @@ class Stage(Part):
     )
     dynamic_time_step: Duration | None = Field(
         default=None,
-        description="of a stage auto: step with inertia, and how well an onset is known; by default what a wave takes through"
-        " the smallest cell, at most a fiftieth of the longest period [time]",
+        description="of a stage auto: step with inertia, and how well an onset is known; by default what a P wave takes through"
+        " a typical joint, at most a fiftieth of the longest period [time]",
     )
     at_rest: Fraction = Field(
         default=1e-3,

@@ -90,8 +90,8 @@ class Newton:
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
-                is_brief = problem.brief and self.scene.accuracy.max_iterations > BRIEF
-                raise self._failure(why_stopped(self.snes, is_brief), iterations)
+                is_short = 0 < problem.most < self.scene.accuracy.max_iterations
+                raise self._failure(why_stopped(self.snes, is_short), iterations)
             if self.only == "flow" or problem.hold:
                 break
             self._restless = self._rounds.change(problem, self._searches())
@@ -266,7 +266,7 @@ class Newton:
         self._polished = self._balanced(problem, iteration)
         if self._polished and not (more and iteration < accuracy.max_iterations):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
-        most = min(accuracy.max_iterations, BRIEF) if problem.brief else accuracy.max_iterations
+        most = min(accuracy.max_iterations, problem.most or accuracy.max_iterations)
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:

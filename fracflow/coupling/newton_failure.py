@@ -45,13 +45,13 @@ WHY_LINEAR = {
 """PETSc's reasons in words."""
 
 
-def why_stopped(snes: PETSc.SNES, brief: bool = False) -> str:
+def why_stopped(snes: PETSc.SNES, is_short: bool = False) -> str:
     """Why Newton's method has stopped short, and its linear solver where that is why, in words.
 
-    brief  the step may be shorter, and is given fewer iterations
+    is_short  the step may be shorter, and is given fewer iterations
     """
     reasons, solver = PETSc.SNES.ConvergedReason, snes.getKSP()
-    if brief and snes.getConvergedReason() == reasons.DIVERGED_MAX_IT:
+    if is_short and snes.getConvergedReason() == reasons.DIVERGED_MAX_IT:
         return "all that a step is given that may be shorter"
     why = _in_words(snes.getConvergedReason(), reasons, WHY)
     if snes.getConvergedReason() != reasons.DIVERGED_LINEAR_SOLVE or solver.getConvergedReason() >= 0:

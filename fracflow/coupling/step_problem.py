@@ -69,7 +69,7 @@ class StepProblem:
         rates    how flow rates are sampled, if not as above; without inertia jumps of supports are as ``around`` says
         """
         self.operators, self.loads, self.state, self.hold, layout = operators, loads, state, hold, operators.layout
-        self.alphas, self.time, self.controls, self.brief, self.tried = alphas, time, controls, False, 0
+        self.alphas, self.time, self.controls, self.brief, self.most, self.tried = alphas, time, controls, False, 0, 0
         self.around, self.rates, self.load, self.source = around, rates, layout.solid_vector(), layout.flow_vector()
         loads.force(time, controls, self.load, around, rates if rates is not None and rates.of_forces else None)
         if restraint is not None:

@@ -73,15 +73,19 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
     view = View(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)
     coarse = coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
-    return [
-        f"mesh: {what} is not resolved: how slip begins and how far it runs is a choice of the mesh in {of_fractures(names)}"
-        for what, names in coarse.items()
-    ] + [
-        f"mesh: {need.what} is not resolved: it needs {'joints' if need.along else 'cells'} of {need.size:.3g}{unit}, and"
-        f" has {need.found:.3g}{unit}, {need.where}"
-        for need in needs(view, mesh)
-        if need.is_told and SAME * need.found > need.size
-    ] + coarse_beside(view, mesh)
+    return (
+        [
+            f"mesh: {what} is not resolved: how slip begins and how far it runs is a choice of the mesh in {of_fractures(names)}"
+            for what, names in coarse.items()
+        ]
+        + [
+            f"mesh: {need.what} is not resolved: it needs {'joints' if need.along else 'cells'} of {need.size:.3g}{unit}, and"
+            f" has {need.found:.3g}{unit}, {need.where}"
+            for need in needs(view, mesh)
+            if need.is_told and SAME * need.found > need.size
+        ]
+        + coarse_beside(view, mesh)
+    )
 
 
 def coarse_beside(view: View, mesh: SplitMesh) -> list[str]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from fracflow.begin.planned import why_inertia
 from fracflow.begin.setup import on_root
+from fracflow.coupling.newton import BRIEF
 from fracflow.coupling.newton_failure import fractures_of, places_of
 from fracflow.coupling.period import longest_period
 from fracflow.elements import joint
@@ -15,7 +16,7 @@ from fracflow.plan.inertia import key_of, next_kink, slow_stages
 from fracflow.plan.mesh_sizes import coarse_of_slip, of_fractures
 from fracflow.stages.instability import patch_at_limit
 from fracflow.stages.shaken import shaken
-from fracflow.stages.unrest import RADIATED, SETTLED, Course, Slipped, begin, may_rest, slipped, weak_waves
+from fracflow.stages.unrest import LONG, RADIATED, SETTLED, Course, Slipped, Tried, begin, may_rest, slipped, weak_waves
 from fracflow.state import State, StepReport
 from fracflow.stepping import Explicit
 from fracflow.steps.accuracy import step_error
@@ -94,23 +95,6 @@ def in_words(spent: StepReport) -> str:
     return f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
 
 
-@dataclass(frozen=True)
-class Taken:
-    """A step without inertia that may be taken, and whether one twice as long may follow as far as its slip tells."""
-
-    state: State
-    report: StepReport
-    may_double: bool
-
-
-@dataclass(frozen=True)
-class Refused:
-    """Why a step without inertia may not be taken, and the iterations spent on it."""
-
-    why: str
-    newton: int
-
-
 class _Regimes:
     """Steps of both regimes of one stage."""
 
@@ -151,21 +135,20 @@ class _Regimes:
             time, jumps = self._target(state.time, course.step)
             dt = time - state.time
             tried = self._attempt(state, time)
-            if isinstance(tried, Taken):
+            if not tried.why:
                 break
             spent = spent.with_rejected(tried.newton)
             self.stepping.tell_trial(state.time, dt, tried.why)
             if min(dt, course.step) <= course.least * (1.0 + NEAR):
-                self.log(
-                    f"time {state.time:.9g}: an event begins, after {in_words(spent)}: {tried.why}{self._coarse(state)}"
-                )
+                done = f"an event begins, after {course.trials + spent.rejected:.0f} trials rejected"
+                self.log(f"time {state.time:.9g}: {done}: {tried.why}{self._coarse(state)}")
                 if patch := patch_at_limit(self.model, state):
                     self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
                 return None, spent, course
             course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
         if spent.rejected >= TOLD:
             self.log(f"time {state.time:.9g}: {in_words(spent)}; the step of {dt:.3g} is taken")
-        course = replace(course, calm=course.calm + 1.0)
+        course = replace(course, calm=course.calm + 1.0, trials=course.trials + spent.rejected)
         if tried.report.newton > EFFORT:
             course = replace(course, step=max(0.5 * course.step, course.least), calm=0.0)
         elif course.calm > CALM and tried.may_double:
@@ -184,7 +167,10 @@ class _Regimes:
         """Which fractures slide whose lengths of slip the mesh does not resolve, in words; empty if none. Collective."""
         if self.coarse is None:
             model, comm = self.model, self.model.operators.layout.comm
-            found = on_root(comm, lambda: coarse_of_slip(model.scene, model.mesh, model.placed.wells))
+            found = on_root(
+                comm,
+                lambda: coarse_of_slip(model.scene, model.mesh, model.placed.wells) if model.mesh is not None else {},
+            )
             self.coarse = comm.bcast(found, root=0)
         slides = fractures_of(self.model.operators.blocks, state.sections.is_sliding).split(", ")
         said = [
@@ -236,15 +222,18 @@ class _Regimes:
             end, jumps = 0.5 * (time + end), False
         return end, jumps
 
-    def _attempt(self, state: State, time: float, radiated: float = RADIATED) -> Taken | Refused:
-        """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective."""
+    def _attempt(self, state: State, time: float, radiated: float = RADIATED, most: int = BRIEF) -> Tried:
+        """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective.
+
+        most  as in ``Stepping.step``
+        """
         dt, allowed = time - state.time, self.scene.accuracy.step_error
         try:
-            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=True)
+            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=True, most=most)
         except NotConverged as failure:
             if self.most is not None:
                 raise PutBack(self.decision, state.time, "there is no step without it") from failure
-            return Refused(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton)
+            return Tried(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton)
         self._must_not_matter(state, new)
         slip = slipped(self.model, state, new, dt)
         why = slip.why_not(radiated)
@@ -254,9 +243,9 @@ class _Regimes:
         elif why:
             why += f", most in {self._where(slip)}"
         if not why:
-            return Taken(new, report, slip.may_double)
+            return Tried("", report.newton, new, report, slip.may_double)
         new.destroy()
-        return Refused(why, report.newton)
+        return Tried(why, report.newton)
 
     def wave_step(self, state: State, course: Course, place: Place) -> Iterator[tuple]:
         """The parts of a step with inertia, from a place in it, and their lengths. Collective."""
@@ -280,16 +269,17 @@ class _Regimes:
         """The state as it is taken over without inertia, if a step without it keeps what slips as it is. Collective."""
         if not may_rest(self.model, state):
             return None, course
-        entered, still = self.stepping.enter(state, self.still), course.at_rest()
-        time = self._target(entered.time, still.step)[0]
-        tried = self._attempt(entered, time, SETTLED * RADIATED)
-        if isinstance(tried, Refused):
-            entered.destroy()
-            self.vain = self.vain.with_rejected(tried.newton)
-            self.stepping.tell_trial(state.time, time - state.time, tried.why)
-            self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {tried.why}")
-            return None, replace(course, loud=state.time)
-        tried.state.destroy()
-        lasted = state.time - course.begun
-        self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
-        return entered, still
+        entered, still, lasted = self.stepping.enter(state, self.still), course.at_rest(), state.time - course.begun
+        # of what has come to rest long ago Newton's method may find no balance for the length of the step alone
+        for length in (still.step, course.least) if lasted > LONG * course.period else (still.step,):
+            time = self._target(entered.time, length)[0]
+            tried = self._attempt(entered, time, SETTLED * RADIATED, self.scene.accuracy.max_iterations)
+            if tried.state is not None:
+                tried.state.destroy()
+                self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
+                return entered, replace(still, step=length)
+            why, self.vain = tried.why, self.vain.with_rejected(tried.newton)
+            self.stepping.tell_trial(state.time, time - state.time, why)
+        entered.destroy()
+        self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {why}")
+        return None, replace(course, loud=state.time)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from fracflow.begin.regimes import SHARE, deforming, wave_step
 from fracflow.begin.setup import Model
 from fracflow.mesh.data import Bools
 from fracflow.scene_actions import Stage
-from fracflow.state import State
+from fracflow.state import State, StepReport
 from fracflow.steps.parts import Place
 
 AHEAD = 0.4  # of the slip that a step may have: one that slips so far may be twice as long next
@@ -36,6 +36,7 @@ class Course:
     count   whole steps with inertia since then
     creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]
     peak    largest one since
+    trials  steps without inertia that were tried and thrown away since the last event
     loud    when it was last above the share of its peak that counts as rest [time]
     """
 
@@ -49,6 +50,7 @@ class Course:
     creep: float = 0.0
     peak: float = 0.0
     loud: float = 0.0
+    trials: float = 0.0
 
     def as_progress(self, place: Place | None = None) -> dict[str, float]:
         """What a checkpoint keeps of it, and of the place in a step with inertia."""
@@ -89,7 +91,7 @@ class Course:
 
     def at_rest(self) -> Course:
         """As an event ends: the first step without inertia lasts a period."""
-        return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0)
+        return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0, trials=0.0)
 
 
 def begin(model: Model, state: State, stage: Stage) -> Course:
@@ -128,6 +130,23 @@ class Slipped:
     def may_double(self) -> bool:
         """Whether a step twice as long is expected to resolve the weakening, too."""
         return self.share <= AHEAD * SHARE
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A step without inertia.
+
+    why         it may not be taken; empty where it may
+    newton      iterations spent on it
+    state       that it led to, with its ``report``; None where it may not be taken
+    may_double  whether one twice as long may follow, as far as its slip tells
+    """
+
+    why: str
+    newton: int
+    state: State | None = None
+    report: StepReport = field(default_factory=StepReport)
+    may_double: bool = False
 
 
 def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:

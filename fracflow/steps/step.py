@@ -98,6 +98,7 @@ class Stepping:
         hold: bool = False,
         ahead: float | None = None,
         brief: bool = False,
+        most: int = 0,
     ) -> tuple[State, StepReport]:
         """One step to ``time``, by default under the loads of the scene and no restraint.
 
@@ -108,7 +109,8 @@ class Stepping:
         hold     all joint sections keep their status
         ahead    length of the step that follows, 0 where the stage ends or this one is cut at a jump; by default as long as
                  this one
-        brief    where sections keep changing it is given up early, for a shorter one or one with inertia
+        brief    it will be shortened where sections keep changing, and not be given to another solver
+        most     iterations that it is given while no section changes, where accuracy.max_iterations is more; 0: no such limit
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
         if isinstance(stepper, Explicit) and (count := self.explicit.count(dt)) > 1:
@@ -122,7 +124,7 @@ class Stepping:
             )
         loads = loads or self.model.loads
         rule = first(stepper) if begins_anew(stepper, loads, state, dt, ahead) else stepper
-        given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief)
+        given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief, most)
         new, report = self._step_by(rule, state, *given)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
         if left < NARROWS:
@@ -152,6 +154,7 @@ class Stepping:
         hold: bool,
         ahead: float | None,
         brief: bool,
+        most: int,
     ) -> tuple[State, StepReport]:
         last = state.memory.time_step
         alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
@@ -183,7 +186,7 @@ class Stepping:
                 around,
                 rates,
             )
-            problem.brief = brief
+            problem.brief, problem.most = brief, most
             try:
                 report = (explicit or self.couplings.of(closed)).solve(problem)
                 new = accept(problem, state.energy)

@@ -62,7 +62,7 @@ def test_parts_that_fail_do_not_shrink_for_ever():
         if end > 0.3:
             raise NotConverged("no solution")
         assert len(tried) < 300  # shrinking on to round-off would take more
-        return Attempted(Fake(end), SimpleNamespace(newton=1), end, 0.9)
+        return Attempted(Fake(end), StepReport(newton=1), end, 0.9)
 
     with pytest.raises(NotConverged, match=r"no solution \(after 6 halvings of the step\)"):
         taken(attempt, Rules(6, order=1, finest=10))
