@@ -4,10 +4,11 @@ Mechanism   A rupture shakes its walls at the frequencies of a few cells. Where 
             images, this presses them together and apart too: the normal traction rings. Nothing damps it, and cells that grow
             away from the fault keep it there. Friction rectifies: a section advances while it is pressed less, and stays
             while it is pressed more. Slip creeps on behind the front; finer cells ring more often, and make it worse.
-Predictor   ``asymmetry`` of the walls, and the rms of the normal traction behind the front: slip is too large by up to mu_d
-            times that rms over the stress drop. k_n has no part in it, so that neither softer joints nor a dashpot in them
-            help: the joint only passes on what the cells do.
-Threshold   An asymmetry of ``ALIKE``. Triangles of [geometry] have 0.01 to 0.4, and ring by 0.02 to 0.1 of the traction.
+Predictor   ``asymmetry`` of the walls, and the rms of the normal traction behind the front, which grows as its square: slip is
+            too large by up to mu_d times that rms over the stress drop. k_n has no part in it, so that neither softer joints
+            nor a dashpot in them help: the joint only passes on what the cells do.
+Threshold   An asymmetry of ``ALIKE``, far below what counts. Triangles of [geometry] have 0.01 to 0.4, and ring by some
+            hundredths of the traction.
 Remedy      F = sum of eta_e K_e v over LAYERS of cells (Day et al. 2005; Kelvin and Voigt), with eta_e = 2 xi/omega_e of a
             cell's fastest vibration omega_e: xi of the critical damping there, xi omega/omega_e of a wave of omega. One layer
             leaves twice the ringing of three, and xi below 0.2 leaves slip too large. A strip some cells wide takes off a wave
