@@ -121,13 +121,13 @@ def patch_of(model: Model, sections: Sections, weakening: Weakening) -> Patch | 
     owner = np.repeat(np.arange(len(blocks.joints.ids)), joints.points)
     size = np.abs(mode) * weakening.counts
     best = int(size.argmax()) if len(size) else -1
-    mine = (0.0, 0, "", (), 0)
+    mine: tuple[float, int, str, tuple[float, ...]] = (0.0, 0, "", ())
     if best >= 0 and size[best] > 0.0:
         joint = owner[best]
         name = blocks.joints.fractures[blocks.joints.fracture[joint]]
-        mine = (float(size[best]), -int(blocks.joints.ids[joint]), name, tuple(map(float, places[best])), 0)
+        mine = (float(size[best]), -int(blocks.joints.ids[joint]), name, tuple(map(float, places[best])))
     comm = blocks.comm
-    _, number, fracture, place, _ = max(comm.allgather(mine))
+    _, number, fracture, place = max(comm.allgather(mine))
     names = np.array(blocks.joints.fractures, dtype=object)
     there = (size > SEEN) & (names[blocks.joints.fracture[owner]] == fracture) if len(size) else size > SEEN
     weights = joints.weights[there]

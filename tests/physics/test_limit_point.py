@@ -74,7 +74,7 @@ def test_a_dynamic_stage_goes_on_from_a_limit_point_and_so_does_a_resumed_run(sh
     assert 0.5 * STEP > np.diff(whole["time"][at_rest])[-1]
     assert whole["time"][at_rest][-1] == pytest.approx(ONSET, abs=STEP / 64.0)
     slip = whole["probe/middle/plastic_slip"]
-    assert abs(slip[at_rest][-1]) < 1e-12 and slip[-1] > D_C
+    assert abs(slip[at_rest][-1]) < 1e-12 and slip[-1] > 0.1 * D_C
 
 
 def test_an_event_of_a_stage_auto_names_its_limit_point(shared_tmp):
