@@ -102,7 +102,7 @@ class Catalogue:
         drop = (np.array(before["traction"]) - now.traction) * np.sign(change) * slipped
         moment = float((length * np.where(slipped, self.ends.modulus * size, 0.0)).sum())
         since = {name: now.energy[name] - value for name, value in before["energy"].items()}
-        released = sum(since[name] for name in RELEASED)
+        released = sum(since.get(name, 0.0) for name in RELEASED)
         return {
             "place": int(self.ends.place[self.first]),
             "start": self.start,
