@@ -207,8 +207,9 @@ def _split(case: Case, random: Random) -> tuple[Case, Back]:
 def _by(**method: str) -> Callable[[Case, Random], tuple[Case, Back]]:
     def make(case: Case, random: Random) -> tuple[Case, Back]:
         data = copied(case)
+        # by itself full locates all events of a step, which is another rule of stepping
         model = {"model": method["model"]} if "model" in method else {}
-        data["method"] |= {key: value for key, value in method.items() if key != "model"}
+        data["method"] = {"events": "auto"} | data["method"] | {k: v for k, v in method.items() if k != "model"}
         return Case(data | model, case.points, case.cells, case.traces, case.sides, case.shared), Back()
 
     return make
