@@ -16,6 +16,7 @@ from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.quality import cell_areas
 from fracflow.mesh.snap import natural_snap
 from fracflow.mesh.traces import polygon_area
+from fracflow.plan.coarse_rock import GENTLE, coarse_beside, may_run_away
 from fracflow.plan.lengths import (
     affordable,
     cell_count,
@@ -35,7 +36,6 @@ PER_FRONT = 8  # joints, in the reach of a pressure
 PER_WAVE = 10  # cells: lumped mass and trapezoid are 4.6 % slow there (where each wave takes one step through a cell)
 PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
-GENTLE = 0.1  # the same beside fractures that weaken with slip: slip runs away 1 % late, with 0.15 2 % and with 0.3 5 %
 ACROSS = 20  # cells across the domain, far from all fractures
 MOST_CELLS = 100_000
 MOST_NAMES = 8  # fractures told of
@@ -84,41 +84,8 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
             for need in needs(view, mesh)
             if need.is_told and SAME * need.found > need.size
         ]
-        + coarse_beside(view, mesh)
+        + coarse_beside(view, mesh, cell_sizes(mesh))
     )
-
-
-def coarse_beside(view: View, mesh: SplitMesh) -> list[str]:
-    """A line for each fracture whose joints may resolve where slip goes unstable, and the rock beside it does not.
-
-    Rock is too stiff by the square of the rate at which its cells grow away from a patch of the nucleation length.
-    """
-    if not view.weakens.any() or not _may_run_away(view.scene):
-        return []
-    from scipy.spatial import cKDTree  # imports much
-
-    joints, edges = view.joints, cell_sizes(mesh)
-    middle = mesh.points[mesh.joint_bottom].mean(axis=1)
-    reach = np.nanmin(np.where(view.weakens, slip.nucleation_lengths(view), np.inf), axis=1)
-    weak = np.flatnonzero(np.isfinite(reach))
-    corners = mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])]
-    away, nearest = cKDTree(middle[weak]).query(corners.mean(axis=1)) if len(weak) else (np.zeros(0), np.zeros(0, int))
-    lines = []
-    for number, name in enumerate(joints.names):
-        own = weak[nearest]
-        here = joints.fracture[own] == number
-        here &= (away > 2.0 * joints.length[own]) & (away < reach[own])
-        if not here.any():
-            continue
-        grows = float((edges[here] - joints.length[own[here]]).sum() / away[here].sum())
-        if grows > GENTLE:
-            lines.append(
-                f"mesh: the nucleation length of {name} is not resolved in the rock beside it: within"
-                f" {reach[own[here]].min():.3g}{view.unit(LENGTH)} cells grow by {grows:.3g} of the distance, more than"
-                f" {GENTLE:g}, which holds the fracture too stiffly and lets slip run away late: geometry.growth ="
-                f" {GENTLE:g}, or refine"
-            )
-    return lines
 
 
 def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
@@ -282,11 +249,7 @@ def _growth(scene: Scene, geometry: Geometry) -> float:
     if "growth" in geometry.model_fields_set:
         return geometry.growth
     laws = (JOINT_LAWS[scene.fracture_named(trace.name).law] for trace in geometry.fracture)
-    return GENTLE if _may_run_away(scene) and any(law.weakens_over for law in laws) else GROWTH
-
-
-def _may_run_away(scene: Scene) -> bool:
-    return any(stage.kind != "dynamic" for stage in scene.stage)
+    return GENTLE if may_run_away(scene) and any(law.weakens_over for law in laws) else GROWTH
 
 
 def _trace_lengths(geometry: Geometry) -> Floats:
