@@ -189,7 +189,9 @@ def patch_at_limit(model: Model, state: State) -> Patch | None:
 def is_near(model: Model, state: State) -> bool:
     """Whether there is one, for less. Collective."""
     return any(
-        largest_share(model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost))[0]
+        largest_share(model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost))[
+            0
+        ]
         >= least
         for almost, least in LIMITS
     )
