@@ -235,7 +235,6 @@ TURNS = (
     Turn("model full", always, _by(model="full")),
     Turn("condensed", _not_yet("condensed"), _by(coupling="condensed")),
     Turn("whole", _not_yet("whole-lu"), _by(coupling="whole-lu")),
-    Turn("iterated", _not_yet("monolithic"), _by(coupling="monolithic")),
 )
 
 
