@@ -232,7 +232,9 @@ class Geometry(Part):
         description="mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given",
     )
     growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] = Field(
-        default=0.3, description="growth of the mesh size per length away from the fractures [1]"
+        default=0.3,
+        description="growth of the mesh size per length away from the fractures; 0.1 if not given where these weaken with slip and"
+        " a stage has no inertia [1]",
     )
     snap: Size | None = Field(
         default=None,

@@ -41,6 +41,7 @@ MOST_CELLS = 100_000
 MOST_NAMES = 8  # fractures told of
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
+LATE = "beside fractures that weaken with slip coarser rock lets it run away late"
 SAME = 0.99  # sizes that differ by less need no new mesh
 MARGIN = 0.95  # cells of a size asked for differ from it
 
@@ -197,17 +198,20 @@ def cell_sizes(mesh: SplitMesh) -> Floats:
 def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     """Keys of [geometry] that a scene leaves open, as its lengths ask, and why; of a mesh file none.
 
-    The snap follows from the traces. Where no ``size`` is stated, meshes the scene by ``build``, finer each time, until it
-    resolves all lengths or has MOST_CELLS. On one process.
+    The snap follows from the traces, and the growth from what fractures do. Where no ``size`` is stated, meshes the scene by
+    ``build``, finer each time, until it resolves all lengths or has MOST_CELLS. On one process.
     """
     geometry = scene.geometry
     if geometry is None:
         return {}, []
     snap, why = _snap(scene, geometry)
-    if geometry.size is not None:
-        return snap, why
     domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
+    if geometry.size is not None:
+        fine, given = geometry.size_at_fractures or geometry.size, "growth" in geometry.model_fields_set
+        if given or not _weakens(scene) or cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
+            return snap, why
+        return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
     width = Need(f"width of the domain / {ACROSS}", size, size, False, is_told=False)
     fine = min(size, typical / FEWEST, mean_spacing(area, total) / PER_SPACING)
@@ -248,8 +252,14 @@ def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]
 def _growth(scene: Scene, geometry: Geometry) -> float:
     if "growth" in geometry.model_fields_set:
         return geometry.growth
-    laws = (JOINT_LAWS[scene.fracture_named(trace.name).law] for trace in geometry.fracture)
-    return GENTLE if may_run_away(scene) and any(law.weakens_over for law in laws) else GROWTH
+    return GENTLE if _weakens(scene) else GROWTH
+
+
+def _weakens(scene: Scene) -> bool:
+    """Whether slip may run away from rest on a fracture whose strength falls over a length of slip."""
+    assert scene.geometry is not None
+    laws = (JOINT_LAWS[scene.fracture_named(trace.name).law] for trace in scene.geometry.fracture)
+    return may_run_away(scene) and any(law.weakens_over for law in laws)
 
 
 def _trace_lengths(geometry: Geometry) -> Floats:
