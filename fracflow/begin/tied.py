@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
 
@@ -18,7 +19,6 @@ from fracflow.laws import JOINT_LAWS
 from fracflow.laws.elastic import plane_strain_stiffness
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.glue import glued, groups
-from fracflow.mesh.locate import FracturePlace
 from fracflow.output.rock import deforms, per_cell, properties, strain, stress_change, tensors
 from fracflow.plan.decision import Facts, Shut
 from fracflow.plan.tied import NONE, PART, USE, Fractures, choose, why_none
@@ -100,9 +100,8 @@ def _of_mesh(model: Model) -> Fractures | None:
     _, length = joint.frame(mesh.points[mesh.joint_bottom])
     joints, whole = (np.bincount(fracture, each, count).astype(float) for each in (np.ones_like(length), length))
     group = np.unique(groups(mesh), return_inverse=True)[1].ravel()
-    probed = np.array(
-        [p.nodes[0] if isinstance(p, FracturePlace) else p.node for p in placed.probes.values()], np.int64
-    )
+    probes = [*placed.probes.values()]
+    probed = np.array([node for place in probes for node in place.stands_on], np.int64)
     wells = mesh.flow_origin[np.array([*placed.wells.values()], dtype=np.int64)]
     named = np.union1d(wells, mesh.origin[probed])
     barred = np.zeros(count, dtype=bool)
@@ -129,7 +128,7 @@ def _of_mesh(model: Model) -> Fractures | None:
         length=whole, facet=whole / np.maximum(joints, 1.0), stiffness=np.ones(count), shear=np.zeros(count),
         barred=barred, apart=apart,
         reach=np.array([0.5 * np.linalg.norm(np.ptp(places[each], axis=0)) for each in nodes]),
-        held=_to_held(model, mesh), probed=_to_probes(mesh, probed),
+        held=_to_held(model, mesh), probed=_to_probes(mesh, [place.point for place in probes]),
         area=float(per_cell(mesh.cells, lambda _, corners: solid.area(mesh.points[corners])).sum()),
         size=float(np.ptp(mesh.points, axis=0).min()),
         modulus=float((young / (1.0 - poisson**2)).max(initial=0.0)),
@@ -151,11 +150,11 @@ def _to_held(model: Model, mesh: SplitMesh) -> Floats:
     return np.asarray(np.bincount(mesh.joint_fracture, away * length, count) / np.maximum(whole, NONE))
 
 
-def _to_probes(mesh: SplitMesh, probed: Ints) -> Floats:
-    """Distance (p, f) of each fracture from each of the nodes ``probed``."""
-    found = np.full((len(probed), len(mesh.fractures)), inf)
-    for row, node in zip(found, probed, strict=True):
-        away = np.linalg.norm(mesh.points[mesh.flow_origin] - mesh.points[node], axis=1)
+def _to_probes(mesh: SplitMesh, points: Sequence[Floats]) -> Floats:
+    """Distance (p, f) of each fracture from each of the ``points`` (dim,) of probes [length]."""
+    found = np.full((len(points), len(mesh.fractures)), inf)
+    for row, point in zip(found, points, strict=True):
+        away = np.linalg.norm(mesh.points[mesh.flow_origin] - point, axis=1)
         np.minimum.at(row, mesh.joint_fracture, away[mesh.joint_flow].min(axis=1))
     return found
 

@@ -33,6 +33,11 @@ class FracturePlace:
     joints: Ints
     ends: Ints
 
+    @property
+    def stands_on(self) -> tuple[int, ...]:
+        """Nodes of the split mesh that a probe there looks at."""
+        return self.nodes
+
 
 @dataclass(frozen=True)
 class RockPlace:
@@ -52,6 +57,11 @@ class RockPlace:
     corners: Ints
     within: tuple[RockPlace, ...] = ()
     shares: tuple[float, ...] = ()
+
+    @property
+    def stands_on(self) -> tuple[int, ...]:
+        """Nodes of the split mesh that a probe there looks at."""
+        return tuple(place.node for place in self.within) or (self.node,)
 
 
 def coordinates(mesh: SplitMesh, at: At, what: str) -> Floats:

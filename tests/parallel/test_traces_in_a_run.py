@@ -7,7 +7,7 @@ from fracflow.output import read_history
 from fracflow.run import run
 from fracflow.scene import load
 
-# Clara stops a hair short of Anna's end, and Bruno leaves the domain; 5 % of the size is 0.02.
+# Clara stops a hair short of Anna's end, by less than the snap that is stated, and Bruno leaves the domain.
 TABLE = """name\taperture\tx1\ty1\tx2\ty2
 Anna\t0.1 mm\t0\t1\t2\t1
 Clara\t0.2 mm\t2.01\t1.01\t4\t2
@@ -26,7 +26,7 @@ well = [
 probe = [{name = "A", at = [1, 1], on = "Anna"}, {name = "C", at = [3, 1.5], on = "Clara"}]
 stage = [{kind = "steady", time_step = 1, steps = 1}]
 output = {pictures = false}
-geometry = {domain = [0, 0, 4, 4], size = 0.8, size_at_fractures = 0.4, fractures_csv = "traces.csv", cells = "CELLS"}
+geometry = {domain = [0, 0, 4, 4], size = 0.8, size_at_fractures = 0.4, snap = 0.02, fractures_csv = "traces.csv", cells = "CELLS"}
 """
 
 
