@@ -111,8 +111,8 @@ def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
     """How far both walls of each joint (j,) are from mirror images: 0 for these, at most 1. Collective.
 
     The larger, of both ends, of |m+ - m-|/(m+ + m-) and of |K+ - R K- R|/(|K+| + |K-|), with mass and 2 x 2 stiffness of a
-    wall's node and the reflection R = 1 - 2 n n'. On rigid rock a wall stands beside its own image: slip moves it apart
-    only as far as K of its nodes couples both.
+    wall's node and the reflection R = 1 - 2 n n'. A wall on rigid rock stands beside its own image, by the mean K of its
+    two nodes: slip moves it apart as far as that couples both.
     """
     block, joints, dim = blocks.solid, blocks.joints, blocks.sizes.dim
     moduli, density = elasticity(blocks, scene), rock_values(blocks, scene, "density")
@@ -129,12 +129,9 @@ def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
     mirror = (np.eye(dim) - 2.0 * normal[:, :, None] * normal[:, None, :])[:, None]
     below, above = (whole[nodes, :-1].reshape(*nodes.shape, dim, dim) for nodes in (joints.bottom, joints.top))
     light, heavy = (whole[nodes, -1] for nodes in (joints.bottom, joints.top))
-    below, above = (
-        np.where((own > 0.0)[..., None, None], one, other)
-        for own, one, other in ((light, below, above), (heavy, above, below))
-    )
-    stiff = _difference(below, mirror @ above @ mirror)
-    mass = np.where((light > 0.0) & (heavy > 0.0), np.abs(light - heavy) / np.maximum(light + heavy, 1e-300), 0.0)
+    alone, own = (light == 0.0) | (heavy == 0.0), (below + above).mean(axis=1, keepdims=True)
+    stiff = np.where(alone, _difference(own, mirror @ own @ mirror), _difference(below, mirror @ above @ mirror))
+    mass = np.where(alone, 0.0, _difference(light[..., None, None], heavy[..., None, None]))
     is_split = joints.bottom != joints.top
     worst: Floats = np.where(is_split, np.maximum(stiff, mass), 0.0).max(axis=1, initial=0.0)
     return worst
