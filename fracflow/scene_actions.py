@@ -163,7 +163,10 @@ class Probe(Part):
     )
     on: Name | None = Field(default=None, description="fracture or rock that is meant, where several meet at the place")
     quantities: tuple[Measured, ...] | None = Field(
-        default=None, description="what to write; all there is if not given"
+        default=None,
+        description="what to write; all there is if not given; slip_rate is that of the instant: in waves behind sharp fronts"
+        " it rings with periods of a few cell transits h/c_s, which finer cells do not lessen; read slip, or its increase over"
+        " at least 8 h/c_s",
     )
 
 

@@ -6,9 +6,13 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
+from fracflow.laws import JOINT_LAWS
 from fracflow.profiles import Profile
 from fracflow.scene import Scene
-from fracflow.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, VISCOSITY
+from fracflow.tables import FractureEnd
+from fracflow.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
+
+TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
 USUAL = {
@@ -34,6 +38,7 @@ def advice(scene: Scene) -> list[str]:
         *_reflecting(scene),
         *_too_long(scene),
         *_ringing(scene),
+        *_jagged(scene),
         *(_unusual(scene) if scene.units != "none" else ()),
     ]
 
@@ -98,7 +103,7 @@ def _ringing(scene: Scene) -> Iterator[str]:
     ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
     unlike = geometry is not None and bool(ruptures)
     damps = method.stepper == "explicit" and method.fault_damping != 0.0
-    if unlike and not damps and scene.model != "report" and any(stage.kind == "dynamic" for stage in scene.stage):
+    if unlike and not damps and scene.model != "report" and scene.has_dynamics:
         remedy = (
             "method.fault_damping above 0"
             if method.stepper == "explicit"
@@ -109,6 +114,42 @@ def _ringing(scene: Scene) -> Iterator[str]:
             f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {remedy}, or a [mesh]"
             " that mirrors itself in the fault"
         )
+
+
+def _jagged(scene: Scene) -> Iterator[str]:
+    """Slip rates that probes record where waves run: those of an instant are not to be read."""
+    slides = any("sliding" in JOINT_LAWS[table.law].status for table in scene.fracture.values())
+    names = [
+        probe.name
+        for probe in scene.probe
+        if (probe.quantities is None and (isinstance(probe.at, FractureEnd) or (probe.on or "") in scene.fracture))
+        or "slip_rate" in (probe.quantities or ())
+    ]
+    deforms = any(not rock.rigid for rock in scene.rock.values())
+    if not (scene.has_dynamics and slides and names and deforms):
+        return
+    least = _transit(scene)
+    here = (
+        "" if least is None else f" = {TRANSITS * least:.3g} {scene.unit_system.unit(TIME)} by the sizes of [geometry]"
+    )
+    yield (
+        f"probe.{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: behind sharp fronts slip_rate rings with"
+        " periods of a few cell transits h/c_s, and finer cells do not lessen it: read slip, or its increase over a time of at"
+        f" least {TRANSITS} h/c_s{here}, kept as cells are refined"
+    )
+
+
+def _transit(scene: Scene) -> float | None:
+    """Longest time in which a shear wave passes a cell at a fracture [time]; None where the scene states no mesh size."""
+    geometry, slowness = scene.geometry, 0.0
+    size = None if geometry is None else geometry.size_at_fractures or geometry.size
+    if geometry is None or size is None:
+        return None
+    for rock in scene.rock.values():
+        if not rock.rigid and rock.youngs_modulus and rock.density:
+            shear = 0.5 * rock.youngs_modulus / (1.0 + (rock.poissons_ratio or 0.0))
+            slowness = max(slowness, math.sqrt(rock.density / shear))
+    return size / 2**geometry.refine * slowness
 
 
 def _unusual(scene: Scene) -> Iterator[str]:

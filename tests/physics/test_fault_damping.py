@@ -157,4 +157,42 @@ def test_the_critical_step_of_a_damped_vibration(ratio):
 )
 def test_a_rupture_that_nothing_damps_is_told(tmp_path, override, warns):
     (tmp_path / "scene.toml").write_text(FAULT + TRIANGLES, encoding="utf-8")
-    assert any("rings" in line for line in advice(load(tmp_path / "scene.toml", [override]))) == warns
+    lines = advice(load(tmp_path / "scene.toml", [override]))
+    assert any("normal traction rings" in line for line in lines) == warns
+
+
+AUTO = ('kind = "dynamic"\ntime_step = "10 ms"', 'kind = "auto"\ntime_step = "1 s"\ndynamic_time_step = "10 ms"')
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("stepper", "warns"), [("newmark", True), ("explicit", False)])
+def test_a_rupture_of_a_stage_auto_that_nothing_damps_is_told_too(tmp_path, stepper, warns):
+    (tmp_path / "scene.toml").write_text((FAULT + TRIANGLES).replace(*AUTO), encoding="utf-8")
+    lines = advice(load(tmp_path / "scene.toml", [f"method.stepper={stepper}"]))
+    assert any("normal traction rings" in line for line in lines) == warns
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("change", "override", "told"),
+    [
+        (("", ""), "title=x", "probe.left and 2 more: behind sharp fronts slip_rate rings"),
+        (("", ""), "geometry.refine=1", f"= {8 * 62.5 / np.sqrt(32e9 / 2670.0):.3g} s"),  # mu = 32 GPa
+        (("", ""), "geometry.size_at_fractures=100", f"= {8 * 100.0 / np.sqrt(32e9 / 2670.0):.3g} s"),
+        (AUTO, "title=x", "probe.left and 2 more"),
+        (('on = "main"', 'on = "main"\nquantities = ["slip"]'), "title=x", ""),
+        (('kind = "dynamic"', 'kind = "quasi-static"'), "method.stepper=newmark", ""),
+    ],
+)
+def test_slip_rates_that_are_not_to_be_read_are_told(tmp_path, change, override, told):
+    (tmp_path / "scene.toml").write_text((FAULT + TRIANGLES).replace(*change), encoding="utf-8")
+    lines = [line for line in advice(load(tmp_path / "scene.toml", [override])) if "slip_rate" in line]
+    assert len(lines) == bool(told) and all(told in line for line in lines)
+
+
+@pytest.mark.serial
+def test_the_time_over_which_rates_are_to_be_read_needs_a_size(tmp_path):
+    (tmp_path / "fault.geo").write_text(GEO.format(above=16))
+    (tmp_path / "scene.toml").write_text(FAULT + QUADRILATERALS, encoding="utf-8")
+    (line,) = (line for line in advice(load(tmp_path / "scene.toml")) if "slip_rate" in line)
+    assert "at least 8 h/c_s, kept" in line
