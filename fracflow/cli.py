@@ -63,7 +63,7 @@ def run_command(
     given = load(scene, set_ or [])
     console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     for line in advice(given):
-        console.print(f"note: {line}", soft_wrap=True)
+        console.print(f"note: {line}", soft_wrap=True, markup=False)  # lines name [tables]
     if converge is not None:
         run_levels(given, output or Path("runs") / f"{given.name}-converge", converge, console, comm)
         return

@@ -12,6 +12,7 @@ from fracflow.scene import Scene
 from fracflow.tables import FractureEnd
 from fracflow.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
 
+GENTLE = 0.1  # growth of cells beside ruptures
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
@@ -38,6 +39,7 @@ def advice(scene: Scene) -> list[str]:
         *_reflecting(scene),
         *_too_long(scene),
         *_ringing(scene),
+        *_growing(scene),
         *_jagged(scene),
         *(_unusual(scene) if scene.units != "none" else ()),
     ]
@@ -113,6 +115,20 @@ def _ringing(scene: Scene) -> Iterator[str]:
             f"fracture.{ruptures[0]}: behind a rupture on walls that are not meshed as mirror images the normal traction rings"
             f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {remedy}, or a [mesh]"
             " that mirrors itself in the fault"
+        )
+
+
+def _growing(scene: Scene) -> Iterator[str]:
+    """Stated sizes of cells that grow too fast away from a rupture that explicit steps damp."""
+    geometry, method = scene.geometry, scene.method
+    if geometry is None or method.stepper != "explicit" or method.fault_damping == 0.0 or not scene.has_dynamics:
+        return
+    is_stated = geometry.size is not None or "growth" in geometry.model_fields_set
+    ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
+    if is_stated and ruptures and geometry.growth > GENTLE:
+        yield (
+            f"geometry.growth = {geometry.growth:g}: beside fracture.{ruptures[0]}, cells that grow so send waves back to it:"
+            f" the error of its slip falls with their size, and by about the power 1.4 of it at a growth of {GENTLE:g}"
         )
 
 

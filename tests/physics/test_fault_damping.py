@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
 from fracflow.assembly.fault_damping import asymmetry, fault_damping
 from fracflow.begin.setup import prepare
+from fracflow.cli import app
 from fracflow.scene import load
 from fracflow.scene_advice import advice
 from fracflow.stepping.explicit import damped_rate
@@ -161,6 +163,21 @@ def test_a_rupture_that_nothing_damps_is_told(tmp_path, override, warns):
     assert any("normal traction rings" in line for line in lines) == warns
 
 
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("overrides", "warns"),
+    [([], True), (["geometry.growth=0.1"], False), (["fracture.main.law=hyperbolic-coulomb"], False)],
+)
+def test_cells_that_grow_too_fast_beside_a_rupture_are_told(tmp_path, overrides, warns):
+    text = FAULT + TRIANGLES
+    if "hyperbolic" in "".join(overrides):
+        weakens = ("dynamic_friction", "slip_weakening")
+        text = "\n".join(line for line in text.splitlines() if not line.startswith(weakens))
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    lines = advice(load(tmp_path / "scene.toml", overrides))
+    assert any("geometry.growth = 0.3" in line for line in lines) == warns
+
+
 AUTO = ('kind = "dynamic"\ntime_step = "10 ms"', 'kind = "auto"\ntime_step = "1 s"\ndynamic_time_step = "10 ms"')
 
 
@@ -196,3 +213,12 @@ def test_the_time_over_which_rates_are_to_be_read_needs_a_size(tmp_path):
     (tmp_path / "scene.toml").write_text(FAULT + QUADRILATERALS, encoding="utf-8")
     (line,) = (line for line in advice(load(tmp_path / "scene.toml")) if "slip_rate" in line)
     assert "at least 8 h/c_s, kept" in line
+
+
+@pytest.mark.serial
+def test_notes_of_a_run_name_tables_whole(tmp_path):
+    (tmp_path / "scene.toml").write_text(FAULT + TRIANGLES, encoding="utf-8")
+    (tmp_path / "taken").write_text("no folder", encoding="utf-8")
+    words = ["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "taken"), "--set", "method.stepper=newmark"]
+    said = " ".join(CliRunner().invoke(app, words).output.split())
+    assert "or a [mesh] that mirrors itself" in said and "by the sizes of [geometry]" in said
