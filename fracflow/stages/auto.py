@@ -110,7 +110,8 @@ class _Regimes:
         share = scene.accuracy.tolerance or SEEN
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=share)
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
+        stepping.explicit.tell(self.waves, least)
+        locates = stepping.explicit.locates(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
             stepping.couplings.expect(self.waves, least)
         facts = self.model.facts
