@@ -17,6 +17,7 @@ from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.state import State
+from fracflow.tables_time import JUST_AFTER, JUST_BEFORE
 
 MOST_TOLD = 5  # parts that the log lists
 FOLD = 1.5
@@ -84,7 +85,7 @@ class Network:
         found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
         for part, wells, _ in found.parts:
-            rates = [loads.demanded(well, state.time, state.controls) for well in wells]
+            rates = [loads.demanded(well, state.time, state.controls, state.around) for well in wells]
             taken, moved = self._taken(part, state)
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
                 raise SolveError(
@@ -121,8 +122,9 @@ class Network:
             if not moves or len(part.nodes) == 1:
                 continue
             rate = 0.0
-            for time, sign in ((state.time + dt, 1.0), (state.time, -1.0)) if dt > 0.0 else ():
-                rate += sign * sum(loads.demanded(well, time, state.controls) for well in wells) / (dt * depth)
+            ends = (state.time + dt, 1.0, JUST_BEFORE), (state.time, -1.0, JUST_AFTER)
+            for time, sign, side in ends if dt > 0.0 else ():
+                rate += sign * sum(loads.demanded(well, time, state.controls, side) for well in wells) / (dt * depth)
             nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
             found.append(Enclosed(nodes, close(self.model.operators, part, True).weights, rate))
         return found
@@ -137,7 +139,9 @@ class Network:
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
         numbers = self.model.operators.layout.flow_numbers
         for part, wells, gives in parts:
-            rates = [loads.demanded(well, problem.time, problem.controls) for well in wells]
+            rates = [
+                loads.demanded(well, problem.time, problem.controls, problem.around, problem.rates) for well in wells
+            ]
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
                 inside = numbers(part.nodes)
