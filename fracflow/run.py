@@ -180,7 +180,7 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
     try:
         failure = _steps(stepping, recorder, step, progress)
-        for line in told_handed(recorder.files.events.rows, recorder.files.mesh) if recorder.files is not None else ():
+        for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
             recorder.log(line)
         recorder.finish(clock.perf_counter() - began, _status(failure))
     finally:
@@ -189,6 +189,11 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     if failure is not None:
         raise failure
     return recorder.totals
+
+
+def _handed(recorder: Recorder) -> list[str]:
+    assert recorder.files is not None
+    return told_handed(recorder.files.events.rows, recorder.files.mesh)
 
 
 def _status(failure: SolveError | Interrupted | None) -> Status:
