@@ -18,6 +18,7 @@ class Totals:
 
     injected  net volume that wells have brought, as in the last state [length^3]
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
+    widening  largest factor by which an aperture grew in a step, as the log last told it; 1 where it told of none
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """
 
@@ -36,6 +37,7 @@ class Totals:
     rejected: int = 0
     wasted: int = 0
     strained: int = 0
+    widening: float = 1.0
     undone: dict[str, str] = field(default_factory=dict)
 
     def add(self, report: StepReport) -> None:

@@ -86,11 +86,14 @@ class ExplicitSteps:
                 if now is not state:
                     now.destroy()
             now = new
+            widest = max(total, report, key=lambda each: each.widening)
             total = replace(
                 report.after(total),
                 solid_residual=max(total.solid_residual, report.solid_residual),
                 flow_residual=max(total.flow_residual, report.flow_residual),
                 digits=min(total.digits, report.digits),
+                widening=widest.widening,
+                widest=widest.widest,
             )
         return now, total
 

@@ -136,8 +136,7 @@ class Stepping:
         self.network.tell(time)
         if rule.storage:
             grown, where = widening(self.model.operators, state, new)
-            report = replace(report, widening=grown)
-            self.network.tell_widening(time, grown, where)
+            report = replace(report, widening=grown, widest=where)
         return new, report
 
     def _step_by(
