@@ -164,8 +164,12 @@ def require_run(folder: Path) -> None:
 def of_stage(stage: Stage, error: SolveError) -> SolveError:
     """The same error with the name of its stage."""
     head = f"stage {stage.title}: "
-    found = error if str(error).startswith(head) else type(error)(f"{head}{error}")
-    found.__cause__ = error if found is not error else error.__cause__
+    if str(error).startswith(head):
+        return error
+    kind = type(error)
+    found = kind.__new__(kind, f"{head}{error}")  # which may take more to be made than a message
+    found.__dict__.update(error.__dict__)
+    found.__cause__ = error
     return found
 
 
@@ -245,6 +249,7 @@ def _steps(
                 except LimitPoint as limit:
                     if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
                         raise
+                    recorder.totals.give_up(limit)
                     recorder.log(
                         f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
                     )
@@ -254,6 +259,8 @@ def _steps(
                 each.destroy()
             raise
         except (SolveError, Interrupted) as error:  # raised on every rank: what follows stays collective
+            if isinstance(error, SolveError):
+                recorder.totals.give_up(error)
             failure = error if isinstance(error, Interrupted) else of_stage(stage, error)
             recorder.log(f"stopped: {failure}")
     if not isinstance(failure, Interrupted):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fracflow.errors import SolveError
 from fracflow.state import StepReport
 
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
@@ -47,6 +48,11 @@ class Totals:
         self.factorisations += report.factorisations
         self.rejected += report.rejected
         self.wasted += report.wasted
+
+    def give_up(self, failure: SolveError) -> None:
+        """Count the trials of a step that came to nothing."""
+        self.rejected += failure.trials
+        self.wasted += failure.newton
 
     def besides(self) -> str:
         """The trials that were thrown away, in words; empty without any."""

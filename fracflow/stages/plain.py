@@ -9,7 +9,7 @@ from fracflow._petsc import MPI
 from fracflow.begin.setup import Model
 from fracflow.errors import SolveError
 from fracflow.scene_actions import Stage
-from fracflow.stages.instability import is_near, refuse_jump, to_limit_point, weakens
+from fracflow.stages.instability import is_near, refuse_unstable_slip, to_limit_point, weakens
 from fracflow.state import State, StepReport, forgetful
 from fracflow.stepping import Steady, Stepper
 from fracflow.steps.accuracy import Judge
@@ -222,8 +222,8 @@ def run_stage(
 
         found = take_part(stepping, state, reach, begin, end, whole, may_stop)
         new, length = found.state, dt * (found.fraction - begin)
-        if not stepper.inertia:
-            refuse_jump(model, state, new)
+        if hurries:
+            refuse_unstable_slip(model, state, new, found.report.newton)
         error = judge.error(length, stepping.explicit.part(stepper, length), state, new)
         if found.fraction == end and jumps and not (n == count and end == 1.0):
             left = new
