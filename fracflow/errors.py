@@ -1,18 +1,32 @@
 """The two ways a run can end badly; every message is one line that says what would be right. And two that are no failure."""
 
+from __future__ import annotations
+
 
 class InputError(Exception):
     """The scene, the mesh or the command line is wrong: exit code 2."""
 
 
 class SolveError(Exception):
-    """The equations of a step could not be solved: exit code 3, the last good state is on disk."""
+    """The equations of a step could not be solved: exit code 3, the last good state is on disk.
+
+    newton  iterations of Newton's method that were spent in vain
+    trials  of steps that were thrown away
+    """
+
+    def __init__(self, message: str = "", newton: int = 0, trials: int = 0) -> None:
+        """Say what failed, and what was spent on it."""
+        super().__init__(message)
+        self.newton, self.trials = newton, trials
 
 
 class NotConverged(SolveError):
-    """An iteration did not converge; a shorter step may. ``newton``: iterations of Newton's method spent on the step."""
+    """An iteration did not converge; a shorter step may."""
 
-    newton = 0
+    def after(self, newton: int) -> NotConverged:
+        """The same failure, on which so many iterations were spent in all."""
+        self.newton = newton
+        return self
 
 
 class Restless(NotConverged):

@@ -164,8 +164,12 @@ def require_run(folder: Path) -> None:
 def of_stage(stage: Stage, error: SolveError) -> SolveError:
     """The same error with the name of its stage."""
     head = f"stage {stage.title}: "
-    found = error if str(error).startswith(head) else type(error)(f"{head}{error}")
-    found.__cause__ = error if found is not error else error.__cause__
+    if str(error).startswith(head):
+        return error
+    kind = type(error)
+    found = kind.__new__(kind, f"{head}{error}")  # which may take more to be made than a message
+    found.__dict__.update(error.__dict__)
+    found.__cause__ = error
     return found
 
 
@@ -180,7 +184,7 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
     try:
         failure = _steps(stepping, recorder, step, progress)
-        for line in told_handed(recorder.files.events.rows, recorder.files.mesh) if recorder.files is not None else ():
+        for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
             recorder.log(line)
         recorder.finish(clock.perf_counter() - began, _status(failure))
     finally:
@@ -189,6 +193,11 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     if failure is not None:
         raise failure
     return recorder.totals
+
+
+def _handed(recorder: Recorder) -> list[str]:
+    assert recorder.files is not None
+    return told_handed(recorder.files.events.rows, recorder.files.mesh)
 
 
 def _status(failure: SolveError | Interrupted | None) -> Status:
@@ -240,6 +249,7 @@ def _steps(
                 except LimitPoint as limit:
                     if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
                         raise
+                    recorder.totals.give_up(limit)
                     recorder.log(
                         f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
                     )
@@ -249,6 +259,8 @@ def _steps(
                 each.destroy()
             raise
         except (SolveError, Interrupted) as error:  # raised on every rank: what follows stays collective
+            if isinstance(error, SolveError):
+                recorder.totals.give_up(error)
             failure = error if isinstance(error, Interrupted) else of_stage(stage, error)
             recorder.log(f"stopped: {failure}")
     if not isinstance(failure, Interrupted):

@@ -188,7 +188,7 @@ class StepReport:
     located         sections whose friction changed its status at the end of the step, which was sought
     rejected        trials thrown away on the way to this step: they found no balance, ran away, or were not accurate
     wasted          Newton iterations spent on those, which ``newton`` does not count
-    widening        largest factor by which an aperture grew in the step
+    widening        largest factor by which an aperture grew in the step, and ``widest``, its fracture and place
     """
 
     newton: int = 0
@@ -207,6 +207,7 @@ class StepReport:
     rejected: int = 0
     wasted: int = 0
     widening: float = 1.0
+    widest: str = ""
 
     def with_rejected(self, newton: int) -> StepReport:
         """The same with one more trial thrown away, on which so many iterations were spent."""

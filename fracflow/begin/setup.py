@@ -254,8 +254,9 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     mesh = on_root(comm, lambda: saved or _read_split(scene))
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None
-    coarse = unresolved(scene, mesh, placed.wells) if mesh is not None and saved is None else []
-    apart = told_apart(scene, mesh, placed.wells) if mesh is not None else []
+    wells_at, is_new = placed.wells, saved is None
+    coarse = on_root(comm, lambda: unresolved(scene, mesh, wells_at) if mesh is not None and is_new else []) or []
+    apart = on_root(comm, lambda: told_apart(scene, mesh, wells_at) if mesh is not None else []) or []
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = assemble(blocks, scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))

@@ -38,6 +38,10 @@ KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto":
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
 TOLD_FROM = 0.1  # smaller factors are all the same
 
+FOLD = 1.5
+"""Growth of an aperture by what flows in through it, in a step of backward Euler, d - d0 = c d^3: none is greater. For
+more, c d0^2 > 4/27, walls are only stopped by their own stiffness, at a solution far away; for less there are both."""
+WIDENS = 2.0  # and again where an aperture grew by as much more
 STRAINED = 0.1  # p/E: a tenth is no small strain
 SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
 
@@ -74,6 +78,7 @@ class Recorder:
             self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
         self._watch_spurious(step)
         self._watch_pressure(step)
+        self._watch_widening(step)
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
@@ -129,6 +134,18 @@ class Recorder:
                 if rates
                 else " lower the pressures that wells and fractures prescribe"
             )
+        )
+
+    def _watch_widening(self, step: Step) -> None:
+        """A line where an aperture grew in a step by more than can be foretold, and again where by far more."""
+        grown, totals = step.report.widening, self.totals
+        if grown <= WIDENS * totals.widening:
+            return
+        totals.widening = grown
+        self.log(
+            f"time {step.state.time:.6g}: an aperture of {step.report.widest} grew {grown:.3g} times as wide in one step."
+            f" Above {FOLD:g} such a step has two solutions and may be at the wrong one: take smaller time_steps until nothing"
+            " changes, or give accuracy.tolerance"
         )
 
     def last(self, step: Step, whole: bool = True) -> None:

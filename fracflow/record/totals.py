@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fracflow.errors import SolveError
 from fracflow.state import StepReport
 
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
@@ -18,6 +19,7 @@ class Totals:
 
     injected  net volume that wells have brought, as in the last state [length^3]
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
+    widening  largest factor by which an aperture grew in a step, as the log last told it; 1 where it told of none
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """
 
@@ -36,6 +38,7 @@ class Totals:
     rejected: int = 0
     wasted: int = 0
     strained: int = 0
+    widening: float = 1.0
     undone: dict[str, str] = field(default_factory=dict)
 
     def add(self, report: StepReport) -> None:
@@ -45,6 +48,11 @@ class Totals:
         self.factorisations += report.factorisations
         self.rejected += report.rejected
         self.wasted += report.wasted
+
+    def give_up(self, failure: SolveError) -> None:
+        """Count the trials of a step that came to nothing."""
+        self.rejected += failure.trials
+        self.wasted += failure.newton
 
     def besides(self) -> str:
         """The trials that were thrown away, in words; empty without any."""

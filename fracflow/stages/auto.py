@@ -110,7 +110,8 @@ class _Regimes:
         share = scene.accuracy.tolerance or SEEN
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=share)
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        locates = stepping.explicit.may_locate(self.waves, least) and scene.method.events != "at-step-ends"
+        stepping.explicit.tell(self.waves, least)
+        locates = stepping.explicit.locates(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
             stepping.couplings.expect(self.waves, least)
         facts = self.model.facts
@@ -222,14 +223,14 @@ class _Regimes:
             end, jumps = 0.5 * (time + end), False
         return end, jumps
 
-    def _attempt(self, state: State, time: float, radiated: float = RADIATED, most: int = BRIEF) -> Tried:
+    def _attempt(self, state: State, time: float, radiated: float = RADIATED, iterations: int = BRIEF) -> Tried:
         """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective.
 
-        most  as in ``Stepping.step``
+        iterations  as ``most`` in ``Stepping.step``
         """
         dt, allowed = time - state.time, self.scene.accuracy.step_error
         try:
-            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=True, most=most)
+            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=True, most=iterations)
         except NotConverged as failure:
             if self.most is not None:
                 raise PutBack(self.decision, state.time, "there is no step without it") from failure

@@ -33,9 +33,9 @@ SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
 class Jumped(NotConverged):
     """A step without inertia came to a state that slip does not reach at rest; with what slid on its way."""
 
-    def __init__(self, message: str, sections: Sections, weakening: Weakening) -> None:
-        """Of the sections as they would be at its end."""
-        super().__init__(message)
+    def __init__(self, message: str, newton: int, sections: Sections, weakening: Weakening) -> None:
+        """Of the sections as they would be at its end, after so many iterations."""
+        super().__init__(message, newton)
         self.sections, self.weakening = sections, weakening
 
 
@@ -76,8 +76,11 @@ class Patch:
         )
 
 
-def refuse_jump(model: Model, old: State, new: State) -> None:
-    """Free ``new`` and raise Jumped, on every rank, where slip may not have come to it from ``old`` at rest. Collective."""
+def refuse_unstable_slip(model: Model, old: State, new: State, newton: int) -> None:
+    """Free ``new`` and raise Jumped, on every rank, where slip may not have come to it from ``old`` at rest. Collective.
+
+    ``newton`` is the number of iterations that led there
+    """
     slipped = weakened(model, old.sections, new.sections)
     if slipped <= RESOLVED:
         return
@@ -86,7 +89,7 @@ def refuse_jump(model: Model, old: State, new: State) -> None:
     if share >= 1.0:
         new.destroy()
         told = f"slip of {slipped:.3g} of the distance over which strength falls, {share:.3g} times as fast as rock unloads"
-        raise Jumped(f"time {new.time:.6g}: {told}", new.sections, weakening)
+        raise Jumped(f"time {new.time:.6g}: {told}", newton, new.sections, weakening)
 
 
 def weakens(model: Model) -> bool:
@@ -173,7 +176,9 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
     unit = f" {scene.unit_system.time}" if scene.units != "none" else ""
     return LimitPoint(
         f"time {state.time:.9g}: limit point: within {least:.3g}{unit} slip goes on by itself, and no state at rest is near:"
-        f" {patch.told(scene)}{REMEDY}"
+        f" {patch.told(scene)}{REMEDY}",
+        failure.newton,
+        failure.trials,
     )
 
 

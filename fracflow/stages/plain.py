@@ -9,9 +9,9 @@ from fracflow._petsc import MPI
 from fracflow.begin.setup import Model
 from fracflow.errors import SolveError
 from fracflow.scene_actions import Stage
-from fracflow.stages.instability import is_near, refuse_jump, to_limit_point, weakens
+from fracflow.stages.instability import is_near, refuse_unstable_slip, to_limit_point, weakens
 from fracflow.state import State, StepReport, forgetful
-from fracflow.stepping import Newmark, Steady, Stepper
+from fracflow.stepping import Steady, Stepper
 from fracflow.steps.accuracy import Judge
 from fracflow.steps.events import take_part
 from fracflow.steps.parts import (
@@ -131,10 +131,26 @@ def search_incipient(
 def first_part(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) -> float:
     """Length of a stage's first part, as it is foreseen: up to the first jump, where parts with inertia end there."""
     length, scene = stage.step_length(time), stepping.model.scene
-    by_means = scene.jumps_anywhere or scene.method.events == "at-step-ends" or scene.accuracy.max_events == 0
-    if stage.kind == "auto" or by_means or not isinstance(stepper, Newmark):
+    if stage.kind == "auto" or not stepper.inertia or not _splits(stepping, stepper, length):
         return length
     return to_next(scene.jump_times, time, length)
+
+
+def _events(stepping: Stepping, stepper: Stepper, dt: float) -> int:
+    """Events that parts of one step of length ``dt`` may end at; none without inertia. Collective."""
+    scene = stepping.model.scene
+    locates = stepper.inertia and scene.method.events != "at-step-ends" and stepping.explicit.locates(stepper, dt)
+    return scene.accuracy.max_events if locates else 0
+
+
+def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
+    """Whether parts of steps of length ``dt`` end where something prescribed jumps. Collective.
+
+    Jumps that may come in any step are sampled by means, as all are where events are not located.
+    """
+    if not stepper.inertia:
+        return dt > 0.0
+    return _events(stepping, stepper, dt) > 0 and not stepping.model.scene.jumps_anywhere
 
 
 def run_stage(
@@ -155,22 +171,22 @@ def run_stage(
     count, whole_step = stage.step_count(start), stage.time_step or 0.0
     dt = whole_step
     place = Place.of(progress)
-    method, judge = model.scene.method, Judge(model, stage, stepper, start, progress)
-    locates = stepping.explicit.may_locate(stepper, dt) and stepper.inertia and method.events != "at-step-ends"
+    judge = Judge(model, stage, stepper, start, progress)
+    stepping.explicit.tell(stepper, dt)
     if judge.finest and not progress:
         log(f"stage {_name(stage)}: parts of steps by {judge.told}")
     rules = Rules(
         most_halvings(model.scene),
         judge.order,
-        model.scene.accuracy.max_events if locates else 0,
+        _events(stepping, stepper, dt),
         judge.finest,
         judge.of_film,
     )
     fills = stepper.storage and model.operators.flow is not None
-    # what may jump in any step is sampled by means, as all is where events are not located
-    splits = bool(rules.events) and not model.scene.jumps_anywhere if stepper.inertia else dt > 0.0
     hurries, shortest = weakens(model) and not stepper.inertia, JUST_OVER * 0.5**rules.most
-    given = prescribed(model.scene, stepper.inertia, splits, judge.tolerance if judge.finest else None)
+    given = prescribed(
+        model.scene, stepper.inertia, _splits(stepping, stepper, dt), judge.tolerance if judge.finest else None
+    )
     anew = stepper.inertia or judge.finest > 0  # else a rule that remembers forgets, and no more is needed
 
     def following(n: int, to: float) -> float:
@@ -206,8 +222,8 @@ def run_stage(
 
         found = take_part(stepping, state, reach, begin, end, whole, may_stop)
         new, length = found.state, dt * (found.fraction - begin)
-        if not stepper.inertia:
-            refuse_jump(model, state, new)
+        if hurries:
+            refuse_unstable_slip(model, state, new, found.report.newton)
         error = judge.error(length, stepping.explicit.part(stepper, length), state, new)
         if found.fraction == end and jumps and not (n == count and end == 1.0):
             left = new

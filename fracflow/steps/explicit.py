@@ -40,22 +40,26 @@ class ExplicitSteps:
         """Length of the parts in which a rule takes a step of length ``dt``. Collective."""
         return dt / self.count(dt) if isinstance(stepper, Explicit) else dt
 
-    def may_locate(self, stepper: Stepper, dt: float) -> bool:
-        """Whether steps of length ``dt`` may end at events; what an explicit rule makes of them goes to the log. Collective.
+    def locates(self, stepper: Stepper, dt: float) -> bool:
+        """Whether steps of length ``dt`` may end at events. Collective.
 
         Where rock deforms they may not: central differences with parts of all lengths feed energy into the walls' modes.
         """
         if not isinstance(stepper, Explicit):
             return True
-        count, critical = self.count(dt), self.coupling.critical
-        locates = math.isinf(critical) and self.model.operators.flow is None
+        return math.isinf(self.coupling.critical) and self.model.operators.flow is None
+
+    def tell(self, stepper: Stepper, dt: float) -> None:
+        """Log how an explicit rule takes steps of length ``dt``. Collective."""
+        if not isinstance(stepper, Explicit):
+            return
+        count, critical, locates = self.count(dt), self.coupling.critical, self.locates(stepper, dt)
         limit = f"critical time step of the rock {critical:.6g}" if math.isfinite(critical) else "no rock deforms"
         cut = f"; time_step {dt:.6g} is taken in {count} parts of {dt / count:.6g}" if count > 1 else ""
         ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
         damping = self.coupling.damping
         damps = "" if damping is None else f"; cells at faults are damped, method.fault_damping = {damping.ratio:g}"
         self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
-        return locates
 
     def in_parts(
         self,
@@ -82,11 +86,14 @@ class ExplicitSteps:
                 if now is not state:
                     now.destroy()
             now = new
+            widest = max(total, report, key=lambda each: each.widening)
             total = replace(
                 report.after(total),
                 solid_residual=max(total.solid_residual, report.solid_residual),
                 flow_residual=max(total.flow_residual, report.flow_residual),
                 digits=min(total.digits, report.digits),
+                widening=widest.widening,
+                widest=widest.widest,
             )
         return now, total
 

@@ -17,12 +17,9 @@ from fracflow.coupling.step_problem import StepProblem
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.state import State
+from fracflow.tables_time import JUST_AFTER, JUST_BEFORE
 
 MOST_TOLD = 5  # parts that the log lists
-FOLD = 1.5
-"""Growth of an aperture by what flows in through it, in a step of backward Euler, d - d0 = c d^3: none is greater. For
-more, c d0^2 > 4/27, walls are only stopped by their own stiffness, at a solution far away; for less there are both."""
-WIDENS = 2.0  # and again where an aperture grew by as much more
 BALANCED = 1e-12  # of the sum of the flow rates' sizes
 AGREES = (
     1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has fewer digits
@@ -46,7 +43,7 @@ class Network:
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
         self._told: np.ndarray | None = None
-        self._told_digits, self._widest = False, 1.0
+        self._told_digits = False
         self._parts: tuple[Part, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
@@ -56,17 +53,6 @@ class Network:
         if not self._told_digits:
             self.log(line)
         self._told_digits = True
-
-    def tell_widening(self, time: float, grown: float, where: str) -> None:
-        """Write down that an aperture grew in a step by more than can be foretold, and again where by far more."""
-        if grown <= WIDENS * self._widest:
-            return
-        self._widest = grown
-        self.log(
-            f"time {time:.6g}: an aperture of {where} grew {grown:.3g} times as wide in one step: above {FOLD:g} the flow"
-            " through it, which goes by its cube, may have fed on itself, and such a step has two solutions: this may be the"
-            " wrong one: take smaller time_steps until nothing changes any more, or give accuracy.tolerance"
-        )
 
     def close(self, loads: Loads, stores: bool) -> Loads:
         """The same loads with the parts closed that nothing drains, where nothing is stored. Collective.
@@ -84,7 +70,7 @@ class Network:
         found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
         for part, wells, _ in found.parts:
-            rates = [loads.demanded(well, state.time, state.controls) for well in wells]
+            rates = [loads.demanded(well, state.time, state.controls, state.around) for well in wells]
             taken, moved = self._taken(part, state)
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
                 raise SolveError(
@@ -121,8 +107,9 @@ class Network:
             if not moves or len(part.nodes) == 1:
                 continue
             rate = 0.0
-            for time, sign in ((state.time + dt, 1.0), (state.time, -1.0)) if dt > 0.0 else ():
-                rate += sign * sum(loads.demanded(well, time, state.controls) for well in wells) / (dt * depth)
+            ends = (state.time + dt, 1.0, JUST_BEFORE), (state.time, -1.0, JUST_AFTER)
+            for time, sign, side in ends if dt > 0.0 else ():
+                rate += sign * sum(loads.demanded(well, time, state.controls, side) for well in wells) / (dt * depth)
             nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
             found.append(Enclosed(nodes, close(self.model.operators, part, True).weights, rate))
         return found
@@ -137,7 +124,9 @@ class Network:
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
         numbers = self.model.operators.layout.flow_numbers
         for part, wells, gives in parts:
-            rates = [loads.demanded(well, problem.time, problem.controls) for well in wells]
+            rates = [
+                loads.demanded(well, problem.time, problem.controls, problem.around, problem.rates) for well in wells
+            ]
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
                 inside = numbers(part.nodes)

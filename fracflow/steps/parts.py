@@ -154,9 +154,7 @@ def in_parts(
                 if level < most:
                     continue
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
-                failure = NotConverged(f"{error}{tried}")
-                failure.newton = spent.wasted
-                raise failure from error
+                raise NotConverged(f"{error}{tried}", spent.wasted, spent.rejected) from error
             if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
                 spent = spent.with_rejected(found.report.newton)

@@ -136,8 +136,7 @@ class Stepping:
         self.network.tell(time)
         if rule.storage:
             grown, where = widening(self.model.operators, state, new)
-            report = replace(report, widening=grown)
-            self.network.tell_widening(time, grown, where)
+            report = replace(report, widening=grown, widest=where)
         return new, report
 
     def _step_by(
@@ -201,9 +200,8 @@ class Stepping:
                     new.destroy()
                     raise
             except NotConverged as error:
-                failed = error
                 spent += problem.tried
-                error.newton = spent
+                failed = error.after(spent)
                 if self._is_closed(problem, limited, rule.storage):
                     full = self.network.overfull(limited, rule.storage, problem)
                     if not full:
@@ -231,13 +229,12 @@ class Stepping:
             spent += report.newton
             reached, failed = now, None
         if same and not failed:
-            refuse_cycle(reached, time)
-        failure = NotConverged(
+            refuse_cycle(reached, time, spent)
+        raise NotConverged(
             f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
-            f" time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}"
+            f" time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
+            spent,
         )
-        failure.newton = spent
-        raise failure
 
     def _refuse_jumps(self, old: State, new: State) -> None:
         """Raise SolveError, on every rank, where a joint's strength fell faster than its spring unloads. Collective."""

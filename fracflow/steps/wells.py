@@ -45,12 +45,13 @@ def reached_after(
     return frozenset(now)
 
 
-def refuse_cycle(reached: frozenset[Limit], time: float) -> NoReturn:
-    """Raise NotConverged naming the wells that find neither rate nor limit."""
+def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
+    """Raise NotConverged naming the wells that find neither rate nor limit, after so many iterations."""
     names = ", ".join(sorted({limit.well for limit in reached})) or "none"
     raise NotConverged(
         f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
-        f" {names}): move their limits apart, or take a smaller time_step"
+        f" {names}): move their limits apart, or take a smaller time_step",
+        newton,
     )
 
 

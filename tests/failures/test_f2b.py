@@ -72,6 +72,17 @@ def test_inflow_that_cannot_go_anywhere_is_named(shared_tmp):
         history(shared_tmp / "run", "well.out.at=[2, 3]")
 
 
+def test_rates_that_jump_as_a_step_ends_balance_as_they_are_before(shared_tmp):
+    """The mean of both sides of the jump is 3e-5 where they balance, and 2e-5, which balances, where they do not."""
+    stage = "stage.0={kind = 'steady', time_step = 1, steps = 1}"
+    rate = "well.in.flow_rate={time = [0, 1], value = [VALUES], interpolation = 'step'}"
+    constant = history(shared_tmp / "constant", stage)
+    found = history(shared_tmp / "run", stage, rate.replace("VALUES", "2e-5, 4e-5"))
+    assert found["probe/in/pressure"] == pytest.approx(constant["probe/in/pressure"], rel=1e-12)
+    with pytest.raises(SolveError, match=r"flow rates of in, out add up to 1e-05 m\*\*3/s in sealed"):
+        history(shared_tmp / "refused", stage, rate.replace("VALUES", "3e-5, 1e-5"))
+
+
 @pytest.mark.parametrize("model", ["default", "report"])
 def test_a_sealed_fracture_without_wells_keeps_its_volume(shared_tmp, model):
     """Squeezed from outside, its pressure answers as that of a sealed one must."""

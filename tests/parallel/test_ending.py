@@ -7,6 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.errors import InputError
+from fracflow.scene import load
+
 PROGRAM = """
 from fracflow import endings
 from fracflow._petsc import MPI
@@ -27,3 +32,16 @@ def test_a_rank_alone_ends_all(rank):
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2, done.stderr
     assert f"fracflow: rank {rank} alone: no such file" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["unresolved", "told_apart"])
+def test_an_error_in_what_one_rank_looks_at_alone_is_raised_on_all(name, monkeypatch):
+    """Sizes of cells and wells apart are looked at where the mesh is; the others must not go on without it."""
+
+    def refuse(*given):
+        raise InputError("no such thing")
+
+    monkeypatch.setattr(f"fracflow.begin.setup.{name}", refuse)
+    scene = load(Path(__file__).parents[2] / "meshes/report_5_2/scene.toml")
+    with pytest.raises(InputError, match="no such thing"):
+        prepare(scene, MPI.COMM_WORLD)

@@ -9,8 +9,10 @@ from fracflow.begin.setup import prepare
 from fracflow.coupling.stability import Weakening, largest_share
 from fracflow.errors import SolveError
 from fracflow.output import read_history
-from fracflow.run import resume, run
+from fracflow.run import of_stage, resume, run
 from fracflow.scene import Scene, load
+from fracflow.scene_actions import Stage
+from fracflow.stages.instability import Jumped
 
 from .test_slip_weakening import LAYER, PEAK, K
 
@@ -62,7 +64,7 @@ def test_a_dynamic_stage_goes_on_from_a_limit_point_and_so_does_a_resumed_run(sh
         if count[0] == 5:  # between the parts into which the limit point halves its step
             raise Stop
 
-    run(scene, shared_tmp / "whole", MPI.COMM_WORLD)
+    totals = run(scene, shared_tmp / "whole", MPI.COMM_WORLD)
     with pytest.raises(Stop):
         run(scene, shared_tmp / "stopped", MPI.COMM_WORLD, progress=halfway)
     resume(shared_tmp / "stopped", MPI.COMM_WORLD)
@@ -71,11 +73,20 @@ def test_a_dynamic_stage_goes_on_from_a_limit_point_and_so_does_a_resumed_run(sh
     if MPI.COMM_WORLD.size == 1:  # on more, two runs of the same scene differ in their last bits
         same = (np.array_equal(whole[key], stopped[key], equal_nan=True) for key in {*whole} - {"step/factorisations"})
         assert all(same)
+    # the trials of the step that ends at the limit point led to no row of the history
+    assert totals.rejected > whole["step/rejected"].sum() and totals.wasted > whole["step/wasted"].sum()
     at_rest = whole["step/kind"] == 1
     assert 0.5 * STEP > np.diff(whole["time"][at_rest])[-1]
     assert whole["time"][at_rest][-1] == pytest.approx(ONSET, abs=STEP / 64.0)
     slip = whole["probe/middle/plastic_slip"]
     assert abs(slip[at_rest][-1]) < 1e-12 and slip[-1] > 0.1 * D_C
+
+
+@pytest.mark.serial
+def test_a_refused_step_gets_the_name_of_its_stage():
+    stage = Stage(kind="steady", name="fill", time_step=1.0, steps=1)
+    found = of_stage(stage, Jumped("time 1: slip", 7, None, None))
+    assert isinstance(found, Jumped) and found.newton == 7 and str(found) == f"stage {stage.title}: time 1: slip"
 
 
 def test_an_event_of_a_stage_auto_names_its_limit_point(shared_tmp):

@@ -164,6 +164,17 @@ def test_impulse_of_a_load(stepper, events):
         assert speed[-1] == pytest.approx(integral(name, times)[-1], abs=1e-13), name
 
 
+@pytest.mark.parametrize("stepper", ["newmark", "explicit", "implicit-euler", "hht", "generalised-alpha"])
+def test_a_stage_that_begins_before_a_jump_knows_nothing_of_it(stepper):
+    """The first part ends at the jump, a third into the step; until then there is no load."""
+    given = ["output.pictures=false", "fracture.default.law=linear", f"method.stepper={stepper}"]
+    given += ['load.0.traction=[{time = [0, 0.03], value = [0, 1], interpolation = "step"}, 0]']
+    found = solve(BLOCK, *given, f"stage.0.time_step={DT}", f"stage.0.end={DT}")
+    assert found.history["time"] == pytest.approx([0.0, 0.03, DT], abs=1e-14)
+    kinetic = found.history["energy/kinetic"]
+    assert kinetic[1] == 0.0 < kinetic[2]
+
+
 @pytest.mark.parametrize("stepper", ["hht", "generalised-alpha"])
 def test_impulse_of_a_load_on_rules_that_damp(stepper):
     """Exact where they begin anew at jumps between which the load is constant, and once their own transients are over."""

@@ -1,12 +1,21 @@
 """A narrow fracture that widens by what flows through it: a long step may be at a solution far from the true one."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.begin.setup import prepare
+from fracflow.begin.start import rest, settle
 from fracflow.output import read_history
+from fracflow.record.recorder import Recorder
 from fracflow.run import run
 from fracflow.scene import load
+from fracflow.state import StepReport
+from fracflow.steps.explicit import ExplicitSteps
+from fracflow.steps.step import Step
 
 from .test_books import CRACK
 
@@ -44,3 +53,34 @@ def test_a_step_in_which_an_aperture_doubles_is_told(shared_tmp):
     right, grown, told = _ran(shared_tmp, "short", 0.1, 30)
     assert grown < 1.5 and "times as wide" not in told
     assert right == pytest.approx(3.0e-5, rel=0.01) and wide > 1.5 * right
+
+
+def test_a_step_is_told_once_it_is_on_record(shared_tmp):
+    """Not where it was tried and thrown away; and a run that is resumed knows what it told."""
+    comm, file = MPI.COMM_WORLD, shared_tmp / "scene.toml"
+    if comm.rank == 0:
+        file.write_text(NARROW + "time_step = 1\nsteps = 3\n", encoding="utf-8")
+    comm.barrier()
+    model = prepare(load(file), comm)
+    settle(model)
+    step = Step(rest(model), 0, 1.0, StepReport(widening=5.0, widest="crack at (1, 1)"), {"fresh": 1.0})
+    recorder = Recorder(model, shared_tmp / "run", comm)
+    for grown in (1.0, 5.0, 6.0, 11.0):
+        recorder.record(replace(step, report=replace(step.report, widening=grown)))
+    assert recorder.totals.widening == 11.0
+    recorder.close()
+    if comm.rank == 0:
+        told = (shared_tmp / "run" / "log.txt").read_text(encoding="utf-8")
+        assert told.count("times as wide in one step") == 2 and "an aperture of crack at (1, 1) grew 5 times" in told
+
+
+def test_equal_parts_of_a_step_keep_the_most():
+    state, factors = SimpleNamespace(controls={}, destroy=lambda: None), iter((1.1, 3.0, 1.2))
+
+    def part(before, time, dt, controls, ahead):
+        grown = next(factors)
+        return SimpleNamespace(destroy=lambda: None), StepReport(widening=grown, widest=f"part {grown}")
+
+    steps = ExplicitSteps(None, print)
+    report = steps.in_parts(part, state, 1.0, (1.0, 0.0), {}, 3)[1]
+    assert (report.widening, report.widest) == (3.0, "part 3.0")

@@ -36,7 +36,7 @@ def reaching(longest=1.0, event=None, error=0.0, newton=1):
         assert state.at == pytest.approx(begin)
         tried.append((begin, end))
         if end - begin > longest:
-            raise NotConverged("too long")
+            raise NotConverged("too long", 3)
         at = event if event is not None and may_stop and begin < event < end else end
         wrong = error(at - begin) if callable(error) else error
         return Attempted(Fake(at), StepReport(newton=newton), at, wrong)
@@ -51,6 +51,12 @@ def test_whole_where_it_can_be():
 
 def test_halves_as_few_as_converge():
     assert [part[:2] for part in taken(reaching(0.3), Rules(6))] == [(0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 1.0)]
+
+
+def test_a_step_that_is_given_up_tells_what_was_spent_on_it():
+    with pytest.raises(NotConverged) as caught:
+        taken(reaching(0.001), Rules(2))
+    assert (caught.value.trials, caught.value.newton) == (3, 9)
 
 
 def test_parts_that_fail_do_not_shrink_for_ever():
