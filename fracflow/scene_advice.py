@@ -119,13 +119,12 @@ def _ringing(scene: Scene) -> Iterator[str]:
 
 
 def _growing(scene: Scene) -> Iterator[str]:
-    """Stated sizes of cells that grow too fast away from a rupture that explicit steps damp."""
+    """A growth that is stated, of cells beside a rupture that explicit steps damp."""
     geometry, method = scene.geometry, scene.method
     if geometry is None or method.stepper != "explicit" or method.fault_damping == 0.0 or not scene.has_dynamics:
         return
-    is_stated = geometry.size is not None or "growth" in geometry.model_fields_set
     ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
-    if is_stated and ruptures and geometry.growth > GENTLE:
+    if "growth" in geometry.model_fields_set and ruptures and geometry.growth > GENTLE:
         yield (
             f"geometry.growth = {geometry.growth:g}: beside fracture.{ruptures[0]}, cells that grow so send waves back to it:"
             f" the error of its slip falls with their size, and by about the power 1.4 of it at a growth of {GENTLE:g}"

@@ -233,8 +233,8 @@ class Geometry(Part):
     )
     growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] = Field(
         default=0.3,
-        description="growth of the mesh size per length away from the fractures; if not given, 0.1 where these weaken with slip"
-        " and a stage has no inertia [1]",
+        description="growth of the mesh size per length away from the fractures; if not given, 0.1 where these weaken with"
+        " slip [1]",
     )
     snap: Size | None = Field(
         default=None,

@@ -16,7 +16,7 @@ from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.quality import cell_areas
 from fracflow.mesh.snap import natural_snap
 from fracflow.mesh.traces import polygon_area
-from fracflow.plan.coarse_rock import GENTLE, coarse_beside, may_run_away
+from fracflow.plan.coarse_rock import GENTLE, coarse_beside
 from fracflow.plan.lengths import (
     affordable,
     cell_count,
@@ -41,7 +41,7 @@ MOST_CELLS = 100_000
 MOST_NAMES = 8  # fractures told of
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
-LATE = "beside fractures that weaken with slip coarser rock lets it run away late"
+LATE = "beside fractures that weaken with slip, cells that grow faster let it run away late, and send its waves back"
 SAME = 0.99  # sizes that differ by less need no new mesh
 MARGIN = 0.95  # cells of a size asked for differ from it
 
@@ -208,9 +208,14 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
     if geometry.size is not None:
-        fine, given = geometry.size_at_fractures or geometry.size, "growth" in geometry.model_fields_set
-        if given or not _weakens(scene) or cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
+        if "growth" in geometry.model_fields_set or not _weakens(scene):
             return snap, why
+        fine = geometry.size_at_fractures or geometry.size
+        if cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
+            return snap, [
+                *why,
+                f"geometry.growth = {geometry.growth:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}",
+            ]
         return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
     width = Need(f"width of the domain / {ACROSS}", size, size, False, is_told=False)
@@ -256,10 +261,9 @@ def _growth(scene: Scene, geometry: Geometry) -> float:
 
 
 def _weakens(scene: Scene) -> bool:
-    """Whether slip may run away from rest on a fracture whose strength falls over a length of slip."""
+    """Whether the strength of a fracture falls over a length of slip."""
     assert scene.geometry is not None
-    laws = (JOINT_LAWS[scene.fracture_named(trace.name).law] for trace in scene.geometry.fracture)
-    return may_run_away(scene) and any(law.weakens_over for law in laws)
+    return any(JOINT_LAWS[scene.fracture_named(trace.name).law].weakens_over for trace in scene.geometry.fracture)
 
 
 def _trace_lengths(geometry: Geometry) -> Floats:

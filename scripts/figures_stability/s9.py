@@ -47,6 +47,7 @@ TRIANGLES = """
 domain = ["-8 km", "-4 km", "8 km", "4 km"]
 size = "500 m"
 size_at_fractures = "125 m"
+growth = 0.3
 [[geometry.fracture]]
 name = "main"
 points = [["-5 km", 0], ["5 km", 0]]

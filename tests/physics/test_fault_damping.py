@@ -166,7 +166,12 @@ def test_a_rupture_that_nothing_damps_is_told(tmp_path, override, warns):
 @pytest.mark.serial
 @pytest.mark.parametrize(
     ("overrides", "warns"),
-    [([], True), (["geometry.growth=0.1"], False), (["fracture.main.law=hyperbolic-coulomb"], False)],
+    [
+        (["geometry.growth=0.3"], True),
+        (["geometry.growth=0.1"], False),
+        ([], False),
+        (["geometry.growth=0.3", "fracture.main.law=hyperbolic-coulomb"], False),
+    ],
 )
 def test_cells_that_grow_too_fast_beside_a_rupture_are_told(tmp_path, overrides, warns):
     text = FAULT + TRIANGLES
