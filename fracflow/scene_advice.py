@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
+from fracflow.laws import JOINT_LAWS
 from fracflow.profiles import Profile
 from fracflow.scene import Scene
 from fracflow.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, VISCOSITY
@@ -95,7 +96,7 @@ def _too_long(scene: Scene) -> Iterator[str]:
 def _ringing(scene: Scene) -> Iterator[str]:
     """Ruptures by a rule that damps no cells at faults, whose walls [geometry] does not mesh as mirror images."""
     geometry, method = scene.geometry, scene.method
-    ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
+    ruptures = [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].weakens_over]
     unlike = geometry is not None and bool(ruptures)
     damps = method.stepper == "explicit" and method.fault_damping != 0.0
     if unlike and not damps and scene.model != "report" and any(stage.kind == "dynamic" for stage in scene.stage):
