@@ -102,7 +102,7 @@ def _too_long(scene: Scene) -> Iterator[str]:
 def _ringing(scene: Scene) -> Iterator[str]:
     """Ruptures by a rule that damps no cells at faults, whose walls [geometry] does not mesh as mirror images."""
     geometry, method = scene.geometry, scene.method
-    ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
+    ruptures = [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].weakens_over]
     unlike = geometry is not None and bool(ruptures)
     damps = method.stepper == "explicit" and method.fault_damping != 0.0
     if unlike and not damps and scene.model != "report" and scene.has_dynamics:

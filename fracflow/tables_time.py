@@ -170,28 +170,14 @@ class Rates:
     ) -> float:
         """The rate of a table, times the load factor that is named, in a step to ``time``; a constant if it is no table."""
         factor = 1.0 if control is None else controls[control]
-        rate = 0.0
-        if self.share or not isinstance(value, TimeTable):
-            rate += (self.share or 1.0) * factor * integrated(value, time, self.around)
         if not isinstance(value, TimeTable):
-            return rate
+            return factor * float(value(time))
+        rate = 0.0
+        if self.share:
+            rate += self.share * factor * (value(time, self.around) + value.bent(time, *self.around))
         if self.now:
             rate += self.now * factor * value.mean(self.begin, time)
         if self.last:
             old = 1.0 if control is None else self.controls.get(control, factor)
             rate -= self.last * old * value.mean(self.before, self.begin)
         return rate
-
-
-def sampled(value: Callable[[float], Any], time: float, around: Around) -> Any:
-    """A function of time at the end of a step; a table as ``TimeTable.around`` does between the lengths ``around`` it."""
-    if isinstance(value, TimeTable):
-        return float(value.around(time, *around)[0])
-    return value(time)
-
-
-def integrated(value: Callable[[float], Any], time: float, around: Around) -> Any:
-    """The same of a force or a flow rate, whose sum over the steps is to be its integral: with ``TimeTable.bent``."""
-    if isinstance(value, TimeTable):
-        return float(value.around(time, *around)[0]) + value.bent(time, *around)
-    return value(time)

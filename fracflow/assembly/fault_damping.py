@@ -81,13 +81,15 @@ def fault_damping(operators: Operators, scene: Scene) -> FaultDamping | None:
     With "auto" at those alone that are not meshed as each other's mirror images: the others' normal tractions do not ring.
     """
     blocks, wanted = operators.blocks, scene.method.fault_damping
+    if not wanted:
+        return None
     joints = can_slip(operators.joints)
     if wanted == "auto":
         joints &= asymmetry(blocks, scene) > ALIKE
     ratio = AUTO if wanted == "auto" else wanted
     rates = cell_rates(blocks, scene)
     chosen = np.flatnonzero(cells_near(blocks, joints, LAYERS) & (rates > 0.0))
-    if not ratio or not blocks.comm.allreduce(len(chosen)):
+    if not blocks.comm.allreduce(len(chosen)):
         return None
     moduli, points, time = elasticity(blocks, scene), blocks.solid.points, np.zeros(len(rates))
     time[chosen] = 2.0 * ratio / np.sqrt(rates[chosen])

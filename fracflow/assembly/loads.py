@@ -23,7 +23,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.profiles import Pressures
 from fracflow.scene import Load, Scene, Well
 from fracflow.tables import TimeTable
-from fracflow.tables_time import AT_ONCE, Around, Rates, sampled
+from fracflow.tables_time import AT_ONCE, Around, Rates
 
 TimeFunction = Callable[[float], float]
 Controls = Mapping[str, float]
@@ -152,7 +152,7 @@ class Loads:
         for part in self.supports:
             displacement.getArray()[part.numbers] = part.value(time, side)
         for part in self.pressures:
-            pressure.getArray()[part.numbers] = sampled(part.value, time, around)
+            pressure.getArray()[part.numbers] = part.value(time, around)
 
 
 def _sum(

@@ -8,6 +8,7 @@ reaches 1 (Uenishi and Rice 2003, where B is uniform and C that of an infinite b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,7 +85,15 @@ def _weakening(operators: Operators, sections: Sections, past: Past, way: Floats
     return Weakening(np.where(steep < 1.0, fall / np.maximum(1.0 - steep, 1e-12), np.inf), fall, way)
 
 
-def largest_share(operators: Operators, loads: Loads, sections: Sections, weakening: Weakening) -> tuple[float, Floats]:
+class Share(NamedTuple):
+    """Share of what rock takes up that falling strength gives, the slip (s,) of its mode, and whether ``SHARP`` is met."""
+
+    value: float
+    mode: Floats
+    is_sharp: bool = True
+
+
+def largest_share(operators: Operators, loads: Loads, sections: Sections, weakening: Weakening) -> Share:
     """The largest real eigenvalue of C B, by Arnoldi's method, and the slip (s,) of its mode, of largest size 1.
 
     Inf where a joint unloads no faster than its strength falls, or nothing holds the rock; pressures stay as they are.
@@ -94,15 +103,14 @@ def largest_share(operators: Operators, loads: Loads, sections: Sections, weaken
     worst = comm.allreduce(float(weakening.rate.max(initial=0.0)), op=MPI.MAX)
     mode = counts.astype(float)
     if worst == 0.0 or not np.isfinite(worst):
-        return worst, mode
+        return Share(worst, mode)
     compliance = _Compliance(operators, loads, _sliding(sections, weakening), weakening)
     try:
-        share, mode = _arnoldi(compliance)
+        return _arnoldi(compliance)
     except NotConverged:
-        share = np.inf
+        return Share(np.inf, mode)
     finally:
         compliance.destroy()
-    return share, mode
 
 
 def _sliding(sections: Sections, weakening: Weakening) -> Floats:
@@ -157,12 +165,12 @@ class _Compliance:
             thing.destroy()
 
 
-def _arnoldi(compliance: _Compliance) -> tuple[float, Floats]:
+def _arnoldi(compliance: _Compliance) -> Share:
     """Largest real part of its eigenvalues, and the slip (s,) of the mode. Collective."""
     start = compliance.root.copy()
     basis = [start / np.sqrt(compliance.dot(start, start))]
     matrix = np.zeros((MOST_VECTORS + 1, MOST_VECTORS))
-    share, shape = 0.0, np.ones(1)
+    share, shape, is_sharp = 0.0, np.ones(1), False
     for size in range(1, MOST_VECTORS + 1):
         vector = compliance.times(basis[-1])
         for _ in range(2):  # once more for the digits that the first leaves
@@ -174,11 +182,12 @@ def _arnoldi(compliance: _Compliance) -> tuple[float, Floats]:
         values, shapes = np.linalg.eig(matrix[:size, :size])
         best = int(np.argmax(values.real))
         share, shape = float(values[best].real), shapes[:, best].real
-        if left * abs(shapes[-1, best]) <= SHARP * abs(share) or left <= 1e-14 * abs(share):
+        is_sharp = left * abs(shapes[-1, best]) <= SHARP * abs(share) or left <= 1e-14 * abs(share)
+        if is_sharp:
             break
         matrix[size, size - 1] = left
         basis.append(vector / left)
     mode = np.sum([part * each for part, each in zip(shape, basis, strict=False)], axis=0)
     slip = mode * np.where(compliance.root > 0.0, 1.0 / np.where(compliance.root > 0.0, compliance.root, 1.0), 0.0)
     size_of = compliance.comm.allreduce(float(np.abs(slip).max(initial=0.0)), op=MPI.MAX)
-    return share, np.asarray(slip / max(size_of, 1e-300))
+    return Share(share, np.asarray(slip / max(size_of, 1e-300)), is_sharp)

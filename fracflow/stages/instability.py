@@ -53,6 +53,7 @@ class Patch:
     """What slips as a limit point is reached.
 
     share     of what rock takes up that the falling strength gives; unstable from 1 on
+    is_sharp  whether all its digits are known that are told
     fracture  its name
     place     of the most slip (dim,) [length]
     length    of what weakens as it slips, along that fracture [length]
@@ -64,6 +65,7 @@ class Patch:
     place: tuple[float, ...]
     length: float
     critical: float | None
+    is_sharp: bool = True
 
     def told(self, scene: Scene) -> str:
         """Fracture, place and lengths, for messages."""
@@ -72,7 +74,7 @@ class Patch:
         beside = "rigid rock" if self.critical is None else f"nucleation length {self.critical:.4g}{unit}"
         return (
             f"fracture {self.fracture} at ({spot}), slipping patch {self.length:.4g}{unit}, {beside}; its strength falls"
-            f" {self.share:.3g} times as fast as rock unloads it"
+            f"{'' if self.is_sharp else ' about'} {self.share:.3g} times as fast as rock unloads it"
         )
 
 
@@ -85,10 +87,11 @@ def refuse_unstable_slip(model: Model, old: State, new: State, newton: int) -> N
     if slipped <= RESOLVED:
         return
     weakening = of_step(model.operators, old.sections, new.sections)
-    share, _ = largest_share(model.operators, model.loads, new.sections, weakening)
+    share, _, is_sharp = largest_share(model.operators, model.loads, new.sections, weakening)
     if share >= 1.0:
         new.destroy()
-        told = f"slip of {slipped:.3g} of the distance over which strength falls, {share:.3g} times as fast as rock unloads"
+        fast = f"{'' if is_sharp else 'about '}{share:.3g} times as fast as rock unloads"
+        told = f"slip of {slipped:.3g} of the distance over which strength falls, {fast}"
         raise Jumped(f"time {new.time:.6g}: {told}", newton, new.sections, weakening)
 
 
@@ -115,7 +118,7 @@ def weakened(model: Model, old: Sections, new: Sections) -> float:
 
 def patch_of(model: Model, sections: Sections, weakening: Weakening) -> Patch | None:
     """The patch that is nearest to slip by itself; None where no strength falls with slip. Collective."""
-    share, mode = largest_share(model.operators, model.loads, sections, weakening)
+    share, mode, is_sharp = largest_share(model.operators, model.loads, sections, weakening)
     if share == 0.0:
         return None
     blocks, joints = model.operators.blocks, model.operators.joints
@@ -137,7 +140,7 @@ def patch_of(model: Model, sections: Sections, weakening: Weakening) -> Patch | 
     length = comm.allreduce(float(weights.sum()), op=MPI.SUM)
     fall = comm.allreduce(float(weights @ weakening.fall[there]), op=MPI.SUM) / max(length, 1e-300)
     critical = on_root(comm, lambda: _critical(model, -number, fall))
-    return Patch(share, fracture, place, length, comm.bcast(critical, root=0))
+    return Patch(share, fracture, place, length, comm.bcast(critical, root=0), is_sharp)
 
 
 def _critical(model: Model, joint: int, fall: float) -> float | None:
@@ -194,9 +197,9 @@ def patch_at_limit(model: Model, state: State) -> Patch | None:
 def is_near(model: Model, state: State) -> bool:
     """Whether there is one, for less. Collective."""
     return any(
-        largest_share(model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost))[
-            0
-        ]
+        largest_share(
+            model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost)
+        ).value
         >= least
         for almost, least in LIMITS
     )

@@ -14,7 +14,7 @@ from fracflow.output.checkpoint import read_notes
 from fracflow.run import run
 from fracflow.scene import load
 from fracflow.tables import TimeTable
-from fracflow.tables_time import JUST_AFTER, JUST_BEFORE
+from fracflow.tables_time import JUST_AFTER, JUST_BEFORE, Rates
 
 from .test_along_fractures import ENDS, RIGID
 from .test_jumps_in_time import BAR
@@ -210,6 +210,11 @@ def test_what_is_prescribed_holds_as_just_before_the_end_of_a_step(run_scene, ki
     found = run_scene(flow, f"stage.0.kind={kind}", "stage.0.time_step=0.1", "stage.0.steps=5")
     ends = found.probe("quarter", "pressure")[1:-2] / just_before(times)[1:-2]
     assert ends == pytest.approx(ends[0], rel=1e-9) and found.closes()
+
+
+def test_what_is_no_table_is_there_whole_whatever_the_weights():
+    for rates in (Rates(), Rates(now=0.7, share=0.3), Rates(now=1.5, last=0.5, share=0.0, begin=1.0)):
+        assert rates.of(lambda time: 2.0, 2.0, "load", {"load": 3.0}) == 6.0
 
 
 def test_sides_of_a_jump_at_the_beginning():
