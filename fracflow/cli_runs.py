@@ -66,7 +66,7 @@ def watched(
 
 
 class Sight:
-    """What the bar shows of a run: its steps, and the trials that were rejected, each as it is.
+    """The bar of a run: its steps, and the trials that were rejected, each as it is.
 
     update  is given a line, and how many steps more there are
     """

@@ -40,7 +40,7 @@ def stop(message: str, code: int) -> None:
 
 
 def _all_come(comm: MPI.Comm) -> bool:
-    """Whether every rank ends as this one does: MPI would wait for the others at its end, without a word."""
+    """Whether every rank ends as this one does: MPI would wait for the others at its end, for ever."""
     request, end = comm.Ibarrier(), time.monotonic() + PATIENCE
     while not request.Test():
         if time.monotonic() > end:

@@ -132,7 +132,7 @@ class TimeTable:
         return float(np.diff(knots) @ (0.5 * (first + last))) / (end - begin)
 
     def bent(self, time: float, before: float, after: float) -> float:
-        """What to add to ``around``, so that a sum over the steps, halves at both ends, is the integral to round-off.
+        """The correction to ``around``, so that a sum over the steps, halves at both ends, is the integral to round-off.
 
         A change m of slope at s in a step from a to b leaves -m (s - a)(b - s)/2 beside the trapezoid's sum. Its end makes up
         for that, which counts (before + after)/2: nothing acts before its time.

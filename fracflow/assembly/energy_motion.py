@@ -1,4 +1,4 @@
-"""What motion adds to the energy books in a step: kinetic energy, what a scheme and faults damp, what sides radiate."""
+"""Terms that motion adds to the energy books in a step: kinetic energy, what a scheme and faults damp, what sides radiate."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def side_parts(ops: Operators, old: State, new: State, dt: float) -> dict[str, f
 
 
 def damping_part(ops: Operators, old: State, new: State) -> dict[str, float]:
-    """What the damping at faults takes: its mean force times the motion. Collective."""
+    """Energy that the damping at faults takes: its mean force times the motion. Collective."""
     change, taken = _local(new.motion.displacement) - _local(old.motion.displacement), 0.0
     for state in (old, new):
         if state.forces.damped is not None:

@@ -28,7 +28,7 @@ OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what
 
 @dataclass(frozen=True)
 class Network:
-    """What meets and what does not, for JSON.
+    """Traces that meet and traces that do not, for JSON.
 
     snap         what is nearer is one [length]; None of a mesh file
     near_misses  records of what all but meets

@@ -1,4 +1,4 @@
-"""What the explicit steps of a scene come to before they are made: their parts, the critical time step, and CPU time."""
+"""Cost of the explicit steps of a scene, before they are made: their parts, the critical time step, and CPU time."""
 
 from __future__ import annotations
 

@@ -62,10 +62,10 @@ def _p_speed(rock: Rock) -> float:
 
 
 def foretold(model: Model, iteration: float, iterations: int) -> dict[str, str]:
-    """What events and slow slip of each stage auto take beside the steps planned, by the seconds of a Newton iteration.
+    """Time that events and slow slip of each stage auto take beside the steps planned, by the seconds of a Newton iteration.
 
     iterations  of a step
-    Nobody knows how many events there will be: it is told of one. On one process.
+    How many events there will be is not known: it is told of one. On one process.
     """
     found = {}
     for stage in (stage for stage in model.scene.stage if stage.kind == "auto"):

@@ -47,7 +47,7 @@ POINTS = 24  # of Gauss's rule over directions, on each side of the critical ang
 
 @cache
 def reflections(poissons_ratio: float) -> tuple[str, str]:
-    """What comes back of a P and of an S wave, amplitudes by angle and energy, in words that begin with the wave."""
+    """Reflections of a P and of an S wave, amplitudes by angle and energy, in words that begin with the wave."""
     p, s = (_reflections(poissons_ratio, kind) for kind in ("p", "s"))
     return p, s
 

@@ -1,4 +1,4 @@
-"""What all but meets: ends, bends and crossings of traces that stay apart from another trace or side by a few snaps."""
+"""Near misses: ends, bends and crossings of traces that stay apart from another trace or side by a few snaps."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ FILE = "status.json"
 class Status:
     """How a run stands, and the line that it was stopped or failed with.
 
-    word  running, ended, stopped, failed, or cut off: killed without a word; empty where the folder does not tell
+    word  running, ended, stopped, failed, or cut off: killed before it could tell; empty where the folder does not tell
     """
 
     word: str = ""

@@ -76,7 +76,7 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
     coarse = coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
     return (
         [
-            f"mesh: {what} is not resolved: how slip begins and how far it runs is the mesh's choice in {of_fractures(names)}"
+            f"mesh: {what} is not resolved: how slip begins and how far it runs depends on the mesh in {of_fractures(names)}"
             for what, names in coarse.items()
         ]
         + [

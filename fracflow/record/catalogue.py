@@ -1,4 +1,4 @@
-"""What the catalogue of events must know of a scene: its joint ends."""
+"""The joint ends of a scene, for the catalogue of events."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _shear_modulus(scene: Scene, name: str) -> float:
 
 
 def instant(state: State, snapshot: Snapshot, began: float) -> Instant:
-    """What the catalogue looks at; ``began`` as ``Instant`` has it."""
+    """The instant of a recorded state, for the catalogue; ``began`` as ``Instant`` has it."""
     slip, traction, rate = (snapshot.column(name).ravel() for name in ("plastic_slip", "shear_traction", "slip_rate"))
     sliding = snapshot.column("sliding").astype(bool).ravel()
     return Instant(state.time, slip, traction, rate, sliding, state.energy, state.injected, began)

@@ -50,7 +50,7 @@ class LimitPoint(SolveError):
 
 @dataclass(frozen=True)
 class Patch:
-    """What slips as a limit point is reached.
+    """The patch that slips as a limit point is reached.
 
     share     of what rock takes up that the falling strength gives; unstable from 1 on
     is_sharp  whether all its digits are known that are told

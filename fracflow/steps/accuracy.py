@@ -152,7 +152,7 @@ class Judge:
         return min(since, anew) * (1.0 + LATE * since / (self.length or np.inf))
 
     def _left(self, time: float, dt: float) -> float:
-        """Parts of such a length that are left of the stage; 0 where nobody knows."""
+        """Parts of such a length that are left of the stage; 0 where the number is not known."""
         return 0.0 if self.length is None else (self.start + self.length - time) / dt
 
     def _followed(self, dt: float, part: float, old: State, new: State) -> Vibration:
@@ -180,15 +180,14 @@ class Judge:
         if not math.isfinite(amplitude):
             return asked
         follows = (
-            f"they follow a vibration {self.follows.place} of period {period:.2g} and amplitude {amplitude:.2g},"
+            f"They follow a vibration {self.follows.place} of period {period:.2g} and amplitude {amplitude:.2g},"
             f" {amplitude / max(largest, float(np.finfo(float).tiny)):.1g} of the largest displacement"
         )
         if 2.0 * amplitude > self.tolerance * largest:
-            return f"{asked}: {follows}"
+            return f"{asked}. {follows}"
         raise SolveError(
-            f"{asked}, which gain nothing: {follows}, so that it cannot make an error of more than twice that; take"
-            f' kind = "quasi-static", which leaves it out, or accuracy.step_error = {self.tolerance:g} or a time_step alone in'
-            " place of accuracy.tolerance; resume goes on all the same"
+            f'{asked}, which gain nothing. {follows}: take kind = "quasi-static", accuracy.step_error ='
+            f" {self.tolerance:g} or resume"
         )
 
     def _refuse(self) -> None:

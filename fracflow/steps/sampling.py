@@ -16,7 +16,7 @@ MOST_GROWTH = 1e3  # of steps, beyond which the last one tells nothing
 
 
 def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
-    """What is around the end of a step of length ``dt``, which one of length ``ahead`` follows; None for one as long."""
+    """Lengths of the steps around the end of one of length ``dt`` that one of length ``ahead`` follows; None: one as long."""
     if rule.inertia:
         return dt, dt if ahead is None else ahead
     return JUST_BEFORE if dt > 0.0 else JUST_AFTER

@@ -47,7 +47,7 @@ class Vibration:
         return Vibration(self.parts + other.parts, *most, other.place)
 
     def as_progress(self) -> dict[str, float]:
-        """What a checkpoint keeps of it."""
+        """The numbers that a checkpoint keeps of it."""
         kept = {"parts": float(self.parts), "acceleration": self.acceleration, "jerk": self.jerk}
         return {f"vibration_{name}": value for name, value in kept.items()}
 

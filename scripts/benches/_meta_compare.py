@@ -33,7 +33,7 @@ LEAST_BOOK = 1e-4  # of the natural energy: where nothing moves, the books hold 
 
 @dataclass(frozen=True)
 class Record:
-    """What a run left: exit code, message, histories, events, seconds."""
+    """The results of a run: exit code, message, histories, events, seconds."""
 
     code: int
     message: str = ""

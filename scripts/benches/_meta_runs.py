@@ -84,7 +84,7 @@ def forked(action: Callable[[], object], log: Path, limit: float) -> tuple[int, 
 
 
 def record_of(code: int, message: str, seconds: float, folder: Path) -> Record:
-    """What a run left in its folder; nothing is read where it crashed."""
+    """The results of a run in its folder; nothing is read where it crashed."""
     if code in (HUNG, CRASHED, 2) or code < 0 or not (folder / "history.h5").exists():
         return Record(code, message, seconds=seconds)
     return Record(code, message, read_history(folder / "history.h5"), read_events(folder / "events.csv"), seconds)
@@ -155,7 +155,7 @@ def _without_ranks() -> dict[str, str]:
 
 
 def left_by_ranks(folder: Path) -> Record:
-    """What ranks left of a scene."""
+    """The results of a scene on several ranks."""
     code, message = (
         int((folder / "code").read_text()),
         (folder / "said").read_text(encoding="utf-8", errors="replace"),

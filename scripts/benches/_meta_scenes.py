@@ -122,7 +122,7 @@ def _material(random: np.random.Generator, kind: str, names: list[str], scale: f
 
 
 def _drive(random: np.random.Generator, data: Data, traces: list[Floats], scale: float) -> None:
-    """What moves: wells, or a side."""
+    """The wells or the side that drive a scene."""
     press = max(abs(data["initial_stress"]["yy"]), 1e5)
     unit = scale if random.random() < 0.5 else 1.0  # of time: tables run over two of them
     data["end"] = 2.0 * unit

@@ -1,4 +1,4 @@
-"""What may be done to a scene that changes nothing but how it is written down, and how its results are read back."""
+"""Changes of a scene that alter nothing but how it is written down, and how its results are read back."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ OVER, EXPLAINED, BROKEN = "above", "ill-conditioned", "failed alone"
 
 @dataclass
 class Row:
-    """What became of all scenes in one way of writing them down.
+    """The results of all scenes in one way of writing them down.
 
     worst      largest difference over natural size that is not explained, with its scene and quantity
     condition  factors by which scenes whose difference is explained magnify what is given
@@ -81,7 +81,7 @@ class Scene:
         return f"seed {self.seed} ({self.case.data['title']}, {', '.join(s['kind'] for s in self.case.data['stage'])})"
 
     def shakes(self) -> list[tuple[Record, Differences]]:
-        """What the scene gives when its numbers are shaken, and by how much that differs; run when first asked for."""
+        """The results of the scene when its numbers are shaken, and by how much that differs; run when first asked for."""
         if self._shaken is None:
             self._shaken = []
             for number in range(SHAKES):

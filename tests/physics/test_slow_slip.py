@@ -171,7 +171,7 @@ def test_check_foretells_events_and_slow_slip(tmp_path):
     )
     assert int(event[0]) == 21 and int(event[1]) >= 50  # 200 s to 0.14 ms; a period in fiftieths
     assert "slow slip in stage creep, up to: 20 steps more, where 2 fractures weaken" in said.output
-    assert "nucleation length / 5 is not resolved" in said.output and "the mesh's choice in fault" in said.output
+    assert "nucleation length / 5 is not resolved" in said.output and "depends on the mesh in fault" in said.output
 
 
 @pytest.mark.serial
