@@ -63,6 +63,8 @@ def watched(
     if totals is not None:
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts + totals.besides(), soft_wrap=True)
+        for line in totals.doubts:
+            console.print(f"! {line}", soft_wrap=True, markup=False)
 
 
 class Sight:

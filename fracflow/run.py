@@ -17,7 +17,7 @@ from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
 from fracflow.errors import InputError, Interrupted, PutBack, SolveError
 from fracflow.mesh.data import SplitMesh
-from fracflow.mesh.near import HEAD
+from fracflow.mesh.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
 from fracflow.output.handed import told_handed
@@ -50,7 +50,7 @@ def run(
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
     show      is given the scene card before the first step, on rank 0
-    say       is given lines that should be read before it: that wells are in parts that never meet, how much nearly meets
+    say       is given lines that should be read before it: that wells are in parts that never meet, what nearly meets
     progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
               of a stage auto that was tried from a time and thrown away
 
@@ -99,7 +99,7 @@ def _run(
     whole = model.whole or model
     told = whole.mesh.notes if whole.mesh is not None else ()
     if say is not None:
-        for line in (*(line for line in told if line.startswith(HEAD)), *whole.placed.apart):
+        for line in (*near_ones(told), *whole.placed.apart):
             say(line)
     sizes = model.operators.blocks.sizes
     recorder.log(

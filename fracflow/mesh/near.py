@@ -15,6 +15,8 @@ WITHIN = 5.0  # snaps
 AROUND = 12.0  # distances along the network: what meets by a shorter way has met, at over 10 degrees
 MOST = 20  # told one by one
 HEAD = "near misses: "  # of the line that counts them
+LINE = "near miss: "  # of the line of each
+NEAREST = 3  # told before a run
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,12 @@ def told(misses: Sequence[NearMiss]) -> list[str]:
     lines = [f"{HEAD}{what}, by no more than {WITHIN:g} times geometry.snap", *(str(miss) for miss in misses[:MOST])]
     farthest = max((miss.distance for miss in misses[MOST:]), default=0.0)
     return lines + ([f"near miss: {more} more, up to {farthest:.3g} apart"] if more > 0 else [])
+
+
+def near_ones(notes: Sequence[str]) -> list[str]:
+    """Of the notes of a mesh how many near misses there are, and the nearest ones."""
+    counted = [line for line in notes if line.startswith(HEAD)]
+    return counted + [line for line in notes if line.startswith(LINE)][:NEAREST]
 
 
 @dataclass(frozen=True)

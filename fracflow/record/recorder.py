@@ -126,7 +126,7 @@ class Recorder:
             return
         totals.strained = 1
         rates = ", ".join(well.name for well in wells if well.flow_rate is not None)
-        self.log(
+        self._doubt(
             f"time {step.state.time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
             f" over {STRAINED:g}, where neither strains nor joints are those of the model: what follows means nothing;"
             + (
@@ -142,11 +142,16 @@ class Recorder:
         if grown <= WIDENS * totals.widening:
             return
         totals.widening = grown
-        self.log(
+        self._doubt(
             f"time {step.state.time:.6g}: an aperture of {step.report.widest} grew {grown:.3g} times as wide in one step."
             f" Above {FOLD:g} such a step has two solutions and may be at the wrong one: take smaller time_steps until nothing"
             " changes, or give accuracy.tolerance"
         )
+
+    def _doubt(self, line: str) -> None:
+        """A line of the log that the end of the run repeats."""
+        self.log(line)
+        self.totals.doubts.append(line)
 
     def last(self, step: Step, whole: bool = True) -> None:
         """Write the fields of the last state on record, unless they were; those of an earlier such state go. Collective.

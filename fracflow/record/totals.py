@@ -20,6 +20,7 @@ class Totals:
     injected  net volume that wells have brought, as in the last state [length^3]
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
     widening  largest factor by which an aperture grew in a step, as the log last told it; 1 where it told of none
+    doubts    lines of the log that say that a result may be wrong
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """
 
@@ -39,6 +40,7 @@ class Totals:
     wasted: int = 0
     strained: int = 0
     widening: float = 1.0
+    doubts: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)
 
     def add(self, report: StepReport) -> None:

@@ -7,6 +7,7 @@ unstable somewhere on its way. Such a step is refused and halved, and where no s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -21,12 +22,13 @@ from fracflow.coupling.stability import Weakening, largest_share, of_state, of_s
 from fracflow.errors import NotConverged, SolveError
 from fracflow.scene import Scene
 from fracflow.state import Sections, State
-from fracflow.steps.parts import PartOfStep, most_halvings
+from fracflow.steps.parts import PartOfStep
 
 RESOLVED = 0.1  # of the slip over which strength falls: in a shorter step it cannot have jumped
 LIMITS = ((1.0, 0.7), (0.95, 1.0))
 """Least shares of a state that may have nowhere to go: of what slides, which grows by a joint; with what all but slides."""
 REMEDY = '; slip goes on with inertia: set kind = "auto", or let a stage of kind = "dynamic" follow'
+MOST_HALVED = 40  # times: a step of a year is a millisecond then
 SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
 
 
@@ -150,18 +152,30 @@ def _critical(model: Model, joint: int, fall: float) -> float | None:
     return float(length) if np.isfinite(length) else None
 
 
-def to_limit_point(model: Model, state: State, parts: Iterator[PartOfStep], dt: float) -> Iterator[PartOfStep]:
-    """The parts of a step ``dt`` without inertia from a state, up to where there is no other: at a limit point or not.
+def to_the_next(scene: Scene, number: int, step: float) -> int:
+    """Times that a step is halved for a limit point to be known as well as the steps of a dynamic stage that follows.
+
+    That stage begins with the last state at rest: from one long before the limit point nothing would slip in it.
+    """
+    after = scene.stage[number + 1] if number + 1 < len(scene.stage) else None
+    if after is None or after.kind != "dynamic" or not after.time_step or step <= after.time_step:
+        return 0
+    return min(MOST_HALVED, math.ceil(math.log2(step / after.time_step)))
+
+
+def to_limit_point(model: Model, state: State, parts: Iterator[PartOfStep], least: float) -> Iterator[PartOfStep]:
+    """The parts of a step without inertia from a state, up to where there is no other: at a limit point or not.
+
+    least  length of the shortest part [time]
 
     Raises LimitPoint or NotConverged, on every rank. Collective.
     """
-    for_sure = dt * 0.5 ** most_halvings(model.scene)
     try:
         for part in parts:
             yield part
             state = part.state
     except NotConverged as failure:
-        error = limit_point(model, state, failure, for_sure)
+        error = limit_point(model, state, failure, least)
         if error is None:
             raise
         raise error from failure

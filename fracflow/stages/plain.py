@@ -9,7 +9,7 @@ from fracflow._petsc import MPI
 from fracflow.begin.setup import Model
 from fracflow.errors import SolveError
 from fracflow.scene_actions import Stage
-from fracflow.stages.instability import is_near, refuse_unstable_slip, to_limit_point, weakens
+from fracflow.stages.instability import is_near, refuse_unstable_slip, to_limit_point, to_the_next, weakens
 from fracflow.state import State, StepReport, forgetful
 from fracflow.stepping import Steady, Stepper
 from fracflow.steps.accuracy import Judge
@@ -175,15 +175,17 @@ def run_stage(
     stepping.explicit.tell(stepper, dt)
     if judge.finest and not progress:
         log(f"stage {_name(stage)}: parts of steps by {judge.told}")
+    hurries = weakens(model) and not stepper.inertia
+    most = most_halvings(model.scene)
     rules = Rules(
-        most_halvings(model.scene),
+        max(most, to_the_next(model.scene, number, whole_step)) if hurries else most,
         judge.order,
         _events(stepping, stepper, dt),
         judge.finest,
         judge.of_film,
     )
     fills = stepper.storage and model.operators.flow is not None
-    hurries, shortest = weakens(model) and not stepper.inertia, JUST_OVER * 0.5**rules.most
+    shortest = JUST_OVER * 0.5**rules.most
     given = prescribed(
         model.scene, stepper.inertia, _splits(stepping, stepper, dt), judge.tolerance if judge.finest else None
     )
@@ -245,7 +247,7 @@ def run_stage(
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + n * stage.increment_per_step)
         parts = in_parts(attempt, state, rules, log, place, is_straight)
-        for part in parts if stepper.inertia else to_limit_point(model, state, parts, dt):
+        for part in parts if stepper.inertia else to_limit_point(model, state, parts, dt * 0.5**rules.most):
             state = part.state
             failed = utilisation(model, state) >= 1.0
             if failed and stage.then == "hold" and not held:
