@@ -113,11 +113,13 @@ class Memory:
     time_step  its length, 0 where there was none [time]
     velocity   the mean velocity over it of the solid unknowns [length/time]
     uptake     the mean rate over it at which compression took up fluid; of a compressible fluid only
+    through    the mean flow rate over it of each well that has a limit [volume rate]
     """
 
     time_step: float = 0.0
     velocity: PETSc.Vec | None = None
     uptake: PETSc.Vec | None = None
+    through: Mapping[str, float] = field(default_factory=dict)
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""

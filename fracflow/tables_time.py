@@ -153,6 +153,7 @@ class Rates:
     begin      of the step [time]
     before     of the one before it [time]
     controls   load factors in the one before it
+    through    mean rates in the one before it, by their names, of wells that a limit may have kept from their table
     of_forces  forces are sampled so too, and supports at once
     """
 
@@ -163,10 +164,16 @@ class Rates:
     begin: float = 0.0
     before: float = 0.0
     controls: Mapping[str, float] = field(default_factory=dict)
+    through: Mapping[str, float] = field(default_factory=dict)
     of_forces: bool = False
 
     def of(
-        self, value: Callable[[float], Any], time: float, control: str | None, controls: Mapping[str, float]
+        self,
+        value: Callable[[float], Any],
+        time: float,
+        control: str | None,
+        controls: Mapping[str, float],
+        well: str | None = None,
     ) -> float:
         """The rate of a table, times the load factor that is named, in a step to ``time``; a constant if it is no table."""
         factor = 1.0 if control is None else controls[control]
@@ -178,6 +185,8 @@ class Rates:
         if self.now:
             rate += self.now * factor * value.mean(self.begin, time)
         if self.last:
+            if well is not None and well in self.through:
+                return rate - self.last * self.through[well]
             old = 1.0 if control is None else self.controls.get(control, factor)
             rate -= self.last * old * value.mean(self.before, self.begin)
         return rate

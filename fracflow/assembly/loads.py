@@ -169,7 +169,7 @@ def _sum(
 
 
 def _factor(pattern: Pattern, time: float, controls: Controls, around: Around, rates: Rates | None = None) -> float:
-    return (rates or Rates(around=around)).of(pattern.value, time, pattern.control, controls)
+    return (rates or Rates(around=around)).of(pattern.value, time, pattern.control, controls, pattern.well)
 
 
 def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:

@@ -170,7 +170,9 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         energy=notes["energy"],
         limited=tuple(notes["limited"]),
         friction=at_sections("friction"),
-        memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1])) if notes["last_step"] else Memory(),
+        memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1]), notes.get("through", {}))
+        if notes["last_step"]
+        else Memory(),
         uptake=saved(RATES[0]),
         drive=notes["drive"],
         power=notes["power"],

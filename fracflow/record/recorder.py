@@ -273,6 +273,7 @@ class Files:
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
         notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
+        notes |= {"through": dict(state.memory.through)}
         notes |= {"drive": state.drive, "power": state.power, "injected": state.injected}
         notes |= {"incident": state.forces.incident, "around": list(state.around)}
         memory = {"events": self.events.memory(), "fracflow": __version__}

@@ -40,7 +40,7 @@ def rates_of(
     """How a step of length ``dt`` from a state samples flow rates; None with inertia, where a rule weighs both its ends.
 
     Backward Euler takes their mean over the step; BDF2 combines it with that over the last step as it does those of the
-    walls' velocities. The trapezoid takes the value at the end with what its sum leaves of the integral of the step; where
+    walls' velocities. Of a well that has a limit that is the mean of the rate which went through it, whatever its table says. The trapezoid takes the value at the end with what its sum leaves of the integral of the step; where
     it begins by backward Euler, that step makes up for the half by which the next one counts its end.
 
     follows  the rule of the steps after it
@@ -55,7 +55,7 @@ def rates_of(
         share = 0.5 * ahead / (dt + 0.5 * ahead)
         return Rates(now=1.0 - share, share=share, around=(0.0, ahead), begin=state.time)
     last = state.memory.time_step
-    if alphas.a6 > 0.0 and last > 0.0 and not state.limited:
-        before, factors = state.time - last, (alphas.a1 * dt, alphas.a6)
-        return Rates(*factors, 0.0, begin=state.time, before=before, controls=state.controls)
+    if alphas.a6 > 0.0 and last > 0.0:
+        past = {"before": state.time - last, "controls": state.controls, "through": state.memory.through}
+        return Rates(alphas.a1 * dt, alphas.a6, 0.0, begin=state.time, **past)
     return Rates(now=1.0, share=0.0, begin=state.time)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 from fracflow._petsc import PETSc
 from fracflow.assembly.compression import narrowing, widening
@@ -11,7 +12,7 @@ from fracflow.assembly.energy import book, dissipated
 from fracflow.assembly.energy_motion import Scheme
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.assembly.softening import refuse_jumps
-from fracflow.assembly.volume import brought
+from fracflow.assembly.volume import brought, stored
 from fracflow.begin.setup import Model
 from fracflow.coupling.accept import accept, remember
 from fracflow.coupling.explicit import ExplicitProblem
@@ -28,7 +29,7 @@ from fracflow.steps.explicit import ExplicitSteps
 from fracflow.steps.instants import change, enter
 from fracflow.steps.network import Network
 from fracflow.steps.sampling import begins_anew, rates_of, sides_of
-from fracflow.steps.wells import reached_after, reached_before, refuse_cycle
+from fracflow.steps.wells import reached_after, reached_before, refuse_cycle, through
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
@@ -220,6 +221,9 @@ class Stepping:
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
                 memory = remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
+                if stepper.memory and loads.limits:
+                    asked_for = partial(limited.demanded, time=time, controls=controls, around=around, rates=rates)
+                    memory = replace(memory, through=through(loads, limited, now, state, new, alphas, dt, asked_for, depth))
                 friction, injected = dissipated(state, new), state.injected
                 if self._counts_volume:
                     injected += brought(self.model.operators, limited, state, new, dt, scheme, depth)
@@ -268,7 +272,12 @@ class Stepping:
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
         """A new state, as a stage takes it over; see ``steps.instants``. Collective."""
         dt /= self.explicit.count(dt) if isinstance(stepper, Explicit) and dt > 0.0 else 1
-        return enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
+        new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
+        if not self._counts_volume or new.uptake is None:
+            return new
+        fluid = self.model.scene.fluid
+        jumped = stored(self.model.operators, state, new, fluid.flow_depth if fluid is not None else 1.0)
+        return replace(new, injected=new.injected + jumped)  # where prescribed pressures of a compressible fluid jump
 
     def change(self, state: State, leaving: Bools) -> State:
         """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective."""

@@ -10,6 +10,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Limit, Loads
 from fracflow.errors import NotConverged
 from fracflow.state import State
+from fracflow.stepping import Alphas
 
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
 
@@ -43,6 +44,37 @@ def reached_after(
         elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):
             now = {other for other in now if other.well != limit.well} | {limit}
     return frozenset(now)
+
+
+def through(
+    loads: Loads,
+    limited: Loads,
+    reached: frozenset[Limit],
+    old: State,
+    new: State,
+    alphas: Alphas,
+    dt: float,
+    demanded: Callable[[str], float],
+    depth: float,
+) -> dict[str, float]:
+    """Mean flow rate, over a step of length ``dt``, of each well that has a limit, as a rule with a memory takes it. Collective.
+
+    A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls' velocities. Of a
+    well at a limit, q is what the limit lets through beside other wells there; else ``demanded`` tells it.
+    """
+    kept, before = {limit.well: limit for limit in reached}, old.memory.through
+    found: dict[str, float] = {}
+    for name in sorted({limit.well for limit in loads.limits}):
+        if alphas.a6 > 0.0 and name not in before:
+            continue
+        if name in kept:
+            limit = kept[name]
+            rate = at_node(limit, new.forces.source) * depth
+            rate -= sum(at_node(limit, each.vector) * depth * demanded(str(each.well)) for each in limited.wells)
+        else:
+            rate = demanded(name)
+        found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * dt)
+    return found
 
 
 def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
