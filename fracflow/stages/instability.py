@@ -77,6 +77,7 @@ class Patch:
         return (
             f"fracture {self.fracture} at ({spot}), slipping patch {self.length:.4g}{unit}, {beside}; its strength falls"
             f"{'' if self.is_sharp else ' about'} {self.share:.3g} times as fast as rock unloads it"
+            f"{', and faster once the next section slides' if self.share < 1.0 else ''}"
         )
 
 
