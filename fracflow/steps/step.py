@@ -223,7 +223,9 @@ class Stepping:
                 memory = remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
                 if stepper.memory and loads.limits:
                     asked_for = partial(limited.demanded, time=time, controls=controls, around=around, rates=rates)
-                    memory = replace(memory, through=through(loads, limited, now, state, new, alphas, dt, asked_for, depth))
+                    memory = replace(
+                        memory, through=through(loads, limited, now, state, new, alphas, dt, asked_for, depth)
+                    )
                 friction, injected = dissipated(state, new), state.injected
                 if self._counts_volume:
                     injected += brought(self.model.operators, limited, state, new, dt, scheme, depth)
