@@ -127,7 +127,7 @@ class _Regimes:
 
     def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
         """The longest step without inertia that may be taken; no state where none may be. Collective."""
-        assert self.stage.time_step is not None
+        assert self.stage.time_step is not None and self.stage.end is not None
         if why := self.is_shaken(state.time):
             self.log(f"time {state.time:.9g}: an event begins: {why}")
             return None, StepReport(), course
@@ -135,7 +135,9 @@ class _Regimes:
         while True:
             time, jumps = self._target(state.time, course.step)
             dt = time - state.time
-            tried = self._attempt(state, time)
+            ends = jumps or time >= self.stage.end
+            ahead = 0.0 if ends else self._target(time, course.step)[0] - time
+            tried = self._attempt(state, time, ahead=ahead)
             if not tried.why:
                 break
             spent = spent.with_rejected(tried.newton)
@@ -223,14 +225,24 @@ class _Regimes:
             end, jumps = 0.5 * (time + end), False
         return end, jumps
 
-    def _attempt(self, state: State, time: float, radiated: float = RADIATED, iterations: int = BRIEF) -> Tried:
+    def _attempt(
+        self,
+        state: State,
+        time: float,
+        radiated: float = RADIATED,
+        iterations: int = BRIEF,
+        ahead: float | None = None,
+    ) -> Tried:
         """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective.
 
         iterations  as ``most`` in ``Stepping.step``
+        ahead       length of the step after it, as it is foreseen
         """
         dt, allowed = time - state.time, self.scene.accuracy.step_error
         try:
-            new, report = self.stepping.step(state, self.still, time, dt, state.controls, brief=True, most=iterations)
+            new, report = self.stepping.step(
+                state, self.still, time, dt, state.controls, ahead=ahead, brief=True, most=iterations
+            )
         except NotConverged as failure:
             if self.most is not None:
                 raise PutBack(self.decision, state.time, "there is no step without it") from failure

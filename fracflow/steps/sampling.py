@@ -26,12 +26,17 @@ def begins_anew(rule: Stepper, loads: Loads, state: State, dt: float, ahead: flo
     """Whether a step of a rule that remembers goes without its memory, by backward Euler.
 
     There is none, or that of a step so short that round-off is all of it; or the length of the step after this one is not
-    known, with which a rule that weighs both ends would share what a table leaves within this one.
+    known, with which a rule that weighs both ends would share what a table leaves within this one; or a rate jumps as it
+    begins, which such a rule would take by half.
     """
     if not rule.memory or state.memory.time_step == 0.0 or dt > MOST_GROWTH * state.memory.time_step:
         return True
-    rows = (time for well in loads.wells if isinstance(well.value, TimeTable) for time in well.value.times)
-    return ahead is None and rule.alphas(dt).a4 > 0.0 and any(state.time < time < state.time + dt for time in rows)
+    if rule.alphas(dt).a4 == 0.0:
+        return False
+    tables = [well.value for well in loads.wells if isinstance(well.value, TimeTable)]
+    if any(state.time < time < state.time + 0.5 * dt for table in tables for time in table.jumps[0]):
+        return True
+    return ahead is None and any(state.time < time < state.time + dt for table in tables for time in table.times)
 
 
 def rates_of(
@@ -40,8 +45,9 @@ def rates_of(
     """How a step of length ``dt`` from a state samples flow rates; None with inertia, where a rule weighs both its ends.
 
     Backward Euler takes their mean over the step; BDF2 combines it with that over the last step as it does those of the
-    walls' velocities. Of a well that has a limit that is the mean of the rate which went through it, whatever its table says. The trapezoid takes the value at the end with what its sum leaves of the integral of the step; where
-    it begins by backward Euler, that step makes up for the half by which the next one counts its end.
+    walls' velocities. Of a well that has a limit the last mean is of the rate that went through it, whatever its table says.
+    The trapezoid takes the value at the end with what its sum leaves of the integral of the step; where it begins by
+    backward Euler, that step makes up for the half by which the next one counts its end.
 
     follows  the rule of the steps after it
     """

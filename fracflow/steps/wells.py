@@ -57,10 +57,10 @@ def through(
     demanded: Callable[[str], float],
     depth: float,
 ) -> dict[str, float]:
-    """Mean flow rate, over a step of length ``dt``, of each well that has a limit, as a rule with a memory takes it. Collective.
+    """Mean flow rate, over a step of length ``dt``, of each well that has a limit, as a rule with a memory takes it.
 
-    A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls' velocities. Of a
-    well at a limit, q is what the limit lets through beside other wells there; else ``demanded`` tells it.
+    Collective. A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls'
+    velocities. Of a well at a limit, q is what the limit lets through beside other wells there; else ``demanded`` tells it.
     """
     kept, before = {limit.well: limit for limit in reached}, old.memory.through
     found: dict[str, float] = {}
