@@ -62,6 +62,6 @@ def rates_of(
         return Rates(now=1.0 - share, share=share, around=(0.0, ahead), begin=state.time)
     last = state.memory.time_step
     if alphas.a6 > 0.0 and last > 0.0:
-        past = {"before": state.time - last, "controls": state.controls, "through": state.memory.through}
-        return Rates(alphas.a1 * dt, alphas.a6, 0.0, begin=state.time, **past)
+        before, factors, through = state.time - last, (alphas.a1 * dt, alphas.a6), state.memory.through
+        return Rates(*factors, 0.0, begin=state.time, before=before, controls=state.controls, through=through)
     return Rates(now=1.0, share=0.0, begin=state.time)
