@@ -92,7 +92,7 @@ class Run:
         largest slip, and, nan in other rows, sections, length, mean_slip [length], mean stress_drop [stress], moment G slip
         length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides, dissipated by
         friction, dropped at the return to rest [force length / length], share of them by which the books do not close
-        (unclosed); injected, the net volume that wells of given rates brought before it [length**3]. One under way when
+        (unclosed); injected, the net volume that wells brought before it [length**3]. One under way when
         the run ended or was stopped has what it came to until then.
         Raises InputError if there is no events.csv.
         """
