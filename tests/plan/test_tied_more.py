@@ -117,9 +117,11 @@ def test_loads_add_to_the_shear_that_there_is(comm, shear):
     amount = 0.25e6 * (1 - 0.25**2) / 1e10
     scene = Scene.from_data(
         scene_of(
-            amount, fault=False, initial_stress={"xx": -1e7, "yy": -1e7, "zz": -5e6, "xy": shear},
+            amount,
+            fault=False,
+            initial_stress={"xx": -1e7, "yy": -1e7, "zz": -5e6, "xy": shear},
             probe=[{"name": "rock", "at": [50, 65]}],  # far from all seams
-        )  # fmt: skip
+        )
     )
     shut = find_shut(prepare(scene, comm), Facts(scene, unknowns=tied.LEAST))
     assert shut.stress == pytest.approx(0.5e6)
