@@ -70,7 +70,7 @@ def _sliding_way(operators: Operators, sections: Sections) -> Floats:
     way = np.zeros_like(sections.traction[:, :-1])
     for group, past in zip(operators.joints.laws, sections.past, strict=True):
         for name in group.law.status:
-            way[group.sections] = past[name].reshape(len(group.sections), -1)
+            way[group.sections] = past[name].reshape(len(group.sections), way.shape[1])
     size = np.linalg.norm(way, axis=1)[:, None]
     return np.asarray(way / np.where(size > 0.0, size, 1.0))
 
