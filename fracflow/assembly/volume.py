@@ -40,7 +40,7 @@ def stored(ops: Operators, old: State, new: State, depth: float) -> float:
 
 
 def _room(ops: Operators, old: State, new: State) -> Floats:
-    """What walls and compression take up between two states at this rank's flow nodes (n,) [volume per thickness]."""
+    """Volumes that walls and compression take up between two states, at this rank's flow nodes (n,) [volume per thickness]."""
     assert ops.flow is not None
     room, moved = new.pressure.duplicate(), new.motion.displacement.duplicate()
     after, before = (state.motion.displacement.getArray(readonly=True) for state in (new, old))
