@@ -25,13 +25,12 @@ _OWN_FILES = (
     "log.txt",
     "report.html",
     "*.xdmf",
-    "*.part",
     "fields/*.h5",
-    "fields/*.part",
     "pictures/*.png",
     "csv/*.csv",
 )
 _OWN_FOLDERS = ("fields", "pictures", "csv")
+_UNFINISHED = ("*.part", *(f"{folder}/*.part" for folder in _OWN_FOLDERS))  # what a kill left half written
 
 
 def write_atomic(path: Path, text: str) -> None:
@@ -103,7 +102,7 @@ class RunFolder:
 
     path    a new or empty folder, or the folder of an earlier run: that run's own files are removed,
             any other file stays
-    resume  keep the earlier run's files and go on
+    resume  keep the earlier run's files, but for half written ones, and go on
 
     Until it is closed no other run may have the folder. Raises InputError if ``path`` is a file, or holds files but no
     run of fracflow, or (with ``resume``) no run at all, or if another run is under way in it.
@@ -123,10 +122,10 @@ class RunFolder:
         self._marker.truncate(0)
         self._marker.write(f"run folder of fracflow, last written to by process {os.getpid()}\n")
         self._marker.flush()
+        for pattern in _UNFINISHED if keep else (*_UNFINISHED, *_OWN_FILES):
+            for file in self.path.glob(pattern):
+                file.unlink()
         if not keep:
-            for pattern in _OWN_FILES:
-                for file in self.path.glob(pattern):
-                    file.unlink()
             for name in _OWN_FOLDERS:
                 folder = self.path / name
                 if folder.is_dir() and not any(folder.iterdir()):
