@@ -78,7 +78,7 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
 
     Walls whose mass was moved inward go with those who carry it, P a = a, and what acts on them acts there: M a = P' f.
     """
-    matrix, solver = _mass(operators, problem)
+    matrix, solver = _mass(operators, problem.loads)
     force = problem.solid_balance.copy()
     if operators.inward is not None:
         operators.inward.multTranspose(problem.solid_balance, force)
@@ -100,30 +100,42 @@ def first_levels(
     """
     if not parts:
         return np.zeros(0)
-    matrix, solver = _mass(operators, problem)
-    held = problem.loads.held
-    yields = [part.walls.copy() for part in parts]
-    lacks, gives = np.zeros(len(parts)), np.zeros((len(parts), len(parts)))
-    for walls in yields:
-        walls.getArray()[held] = 0.0
-    moved = acceleration.duplicate()
-    for row, (part, walls) in enumerate(zip(parts, yields, strict=True)):
-        lacks[row] = part.rate - walls.dot(acceleration)
-        solver.solve(walls, moved)
-        gives[:, row] = [other.dot(moved) for other in yields]
-    for thing in (*yields, moved, solver, matrix):
-        thing.destroy()
-    added: Floats = np.linalg.lstsq(gives, lacks, rcond=None)[0]
+    lacks = [part.rate - part.walls.dot(acceleration) for part in parts]
+    added, moved = levels(operators, problem.loads, parts, np.array(lacks))
+    moved.destroy()
     return added
 
 
-def _mass(operators: Operators, problem: StepProblem) -> tuple[PETSc.Mat, PETSc.KSP]:
+def levels(operators: Operators, loads: Loads, parts: Sequence[Enclosed], lacks: Floats) -> tuple[Floats, PETSc.Vec]:
+    """What to add to the pressures of each of the parts (k,), and to accelerations, so that w a grows by ``lacks`` (k,).
+
+    Levels c add sum c M^-1 w, in a new vector; zero where held. Collective.
+    """
+    matrix, solver = _mass(operators, loads)
+    yields = [part.walls.copy() for part in parts]
+    gives, moved = np.zeros((len(parts), len(parts))), yields[0].duplicate()
+    for row, walls in enumerate(yields):
+        if operators.inward is not None:
+            operators.inward.multTranspose(parts[row].walls, walls)
+        loads.release(walls)
+        solver.solve(walls, moved)
+        gives[:, row] = [other.walls.dot(moved) for other in parts]
+    added: Floats = np.linalg.lstsq(gives, lacks, rcond=None)[0]
+    push = moved.duplicate()
+    push.maxpy(added.tolist(), yields)
+    solver.solve(push, moved)
+    for thing in (*yields, push, solver, matrix):
+        thing.destroy()
+    return added, moved
+
+
+def _mass(operators: Operators, loads: Loads) -> tuple[PETSc.Mat, PETSc.KSP]:
     """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
     matrix, solver = with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
     if operators.inward is not None:
         _bind(matrix, operators.inward)
     start = matrix.getOwnershipRange()[0]
-    matrix.zeroRowsColumns((start + problem.loads.held).astype(PETSc.IntType), 1.0)
+    matrix.zeroRowsColumns((start + loads.held).astype(PETSc.IntType), 1.0)
     solver.setOperators(matrix)
     solver.setOptionsPrefix("mass_")
     solver.setFromOptions()

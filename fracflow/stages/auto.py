@@ -21,7 +21,7 @@ from fracflow.state import State, StepReport
 from fracflow.stepping import Explicit
 from fracflow.steps.accuracy import step_error
 from fracflow.steps.events import take_part
-from fracflow.steps.parts import CALM, EFFORT, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.steps.parts import CALM, Attempted, Place, Rules, in_parts, most_halvings
 from fracflow.steps.prescribed import prescribed
 from fracflow.steps.step import Progress, Step, Stepping, stepper_of
 
@@ -152,9 +152,7 @@ class _Regimes:
         if spent.rejected >= TOLD:
             self.log(f"time {state.time:.9g}: {in_words(spent)}; the step of {dt:.3g} is taken")
         course = replace(course, calm=course.calm + 1.0, trials=course.trials + spent.rejected)
-        if tried.report.newton > EFFORT:
-            course = replace(course, step=max(0.5 * course.step, course.least), calm=0.0)
-        elif course.calm > CALM and tried.may_double:
+        if course.calm > CALM and tried.may_double:
             course = replace(course, step=min(2.0 * course.step, max(self.stage.time_step, course.least)), calm=0.0)
         if jumps:
             after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings

@@ -1,23 +1,28 @@
-"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status."""
+"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status, a pump its pace."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 
+from fracflow._petsc import MPI
 from fracflow.assembly.energy import book, compressed, dissipated, jumped, pushed, switch
 from fracflow.assembly.energy_motion import Scheme, kinetic_energy
 from fracflow.assembly.loads import Loads
 from fracflow.begin.setup import Model
 from fracflow.coupling.absorption import carried_on
-from fracflow.coupling.initial import first_levels, initial_acceleration, starting_pressure, starting_rate
+from fracflow.coupling.initial import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.mesh.data import Bools
 from fracflow.state import Memory, Motion, Past, State
 from fracflow.stepping import Alphas, Stepper
 from fracflow.steps.network import Network
+from fracflow.tables_time import Around
+
+KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off
 
 
 def enter(model: Model, network: Network, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
@@ -69,6 +74,63 @@ def change(model: Model, network: Network, loads: Loads, state: State, leaving: 
     new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
     new = replace(new, friction=dissipated(state, new))
     return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
+
+
+def keep_pace(
+    model: Model,
+    network: Network,
+    loads: Loads,
+    state: State,
+    step: tuple[float, float],
+    controls: Mapping[str, float],
+    around: Around,
+) -> State | None:
+    """The state as the walls of parts that nothing drains take up what wells pump in a ``step`` (end, length). Collective.
+
+    The sum of (3.20) over such a part, w v = sum Q, has a rate, w a = sum Q', that jumps where Q bends; the level of its
+    pressures jumps with it. A rule that looks back on a would swing about both for ever, as nothing else settles them.
+    Motions are as they were; None where all have the pace of the step.
+    """
+    ops, dt = model.operators, step[1]
+    parts = network.enclosed(loads, state, 0.0)
+    if not parts:
+        return None
+    with ExitStack() as done:
+        source, speed = ops.layout.flow_vector(), state.motion.velocity.copy()
+        for thing in (source, speed, *(part.walls for part in parts)):
+            done.callback(thing.destroy)
+        loads.source(step[0], controls, source, around)
+        for moved in loads.supports:
+            speed.getArray()[moved.numbers] = moved.speed(step[0], around)
+        here = np.zeros((len(parts), 3))
+        for row, part in zip(here, parts, strict=True):
+            pumped, taken = source.getArray()[part.nodes], part.walls.getArray() * speed.getArray()
+            before = part.walls.getArray() * state.motion.acceleration.getArray(readonly=True)
+            before[loads.held] = 0.0
+            row[:] = pumped.sum() - taken.sum(), before.sum(), np.abs(pumped).sum() + np.abs(taken).sum()
+        change, paces, sizes = ops.layout.comm.allreduce(here, op=MPI.SUM).T
+        lacks = change / dt - paces
+        if np.all(np.abs(lacks) * dt <= KEEPS_PACE * sizes):
+            return None
+        added, moves = levels(ops, loads, parts, lacks)
+        done.callback(moves.destroy)
+        pressure, push, reaction = state.pressure.copy(), speed, moves.duplicate()
+        done.callback(reaction.destroy)
+        level = ops.layout.flow_vector()
+        done.callback(level.destroy)
+        for part, more in zip(parts, added, strict=True):
+            level.getArray()[part.nodes] += more
+        pressure.axpy(1.0, level)
+        acceleration = state.motion.acceleration.copy()
+        acceleration.axpy(1.0, moves)
+        motion = Motion(state.motion.displacement.copy(), state.motion.velocity.copy(), acceleration)
+        assert ops.flow is not None
+        ops.flow.push.mult(level, push)
+        ops.mass.mult(moves, reaction)
+        forces, held = state.forces.copy(), loads.held
+        forces.support.getArray()[held] += reaction.getArray()[held] - push.getArray()[held]
+    uptake = None if state.uptake is None else state.uptake.copy()
+    return replace(state, motion=motion, pressure=pressure, forces=forces, uptake=uptake, memory=Memory())
 
 
 def _first_instant(

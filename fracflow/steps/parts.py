@@ -19,7 +19,6 @@ LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/
 DEEPEST = 6  # halvings at once
 HOPELESS = 1e100  # times what is allowed: errors beyond are as large as each other
 AT_A_JUMP = 1e-9  # of a step: times so near are one
-EFFORT = 20  # Newton iterations of a part from which on the next one is shorter
 
 
 @dataclass(frozen=True)
@@ -193,8 +192,6 @@ def _after(place: Place, size: float, found: Attempted, end: float, rules: Rules
     place = replace(place, part=place.part + size)
     if not rules.order:
         return place
-    if found.report.newton > EFFORT and place.level < rules.most:
-        return replace(place, level=place.level + 1, calm=0)
     if rules.prompt:
         longer = found.error < MARGIN * 0.5**rules.order
         return replace(place, level=max(place.level - longer, 0))

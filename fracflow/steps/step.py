@@ -26,7 +26,7 @@ from fracflow.state import Memory, State, StepReport
 from fracflow.stepping import Explicit, Steady, Stepper, first, stepper_from
 from fracflow.steps.couplings import Couplings
 from fracflow.steps.explicit import ExplicitSteps
-from fracflow.steps.instants import change, enter
+from fracflow.steps.instants import change, enter, keep_pace
 from fracflow.steps.network import Network
 from fracflow.steps.sampling import begins_anew, rates_of, sides_of
 from fracflow.steps.wells import reached_after, reached_before, refuse_cycle, through
@@ -126,7 +126,12 @@ class Stepping:
         loads = loads or self.model.loads
         rule = first(stepper) if begins_anew(stepper, loads, state, dt, ahead) else stepper
         given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief, most)
-        new, report = self._step_by(rule, state, *given)
+        begun = self._begun(rule, state, loads, time, dt, controls, ahead)
+        try:
+            new, report = self._step_by(rule, begun or state, *given)
+        finally:
+            if begun is not None:
+                begun.destroy()
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
         if left < NARROWS:
             new.destroy()
@@ -139,6 +144,23 @@ class Stepping:
             grown, where = widening(self.model.operators, state, new)
             report = replace(report, widening=grown, widest=where)
         return new, report
+
+    def _begun(
+        self,
+        rule: Stepper,
+        state: State,
+        loads: Loads,
+        time: float,
+        dt: float,
+        controls: Mapping[str, float],
+        ahead: float | None,
+    ) -> State | None:
+        """The state that a step goes from, where that is another; of rules that look back on a. See ``keep_pace``."""
+        if not rule.inertia or rule.balance != "both" or self.model.operators.flow is None or dt == 0.0:
+            return None
+        self.network.look_at(state)
+        limited = self._limited(loads, reached_before(loads, state))
+        return keep_pace(self.model, self.network, limited, state, (time, dt), controls, sides_of(rule, dt, ahead))
 
     def _step_by(
         self,

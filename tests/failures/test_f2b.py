@@ -145,3 +145,26 @@ def test_what_begins_to_flow_in_sets_the_first_level(shared_tmp):
     found = history(shared_tmp / "run", stage, *wells)
     level = 0.5 * (found["probe/in/pressure"] + found["probe/out/pressure"])[1:] - 1e6
     assert level[0] > 100.0 and np.abs(np.diff(level, 2)).max() <= 1e-4 * level[0]  # it goes up evenly
+
+
+BENT = "well.in.flow_rate=[[0, 0], [{bend}e-7, 8e-7], [1, 8e-7]]"
+UNDAMPED = {
+    "newmark": ["method.stepper=newmark"],
+    "generalised-alpha": ["method.stepper=generalised-alpha", "method.rho_infinity=1"],
+}
+
+
+@pytest.mark.parametrize(("stepper", "bend"), [("newmark", 4), ("generalised-alpha", 3.7)])
+def test_the_level_follows_what_flows_in_where_its_rate_bends(shared_tmp, stepper, bend):
+    """w a = Q' falls to nothing at once: the level does, and rests. That a stage ends there has no part in it."""
+    given = [BENT.format(bend=bend), "well.out.flow_rate=0", *UNDAMPED[stepper]]
+    stage = "{kind = 'dynamic', time_step = 1e-7, steps = %d}"
+    found = history(shared_tmp / "run", *given, f"stage=[{stage % 10}]")
+    level = 0.5 * (found["probe/in/pressure"] + found["probe/out/pressure"]) - 1e6
+    assert level[1] > 100.0 and np.abs(np.diff(level[6:], 2)).max() <= 1e-3 * level[1]
+    largest = max(np.abs(v).max() for k, v in found.items() if k.startswith("energy/"))
+    assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
+    if bend == 4:
+        split = history(shared_tmp / "split", *given, f"stage=[{stage % 4}, {stage % 6}]")
+        for key in ("probe/in/pressure", "probe/out/pressure"):
+            assert split[key] == pytest.approx(found[key], rel=1e-10)

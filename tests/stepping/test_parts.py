@@ -121,9 +121,11 @@ def test_calm_parts_make_the_next_one_longer():
     assert lengths == [0.125] * 6 + [0.25] * 3 + [0.5] * 3
 
 
-def test_hard_work_makes_the_next_part_shorter():
-    assert taken(reaching(newton=25), Rules(6, order=2))[-1][2].level == 1
-    assert taken(reaching(newton=25), Rules(6))[-1][2].level == 0
+def test_lengths_do_not_depend_on_how_iterations_are_counted():
+    """Couplings count them in their own ways: a part that is accurate is followed by the same one, whatever it cost."""
+    for rules in (Rules(6, order=2), Rules(6), Rules(6, order=2, finest=24, prompt=True)):
+        cheap, dear = (taken(reaching(0.5, newton=newton), rules) for newton in (1, 45))
+        assert cheap == dear and len(cheap) == 2
 
 
 @pytest.mark.serial
