@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
 from fracflow.errors import InputError
 from fracflow.scene_errors import nearest
+from fracflow.scene_petsc import refusal
 from fracflow.stepping import WITH_INERTIA, keys_of
 from fracflow.tables import FractureEnd, Place
 from fracflow.units import COMPRESSIBILITY
@@ -36,9 +36,9 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
         for index, name in enumerate(names):
             if name is not None and name in names[:index]:
                 yield (key, index, "name"), "stands twice; names must differ"
-    for option in scene.petsc:
-        if not re.fullmatch(r"[A-Za-z]\S*", option):
-            yield ("petsc", option), "is no name of a PETSc option; give it without dash, such as solid_pc_type"
+    for option, value in scene.petsc.items():
+        if why := refusal(option, value):
+            yield ("petsc", option), why
     in_history = [(("probe", i, "name"), probe.name) for i, probe in enumerate(scene.probe)]
     for path, name in (*in_history, *((("control", name), name) for name in scene.control)):
         if not {"", ".", ".."}.isdisjoint(name.split("/")):

@@ -359,7 +359,7 @@ SCENES = {
     ),
     "a type PETSc does not know": (
         {"scene.toml": SCENE + '[petsc]\nmonolithic_ksp_type = "gmress"\n'},
-        "scene.toml: PETSc option of -monolithic_, in [petsc] or on the command line: … gmress; see PETSc's manual",
+        'scene.toml: petsc.monolithic_ksp_type = "gmress": must be one of preonly, … command line: -- -monolithic_ksp_type',
     ),
 }
 TABLES = {
