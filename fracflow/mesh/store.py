@@ -12,12 +12,14 @@ import h5py
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.files import fresh
+from fracflow.files_hdf5 import check_contained
 from fracflow.mesh.data import SplitMesh
 
 
 def save_mesh(mesh: SplitMesh, path: Path) -> None:
     """Write every part of a mesh, aside and then renamed."""
-    part = path.with_name(path.name + ".part")
+    part = fresh(path.with_name(path.name + ".part"))
     with h5py.File(part, "w") as file:
         for field in fields(mesh):
             value = getattr(mesh, field.name)
@@ -32,6 +34,7 @@ def load_mesh(path: Path) -> SplitMesh:
     """Read a mesh that was saved. Raises InputError where there is none."""
     try:
         with h5py.File(path, "r") as file:
+            check_contained(file, path)
             return SplitMesh(**{field.name: _part(file, field.name) for field in fields(SplitMesh)})
     except (OSError, KeyError) as error:
         raise InputError(f"{path}: is no saved mesh ({error}); start the run again with fracflow run") from error

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from fracflow.files import fresh
 from fracflow.output.convergence import LATITUDE, Row
 from fracflow.output.look import COLOURS, INK, PALE, STYLE, fonts, one_note_on_letters
 
@@ -92,7 +93,7 @@ def draw(rows: Sequence[Row], folder: Path) -> Path:
         axes.set_xlabel("level")
         axes.set_ylabel("difference to the next level; hollow: estimated error")
         axes.set_title("Convergence, relative to the change of each quantity; energies in grey")
-        part = folder / "converge.png.part"
+        part = fresh(folder / "converge.png.part")
         figure.savefig(part, format="png")
     part.replace(folder / "converge.png")
     return folder / "converge.png"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fracflow.files import fresh
 from fracflow.output.look import COLOURS, INK, PALE, STYLE, fonts, one_note_on_letters
 from fracflow.output.rundata import PROBE_QUANTITIES, RunData, load_run_data
 
@@ -45,7 +46,7 @@ def draw(folder: str | Path) -> list[Path]:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    part = path.with_name(path.name + ".part")
+    part = fresh(path.with_name(path.name + ".part"))
     figure.savefig(part, format="png")
     part.replace(path)
     return path

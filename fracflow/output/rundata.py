@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fracflow.errors import InputError
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
+from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
 
@@ -224,6 +225,7 @@ class RunData:
 def load_run_data(folder: str | Path) -> RunData:
     """Read a run folder. Raises InputError if it has no history with a step in it."""
     folder = Path(folder)
+    check_own(folder)
     history, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
     if not len(history.get("time", ())):
         raise InputError(f"{folder}: has no finished step; run it first")
