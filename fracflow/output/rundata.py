@@ -15,6 +15,7 @@ from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history
+from fracflow.output.look import plain
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
 
 Floats = NDArray[np.float64]
@@ -238,7 +239,7 @@ def load_run_data(folder: str | Path) -> RunData:
     seen = {event["probe"]: (event["x"], event["y"]) for event in events if event["probe"]}
     return RunData(
         title=str(attrs.get("title") or folder.resolve().name),
-        units=json.loads(attrs.get("units", "{}")),
+        units={key: plain(str(unit)) for key, unit in json.loads(attrs.get("units", "{}")).items()},
         history=history,
         probes=_places(attrs, "probes") or seen,
         wells=_places(attrs, "wells"),

@@ -358,6 +358,29 @@ def test_names_steer_no_terminal(name, table, tmp_path):
         load(tmp_path / "scene.toml")
 
 
+def test_names_of_a_mesh_steer_no_terminal(tmp_path):
+    from test_malformed import MSH
+
+    from fracflow.mesh.read import read_mesh
+
+    (tmp_path / "a.msh").write_text(MSH.replace('"south"', '"\x1b]0;owned\x07"'))
+    with pytest.raises(InputError, match=r"a.msh: physical curve 3: control characters in its name"):
+        read_mesh(tmp_path / "a.msh", ["fault"])
+
+
+def test_names_in_pictures_are_no_formulas(tmp_path, monkeypatch):
+    """Matplotlib would read them between dollars, and take a matplotlibrc of the working folder, which may call TeX."""
+    matplotlib = pytest.importorskip("matplotlib")
+    from fracflow.output.pictures import draw
+    from fracflow.run import run
+
+    text = SCENE.replace('"probe"', r"'$\foo{$'").replace('"fault"', r"'$\frac{$'").replace(".fault]", r".'$\frac{$']")
+    (tmp_path / "scene.toml").write_text(r"title = 'a $\foo$ b'" + "\n" + text)
+    run(load(tmp_path / "scene.toml"), tmp_path / "out")
+    with matplotlib.rc_context({"text.usetex": True, "text.latex.preamble": r"\input{/etc/hostname}"}):
+        assert len(draw(tmp_path / "out")) == 2
+
+
 def test_names_stay_in_their_folder(tmp_path):
     names = ("../../x", "a/b", "a_b", "A_b", "/etc/x", "<script>", "..\\..\\y")
     (tmp_path / "out").mkdir()
