@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 from pathlib import Path
 
 from fracflow.errors import InputError
 
+# Line ends and NUL have no place in names, of files least of all; other controls and marks of direction steer terminals.
+_CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069"
+PLAIN_TEXT = f"[^{_CONTROLS}]+"
+_STEERS = re.compile(f"[{_CONTROLS}]")
 LARGEST = 64 << 20  # bytes of a text: a scene, a table, a list of traces
 
 
@@ -44,6 +49,16 @@ def check_regular(path: Path, remedy: str, largest: int) -> None:
         raise InputError(f"{path}: no such file; {remedy}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}; {remedy}") from None
+
+
+def steers(text: str) -> bool:
+    """Whether a name has characters that a terminal would take for commands."""
+    return _STEERS.search(text) is not None
+
+
+def shown_plain(text: str) -> str:
+    """A text as a terminal may show it: such characters are question marks."""
+    return _STEERS.sub("?", text)
 
 
 def fresh(path: Path) -> Path:

@@ -141,7 +141,8 @@ class Scene(Part):
     @property
     def name(self) -> str:
         """The name of the scene's file without its ending, or of its folder where the file is called scene.toml."""
-        return self._file.stem if self._file.stem != "scene" else self._file.resolve().parent.name
+        stem = self._file.stem
+        return stem if stem not in ("scene", "..") else self._file.resolve().parent.name
 
     @property
     def folder(self) -> Path:

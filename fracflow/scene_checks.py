@@ -8,9 +8,10 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from fracflow.errors import InputError
+from fracflow.files import PLAIN_TEXT
 from fracflow.scene_errors import nearest
 from fracflow.scene_petsc import refusal
-from fracflow.scene_tables import LONGEST_NAME, PLAIN_TEXT
+from fracflow.scene_tables import LONGEST_NAME
 from fracflow.stepping import WITH_INERTIA, keys_of
 from fracflow.tables import FractureEnd, Place
 from fracflow.units import COMPRESSIBILITY

@@ -16,6 +16,7 @@ from pydantic import (
     create_model,
 )
 
+from fracflow.files import PLAIN_TEXT
 from fracflow.scene_laws import OTHERWISE, foreign_keys
 from fracflow.stepping import OF_FILMS, WITH_INERTIA, keys_of
 from fracflow.tables import Domain, Polyline
@@ -28,8 +29,6 @@ from fracflow.units import (
 
 Points = tuple[tuple[float, float], ...]
 Count = Annotated[int, Field(strict=True, ge=1)]
-# Line ends and NUL have no place in names, of files least of all; other controls and marks of direction steer terminals.
-PLAIN_TEXT = r"[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]+"
 LONGEST_NAME, LONGEST_PATH = 250, 4000
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=f"^{PLAIN_TEXT}$")]
 FileName = Annotated[str, Field(min_length=1, max_length=LONGEST_PATH, pattern=f"^{PLAIN_TEXT}$")]

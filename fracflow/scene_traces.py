@@ -12,10 +12,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from fracflow.errors import InputError
-from fracflow.files import read_text
+from fracflow.files import PLAIN_TEXT, read_text
 from fracflow.scene_errors import nearest, one_line
 from fracflow.scene_materials import Fracture
-from fracflow.scene_tables import ALTERNATIVES, PLAIN_TEXT, with_default_fracture
+from fracflow.scene_tables import ALTERNATIVES, with_default_fracture
 from fracflow.scene_toml import write_value
 from fracflow.units import HUGE, UnitSystem
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection
 
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.files import steers
 from fracflow.mesh.data import Floats, Ints, RawMesh
 from fracflow.mesh.facets import count_cells_at, number_rows, spot
 from fracflow.mesh.gmsh import Elements
@@ -15,7 +15,6 @@ from fracflow.mesh.orient import orient
 
 EVERY = "default"  # [fracture.default] makes fractures of all named curves inside the mesh
 CURVE = 1
-_STEERS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 
 
 def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawMesh:
@@ -133,7 +132,7 @@ def _check_names(elements: Elements, used: Ints, what: str) -> None:
         if not elements.group_names[group].strip():
             kind = ("point", "curve", "surface")[elements.group_dims[group]]
             raise InputError(f"{what}: physical {kind} {elements.group_tags[group]} has no name; give it one")
-        if _STEERS.search(elements.group_names[group]):  # terminals would take it for a command
+        if steers(elements.group_names[group]):  # terminals would take it for a command
             kind = ("point", "curve", "surface")[elements.group_dims[group]]
             raise InputError(
                 f"{what}: physical {kind} {elements.group_tags[group]}: control characters in its name; rename it"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.files import read_text
+from fracflow.files import read_text, steers
 from fracflow.output.folder import write_atomic
 
 OF_EVENTS = (
@@ -190,5 +190,7 @@ def read_events(path: str | Path) -> list[dict[str, Any]]:
 
 
 def _typed(row: dict[str, str]) -> dict[str, Any]:
+    if any(steers(row[key]) for key in ("kind", "fracture", "probe")):
+        raise ValueError
     numbers = {key: float(row[key]) if row[key] else None for key in (*_NUMBERS, *OF_EVENTS)}
     return {**row, **numbers, "node": int(row["node"])}

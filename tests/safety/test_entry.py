@@ -18,6 +18,7 @@ import pytest
 from fracflow.cli import main
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
+from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
 from fracflow.output.folder import RunFolder, write_atomic
 from fracflow.output.history import HistoryFile, read_history
@@ -379,6 +380,39 @@ def test_names_in_pictures_are_no_formulas(tmp_path, monkeypatch):
     run(load(tmp_path / "scene.toml"), tmp_path / "out")
     with matplotlib.rc_context({"text.usetex": True, "text.latex.preamble": r"\input{/etc/hostname}"}):
         assert len(draw(tmp_path / "out")) == 2
+
+
+def test_names_in_a_run_folder_steer_no_terminal(ended, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(ended, folder)
+    (folder / "events.csv").write_text(f"{','.join(COLUMNS)}\nslip,\x1b[2J,1,,0,0,0,,0,0{',' * 11}\n")
+    with h5py.File(folder / "mesh.h5", "r+") as file:
+        file.attrs["fractures"] = '["\\u001b]0;owned\\u0007"]'
+    with pytest.raises(InputError, match=r"events.csv: is damaged"):
+        read_events(folder / "events.csv")
+    with pytest.raises(InputError, match=r"mesh.h5: is no saved mesh .*control characters"):
+        load_mesh(folder / "mesh.h5")
+
+
+def test_names_are_no_markup(tmp_path, monkeypatch, capfd):
+    """Rich would take [/x] for the end of a style, and end in a traceback."""
+    text = SCENE.replace('"probe"', '"p[/x]"').replace('"fault"', '"f[/x]"').replace(".fault]", '."f[/x]"]')
+    (tmp_path / "scene.toml").write_text('title = "t[/x]"\n' + text.replace("flow_rate = 1e-9", "flow_rate = 1e-5"))
+    monkeypatch.setattr(sys, "argv", ["fracflow", "run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code and "f[/x]" in capfd.readouterr().out
+
+
+def test_a_link_that_nobody_has_named_is_no_run_folder(tmp_path, monkeypatch, capfd):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / tmp_path.name).symlink_to(tmp_path / "elsewhere")
+    monkeypatch.chdir(tmp_path)
+    code, line = said(["run", "scene.toml"], monkeypatch, capfd)
+    assert code == 2 and f"runs/{tmp_path.name}: is a link; name the run folder with -o" in line
+    assert not list((tmp_path / "elsewhere").iterdir())
 
 
 def test_names_stay_in_their_folder(tmp_path):
