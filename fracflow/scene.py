@@ -58,7 +58,10 @@ class Scene(Part):
         description="report: the choices of the 1976 report; full: the plan leaves nothing out",
     )
     method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
-    petsc: dict[str, Option] = Field(default_factory=dict, description="PETSc options, without the leading dash")
+    petsc: dict[str, Option] = Field(
+        default_factory=dict,
+        description="PETSc options, without the leading dash: methods, tolerances, limits; others at the command line after --",
+    )
     accuracy: Accuracy = Field(
         default_factory=Accuracy, description="how accurate results are to be; when iterations have converged"
     )

@@ -21,7 +21,8 @@ from fracflow.units import HUGE, UnitSystem
 
 POINT, SEGMENT = ("x", "y"), ("x1", "y1", "x2", "y2")
 PROPERTIES = tuple(Fracture.model_fields)
-LARGEST = 16 << 20  # bytes of a table: a hundred thousand traces and more
+LARGEST = 8 << 20  # bytes of a table
+MOST_TRACES = 100_000
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ def read_traces_csv(path: str | Path) -> list[TraceRow]:
             raise InputError(f"{where}: the name is empty; give each fracture one")
         given = {key: _value(row[key]) for key in columns if key in PROPERTIES and row[key]}
         if name not in traces:
+            if len(traces) == MOST_TRACES:
+                raise InputError(f"{where}: more than {MOST_TRACES} fractures; leave out the shortest")
             traces[name] = TraceRow(name, [values[:2]], given, number)
             values = values[2:]
         else:

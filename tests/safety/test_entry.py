@@ -456,6 +456,10 @@ HARD = {
     "a table of zeros": (*traces(lambda path: path.symlink_to("/dev/zero")), "is no regular file"),
     "a huge table": (*traces(sparse), "traces.csv: has more than"),
     "a table with a huge field": (*traces(longer('name,x,y\n"' + "x" * 200000 + '",1,2\n')), "traces.csv: line"),
+    "many traces": (
+        *traces(longer("name,x,y\n" + "".join(f"f{i},0,0\n" for i in range(100002)))),
+        "more than 100000 fractures",
+    ),
     "deep lists": ("a = " + "[" * 300 + "]" * 300 + "\n" + SCENE, None, "too deep inside each other"),
     "deep keys": (".".join("a" * 8000) + " = 1\n" + SCENE, None, "more than 50 dots"),
     "a number of many digits": ("a = " + "9" * 5000 + "\n" + SCENE, None, "thousands of digits"),
