@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from fracflow.errors import InputError
 
@@ -33,14 +36,34 @@ def _use_petsc_dir() -> None:
         sys.path.append(os.path.join(found, _PACKAGES))
 
 
+@contextmanager
+def _options_of_the_user() -> Iterator[None]:
+    """Let PETSc start with ~/.petscrc and PETSC_OPTIONS alone.
+
+    It would read .petscrc and petscrc of the working folder too, where a scene and all beside it may come from anybody.
+    """
+    given, home = os.environ.get("PETSC_OPTIONS"), os.path.expanduser("~/.petscrc")
+    if os.path.isfile(home) and not re.search(r"\s", home):  # PETSc divides its options at spaces
+        os.environ["PETSC_OPTIONS"] = f"-options_file {home} {given or ''}"  # the later ones count
+    try:
+        yield
+    finally:
+        os.environ.pop("PETSC_OPTIONS", None)
+        if given is not None:
+            os.environ["PETSC_OPTIONS"] = given
+
+
 _use_petsc_dir()
 try:
     import petsc4py
     from mpi4py import MPI
 
     _on_broken_pipe = signal.getsignal(signal.SIGPIPE)
-    petsc4py.init()
+    with _options_of_the_user():
+        petsc4py.init(["fracflow", "-skip_petscrc"])
     from petsc4py import PETSc
+
+    PETSc.Options().delValue("skip_petscrc")
 
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGPIPE, _on_broken_pipe)  # PETSc takes `| head` for a crash

@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError, Interrupted, SolveError
+from fracflow.files import read_text
 from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
+from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history
 from fracflow.output.status import read_status
 
@@ -120,8 +122,8 @@ class Run:
     def _planned(self, key: str) -> list[dict[str, Any]]:
         path = self.folder / "plan.json"
         try:
-            found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))[key]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            found: list[dict[str, Any]] = json.loads(read_text(path, "name the folder of a run"))[key]
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError(f"{path}: is no readable plan ({error}); name the folder of a run") from error
         return found
 
@@ -197,4 +199,5 @@ def open(folder: str | Path) -> Run:
     """Open the folder of a run, finished, stopped or still under way. Raises InputError if it holds none."""
     if not (Path(folder) / "history.h5").is_file():
         raise InputError(f"{folder}: holds no run of fracflow; name the folder of one")
+    check_own(Path(folder))
     return Run(Path(folder))

@@ -68,9 +68,11 @@ def run_command(
         run_levels(given, output or Path("runs") / f"{given.name}-converge", converge, console, comm)
         return
     folder = output or Path("runs") / given.name
+    if output is None and folder.is_symlink():  # nobody has named it: what lies beside a scene may come from anybody
+        raise InputError(f"{folder}: is a link; name the run folder with -o")
     on_root(comm, lambda: check_folder(folder))
     if (folder / "history.h5").exists():
-        console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True)
+        console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True, markup=False)
 
     def show_card(numbers: list[Number]) -> None:
         tell_card(as_records(numbers), console)
@@ -97,7 +99,7 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     on_root(comm, lambda: require_run(folder))
     console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
-        console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True)
+        console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True, markup=False)
     watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))
 
 

@@ -35,7 +35,7 @@ def watched(
         count = stage.step_count(start) or 0
         total, start = total + count, stage.finish(start)
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed} steps"),
         TimeRemainingColumn(),
@@ -103,7 +103,7 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
 
     tell(folder, console, failed)
     for path in draw(folder) if pictures else ():
-        console.print(f"picture: {path}", soft_wrap=True)
+        console.print(f"picture: {path}", soft_wrap=True, markup=False)
 
 
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:

@@ -1,13 +1,19 @@
-"""Files that strangers give: regular ones of a bounded size, looked at before they are opened."""
+"""Files that strangers give: regular ones of a bounded size, looked at before they are opened; and our own, never links."""
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import stat
 from pathlib import Path
 
 from fracflow.errors import InputError
 
+# Line ends and NUL have no place in names, of files least of all; other controls and marks of direction steer terminals.
+_CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069"
+PLAIN_TEXT = f"[^{_CONTROLS}]+"
+_STEERS = re.compile(f"[{_CONTROLS}]")
 LARGEST = 64 << 20  # bytes of a text: a scene, a table, a list of traces
 
 
@@ -43,6 +49,48 @@ def check_regular(path: Path, remedy: str, largest: int) -> None:
         raise InputError(f"{path}: no such file; {remedy}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}; {remedy}") from None
+
+
+def steers(text: str) -> bool:
+    """Whether a name has characters that a terminal would take for commands."""
+    return _STEERS.search(text) is not None
+
+
+def shown_plain(text: str) -> str:
+    """A text as a terminal may show it: such characters are question marks."""
+    return _STEERS.sub("?", text)
+
+
+def fresh(path: Path) -> Path:
+    """An empty file in the place of whatever has its name: a link there is taken away and not followed. Raises OSError."""
+    path.unlink(missing_ok=True)
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666))
+    return path
+
+
+def open_own(path: Path, flags: int) -> int:
+    """A descriptor of a file that is changed in its place: regular, no link, without a second name.
+
+    flags  as of ``os.open``
+
+    Raises InputError for anything else, which could be a way to a file elsewhere, and OSError.
+    """
+    try:
+        number = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENXIO, errno.EISDIR):
+            raise InputError(no_plain_file(path)) from None
+        raise
+    found = os.fstat(number)
+    if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+        os.close(number)
+        raise InputError(no_plain_file(path))
+    return number
+
+
+def no_plain_file(path: Path) -> str:
+    """Say that an entry of a run folder is no file, or one that is known by another name too."""
+    return f"{path}: is a link, or no file: it leads out of the folder; remove it, or name another folder"
 
 
 def _check(path: Path, found: os.stat_result, remedy: str, largest: int) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from fracflow._petsc import MPI
 from fracflow.begin.setup import on_root, place, with_sizes
 from fracflow.errors import InputError
+from fracflow.files import no_plain_file
 from fracflow.mesh.locate import RockPlace
 from fracflow.mesh.split import tip_count
 from fracflow.mesh.store import load_mesh
@@ -106,6 +107,9 @@ def _check(folder: Path) -> None:
     inside = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
     if not any(name.startswith("level-") for name in inside) and not inside <= set(OWN):
         raise InputError(f"{folder}: holds files that are no run's; name a new or empty folder")
+    for name in inside:
+        if (name.startswith("level-") or name in OWN) and (folder / name).is_symlink():
+            raise InputError(no_plain_file(folder / name))
     check_folder(folder / "level-0")
 
 

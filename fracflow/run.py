@@ -20,6 +20,7 @@ from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
+from fracflow.output.folder import check_own
 from fracflow.output.handed import told_handed
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.record.recorder import Recorder, watches_spurious
@@ -126,14 +127,17 @@ def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progre
     on_root(comm, lambda: require_run(folder))
     scene, saved = load(folder / "scene.toml"), folder / "checkpoint.h5"
     if not comm.bcast(saved.exists(), root=0):
-        return run(scene, folder, comm, progress)
+        # the folder alone is enough: the mesh's own file may be elsewhere now, or changed
+        path = folder / "mesh.h5"
+        mesh = on_root(comm, lambda: load_mesh(path) if path.exists() else None)
+        return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), {})
     notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
     if notes["finished"]:
         return Totals(**notes["totals"])
     arrays = read_arrays(saved)
     cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
     mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5"))
-    model = prepare(scene, comm, mesh, cell_rank)
+    model = prepare(scene, comm, mesh, cell_rank, begins=False)
     settle(model)
     model = planned(model, notes["totals"]["undone"], cell_rank)
     step = Step(
@@ -157,6 +161,7 @@ def has_ended(folder: Path) -> bool:
 
 def require_run(folder: Path) -> None:
     """Raise InputError where a folder has no scene to go on with."""
+    check_own(folder)
     if not (folder / "scene.toml").is_file():
         raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
 

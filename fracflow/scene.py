@@ -58,7 +58,10 @@ class Scene(Part):
         description="report: the choices of the 1976 report; full: the plan leaves nothing out",
     )
     method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
-    petsc: dict[str, Option] = Field(default_factory=dict, description="PETSc options, without the leading dash")
+    petsc: dict[str, Option] = Field(
+        default_factory=dict,
+        description="PETSc options, without the leading dash: methods, tolerances, limits; others at the command line after --",
+    )
     accuracy: Accuracy = Field(
         default_factory=Accuracy, description="how accurate results are to be; when iterations have converged"
     )
@@ -141,7 +144,8 @@ class Scene(Part):
     @property
     def name(self) -> str:
         """The name of the scene's file without its ending, or of its folder where the file is called scene.toml."""
-        return self._file.stem if self._file.stem != "scene" else self._file.resolve().parent.name
+        stem = self._file.stem
+        return stem if stem not in ("scene", "..") else self._file.resolve().parent.name
 
     @property
     def folder(self) -> Path:

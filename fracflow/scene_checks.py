@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from fracflow.errors import InputError
+from fracflow.files import PLAIN_TEXT
 from fracflow.scene_errors import nearest
+from fracflow.scene_petsc import refusal
+from fracflow.scene_tables import LONGEST_NAME
 from fracflow.stepping import WITH_INERTIA, keys_of
 from fracflow.tables import FractureEnd, Place
 from fracflow.units import COMPRESSIBILITY
@@ -33,16 +36,29 @@ def contradictions(scene: Scene) -> Iterator[Fault]:
     yield from _actions(scene)
     for key in ("well", "probe", "stage"):
         names = [entry.name for entry in getattr(scene, key)]
-        for index, name in enumerate(names):
-            if name is not None and name in names[:index]:
-                yield (key, index, "name"), "stands twice; names must differ"
-    for option in scene.petsc:
-        if not re.fullmatch(r"[A-Za-z]\S*", option):
-            yield ("petsc", option), "is no name of a PETSc option; give it without dash, such as solid_pc_type"
+        for index in _repeated(names):
+            yield (key, index, "name"), "stands twice; names must differ"
+    for key in ("rock", "fracture", "control"):
+        for name in getattr(scene, key):
+            if not re.fullmatch(PLAIN_TEXT, name) or len(name) > LONGEST_NAME:
+                yield (key, name), f"must be one line without control characters, of at most {LONGEST_NAME} letters"
+    for option, value in scene.petsc.items():
+        if why := refusal(option, value):
+            yield ("petsc", option), why
     in_history = [(("probe", i, "name"), probe.name) for i, probe in enumerate(scene.probe)]
     for path, name in (*in_history, *((("control", name), name) for name in scene.control)):
         if not {"", ".", ".."}.isdisjoint(name.split("/")):
             yield path, "is no name for the history, where / divides; put more than dots before and after it"
+
+
+def _repeated(names: Sequence[str | None]) -> Iterator[int]:
+    """Places of the names that stand before them too."""
+    seen = set[str]()
+    for place, name in enumerate(names):
+        if name is not None:
+            if name in seen:
+                yield place
+            seen.add(name)
 
 
 def _method(scene: Scene) -> Iterator[Fault]:
@@ -107,9 +123,9 @@ def _geometry(scene: Scene) -> Iterator[Fault]:
     if geometry is None:
         return
     traces = [trace.name for trace in geometry.fracture]
+    for index in _repeated(traces):
+        yield ("geometry", "fracture", index, "name"), "stands twice; names must differ"
     for index, name in enumerate(traces):
-        if name in traces[:index]:
-            yield ("geometry", "fracture", index, "name"), "stands twice; names must differ"
         if name == "default":
             yield (
                 ("geometry", "fracture", index, "name"),
@@ -122,8 +138,9 @@ def _geometry(scene: Scene) -> Iterator[Fault]:
         yield ("geometry", "size_at_fractures"), f"must be at most size = {geometry.size:g}"
     if geometry.size_at_tips is not None and geometry.size_at_tips > fine:
         yield ("geometry", "size_at_tips"), f"must be at most the size at fractures, {fine:g}"
+    known = {*traces, "default"}
     for name in scene.fracture:
-        if name not in (*traces, "default"):
+        if name not in known:
             yield ("fracture", name), f"no fracture of that name in [geometry]; {nearest(name, traces)}"
     for name in list(scene.rock)[1:]:
         yield ("rock", name), f"is one too many; [geometry] has one rock, here {next(iter(scene.rock))}"
@@ -176,10 +193,12 @@ def _actions(scene: Scene) -> Iterator[Fault]:
     for index, support in enumerate(scene.support):
         if "rotation" in support.components and rigid.isdisjoint(support.on):
             yield ("support", index, "components"), "only a rigid rock has a rotation; leave it out"
-    absorbing = [(index, name) for index, entry in enumerate(scene.absorbing) for name in entry.on]
-    for place, (index, name) in enumerate(absorbing):
-        if name in [known for _, known in absorbing[:place]]:
-            yield ("absorbing", index, "on"), f'names "{name}" again; a side absorbs once'
+    seen = set[str]()
+    for index, entry in enumerate(scene.absorbing):
+        for name in entry.on:
+            if name in seen:
+                yield ("absorbing", index, "on"), f'names "{name}" again; a side absorbs once'
+            seen.add(name)
     clock: float | None = 0.0
     for index, stage in enumerate(scene.stage):
         if index and stage.kind == "equilibrate":

@@ -13,15 +13,17 @@ from pydantic_core import ErrorDetails
 from fracflow.scene_toml import write_value
 
 Path = tuple[int | str, ...]
+MOST_LETTERS, MOST_NAMES = 100, 300  # that a misspelt name is compared by, and with
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Say which allowed name was probably meant, or list them all."""
     names = sorted(allowed)
-    match = get_close_matches(name, names, n=1)
+    match = get_close_matches(name[:MOST_LETTERS], names[:MOST_NAMES], n=1)
     if match:
         return f'did you mean "{match[0]}"?'
-    return f"allowed: {', '.join(names)}" if names else "none is allowed here"
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f"allowed: {', '.join(names[:MOST_NAMES])}{more}" if names else "none is allowed here"
 
 
 def one_line(error: ValidationError, data: Mapping[str, Any], model: type[BaseModel]) -> str:
@@ -30,7 +32,7 @@ def one_line(error: ValidationError, data: Mapping[str, Any], model: type[BaseMo
     Unknown keys come first and missing ones last: a misspelt key is both, and its spelling is what helps.
     """
     order = {"extra_forbidden": 0, "missing": 2}
-    errors = sorted(error.errors(), key=lambda entry: order.get(entry["type"], 1))
+    errors = sorted(error.errors(include_url=False), key=lambda entry: order.get(entry["type"], 1))
     first = errors[0]
     path: Path = first["loc"]
     context = first.get("ctx", {})
@@ -52,7 +54,7 @@ def written(path: Path, data: Mapping[str, Any], tables: bool = False) -> str:
         inside = inside or (isinstance(here, list) and isinstance(key, int) and key < len(here))
         here = here[key] if inside else None
         name = here.get("name") if isinstance(key, int) and isinstance(here, Mapping) else None
-        words.append(name if isinstance(name, str) and name else str(key))
+        words.append((name if isinstance(name, str) and name else str(key))[:MOST_LETTERS])
     if here is None or (isinstance(here, Mapping) and not tables):
         return ".".join(words)
     value = " ".join(write_value(here).split())
@@ -83,6 +85,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         "model_type": "must be a table",
         "model_attributes_type": "must be a table",
         "string_too_short": "must not be empty",
+        "string_too_long": f"must have at most {context.get('max_length')} letters",
         "too_short": "must not be empty",
         "string_pattern_mismatch": "must be one line without control characters",
         "too_long": f"must have at most {context.get('max_length')} entries",

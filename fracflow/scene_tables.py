@@ -16,6 +16,7 @@ from pydantic import (
     create_model,
 )
 
+from fracflow.files import PLAIN_TEXT
 from fracflow.scene_laws import OTHERWISE, foreign_keys
 from fracflow.stepping import OF_FILMS, WITH_INERTIA, keys_of
 from fracflow.tables import Domain, Polyline
@@ -28,9 +29,10 @@ from fracflow.units import (
 
 Points = tuple[tuple[float, float], ...]
 Count = Annotated[int, Field(strict=True, ge=1)]
-PLAIN_TEXT = r"[^\x00-\x1f\x7f]+"  # line ends and NUL have no place in names, of files least of all
-Name = Annotated[str, Field(min_length=1, pattern=f"^{PLAIN_TEXT}$")]
-Line = Annotated[str, Field(pattern=f"^({PLAIN_TEXT})?$")]
+LONGEST_NAME, LONGEST_PATH = 250, 4000
+Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=f"^{PLAIN_TEXT}$")]
+FileName = Annotated[str, Field(min_length=1, max_length=LONGEST_PATH, pattern=f"^{PLAIN_TEXT}$")]
+Line = Annotated[str, Field(max_length=1000, pattern=f"^({PLAIN_TEXT})?$")]
 Fraction = Annotated[float, Quantity(above=0.0, below=1.0)]
 Stress = Annotated[float, Quantity(STRESS)]
 Size = Annotated[float, Quantity(LENGTH, above=0.0)]
@@ -216,7 +218,7 @@ class Geometry(Part):
     fracture: tuple[Trace, ...] = Field(
         default=(), description="fracture traces; they may cross, and reach the boundary"
     )
-    fractures_csv: Name | None = Field(
+    fractures_csv: FileName | None = Field(
         default=None,
         description="file of more traces and their properties, relative to the scene; a loaded scene has them in its place",
     )
@@ -248,7 +250,7 @@ class Geometry(Part):
 class Mesh(Part):
     """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
 
-    file: Name = Field(description=".geo or .msh file, relative to the scene")
+    file: FileName = Field(description=".geo or .msh file, relative to the scene")
     refine: Refine = Field(default=0, description=REFINED)
 
 

@@ -11,34 +11,54 @@ from pathlib import Path
 from typing import Any
 
 from fracflow.errors import InputError
+from fracflow.files import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
+LARGEST = 8 << 20  # bytes of a scene: a hundred thousand rows of tables
+MOST_DOTS = 2000  # in a value of --set, where a table may have as many numbers
+DEEPEST = 50  # tables and lists inside each other, or keys joined by dots
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+_DOT = re.compile(r"(?<!\.)\.(?!\.)")
+_PLAIN_NUMBER = re.compile(r"(?<![\w.])\d+\.\d*(?![\d.])")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; raises InputError where there is none, or where it is not TOML."""
+    """Read a TOML file; raises InputError where there is none, or where it is not TOML, or more than a scene can be."""
+    text = read_text(path, "give the path of a TOML file", LARGEST)
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > DEEPEST and len(_DOT.findall(_PLAIN_NUMBER.sub("", line))) > DEEPEST:
+            raise InputError(f"{path.name}: line {number}: more than {DEEPEST} dots in a row of keys; shorten the line")
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such scene file; give the path of a TOML file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; give the path of a TOML file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path.name}: not UTF-8 text: {error.reason} at byte {error.start}; save it as UTF-8"
-        ) from None
-    try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         what = " ".join(str(error).split())
-        raise InputError(f"{path.name}: not valid TOML: {what}{_at_key(text, what)}") from None
+        raise InputError(f"{path.name}: not valid TOML: {what[:300]}{_at_key(text, what)}") from None
+    except ValueError:  # Python reads whole numbers of a few thousand digits at most
+        raise InputError(f"{path.name}: a number has thousands of digits; write it with an exponent") from None
     except RecursionError:
-        raise InputError(f"{path.name}: not valid TOML: brackets too deep inside each other; close them") from None
+        data = None
+    if data is None or _is_deeper(data, DEEPEST):
+        raise InputError(f"{path.name}: not valid TOML: brackets too deep inside each other; close them")
+    return data
+
+
+def _is_deeper(value: Any, most: int) -> bool:
+    """Whether tables and lists lie more than so many deep inside each other."""
+    level = [value]
+    for _ in range(most):
+        level = [
+            inner
+            for each in level
+            for inner in (each.values() if isinstance(each, dict) else each)
+            if isinstance(inner, dict | list)
+        ]
+        if not level:
+            return False
+    return True
 
 
 def _at_key(text: str, error: str) -> str:
@@ -60,7 +80,7 @@ def override(data: dict[str, Any], setting: str) -> None:
     """Apply one ``path.to.key=value`` in place; entries of arrays are called by their name or their index."""
     path, equals, text = setting.partition("=")
     keys = [key.strip().strip("\"'") for key in re.findall(r'"[^"]*"|\'[^\']*\'|[^.]+', path.strip())]
-    if not equals or not keys or not all(keys):
+    if not equals or not keys or not all(keys) or len(keys) > DEEPEST:
         raise InputError(f"--set {_one_line(setting)}: must be path.to.key=value, such as stage.0.time_step=0.1")
     here: Any = data
     for depth, key in enumerate(keys[:-1]):
@@ -76,10 +96,10 @@ def override(data: dict[str, Any], setting: str) -> None:
 def parse_value(text: str) -> Any:
     """Read the value of ``--set`` as TOML; what is not TOML is a string."""
     try:
-        values = tomllib.loads(f"value = {text.strip()}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+        values = tomllib.loads(f"value = {text.strip()}") if text.count(".") < MOST_DOTS else {}
+    except (ValueError, RecursionError):  # of no TOML, and of a whole number with thousands of digits
         return text.strip()
-    return values["value"] if len(values) == 1 else text.strip()
+    return values["value"] if len(values) == 1 and not _is_deeper(values, DEEPEST) else text.strip()
 
 
 def _entry(here: Any, key: str, path: str, setting: str) -> Any:
@@ -117,7 +137,7 @@ def write_value(value: Any) -> str:
         return "{" + ", ".join(f"{write_key(key)} = {write_value(entry)}" for key, entry in value.items()) + "}"
     if isinstance(value, Sequence):
         return "[" + ", ".join(write_value(entry) for entry in value) + "]"
-    return str(value)
+    return hex(value) if isinstance(value, int) and value.bit_length() > 14000 else str(value)
 
 
 def write_float(value: float) -> str:

@@ -12,14 +12,17 @@ from typing import Any
 from pydantic import ValidationError
 
 from fracflow.errors import InputError
+from fracflow.files import PLAIN_TEXT, read_text
 from fracflow.scene_errors import nearest, one_line
 from fracflow.scene_materials import Fracture
-from fracflow.scene_tables import ALTERNATIVES, PLAIN_TEXT, with_default_fracture
+from fracflow.scene_tables import ALTERNATIVES, with_default_fracture
 from fracflow.scene_toml import write_value
 from fracflow.units import HUGE, UnitSystem
 
 POINT, SEGMENT = ("x", "y"), ("x1", "y1", "x2", "y2")
 PROPERTIES = tuple(Fracture.model_fields)
+LARGEST = 8 << 20  # bytes of a table
+MOST_TRACES = 100_000
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ def read_traces_csv(path: str | Path) -> list[TraceRow]:
             raise InputError(f"{where}: the name is empty; give each fracture one")
         given = {key: _value(row[key]) for key in columns if key in PROPERTIES and row[key]}
         if name not in traces:
+            if len(traces) == MOST_TRACES:
+                raise InputError(f"{where}: more than {MOST_TRACES} fractures; leave out the shortest")
             traces[name] = TraceRow(name, [values[:2]], given, number)
             values = values[2:]
         else:
@@ -129,15 +134,7 @@ def _table(row: TraceRow, tables: Mapping[str, Any], where: str, units: Any) -> 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line numbers and fields of the lines that are not empty."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file of traces; geometry.fractures_csv names it from the scene's folder"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else f"not UTF-8: {error.reason} at byte {error.start}"
-        raise InputError(f"{path}: cannot be read: {why}; give a UTF-8 text file") from None
+    text = read_text(path, "geometry.fractures_csv names a UTF-8 text file, from the scene's folder", LARGEST)
     head = next((line for line in text.splitlines() if line.strip()), "")
     reader = csv.reader(text.splitlines(), delimiter=max(",;\t", key=head.count), skipinitialspace=True, strict=True)
     rows = []

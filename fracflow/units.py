@@ -6,7 +6,7 @@ import math
 import operator
 import re
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
@@ -49,6 +49,10 @@ EXAMPLES = {
     ANGLE: "30 deg",
 }
 HUGE = 1e100  # beyond it the square of a number may be none; no quantity of the field comes near
+LONGEST = 100  # of a number and its unit, as text
+_UNIT = re.compile(
+    r"(?:1(?=\s*/)|[^\W\d]\w{0,29}(?!\w)|[ ()·°%/]|\*(?!\*)|(?:\^|\*\*) ?[-+]?\d(?:\.\d{1,3})?(?![\d.])(?! *(?:\^|\*\*))){1,40}"
+)
 _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 
 
@@ -82,7 +86,7 @@ class UnitSystem:
             raise ValueError(f"not a unit system; {fits}")
         for part, dimension in zip(parts, ("[length]", "[force]", "[time]"), strict=True):
             try:
-                known = _registry().Quantity(1.0, part).check(dimension)
+                known = _UNIT.fullmatch(part) is not None and _registry().Quantity(1.0, part).check(dimension)
             except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
                 known = False
             if not known:
@@ -103,7 +107,7 @@ class UnitSystem:
     def convert(self, text: str, dimension: str) -> float:
         """Turn ``"30 GPa"`` into a number of this system; raises ValueError that says what fits."""
         fits = what_fits(dimension, self)
-        match = _NUMBER_AND_UNIT.fullmatch(text)
+        match = _NUMBER_AND_UNIT.fullmatch(text) if len(text) <= LONGEST else None
         if match is None:
             raise ValueError(f"must be {fits}")
         if dimension == PLAIN or self.name == "none":
@@ -111,15 +115,27 @@ class UnitSystem:
         number, unit = float(match[1]), match[2]
         if unit is None:
             raise ValueError(f"a string needs a unit; must be {fits}")
-        import pint
-
         try:
-            factor = _registry().Quantity(1.0, _registry().parse_units(unit)).to(self.unit(dimension)).magnitude
-        except pint.DimensionalityError:
+            return number * _factor(unit, self.unit(dimension))
+        except TypeError:
             raise ValueError(f'"{unit}" is not a unit of {dimension}; must be {fits}') from None
-        except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
+        except LookupError:
             raise ValueError(f'unknown unit "{unit}"; must be {fits}') from None
-        return number * float(factor)
+
+
+@lru_cache(maxsize=1000)
+def _factor(unit: str, target: str) -> float:
+    """What brings a number of one unit to another. Raises LookupError for an unknown one, TypeError for another dimension."""
+    import pint
+
+    if not _UNIT.fullmatch(unit):  # pint would work out any arithmetic
+        raise LookupError(unit)
+    try:
+        return float(_registry().Quantity(1.0, _registry().parse_units(unit)).to(target).magnitude)
+    except pint.DimensionalityError:
+        raise TypeError(unit) from None
+    except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
+        raise LookupError(unit) from None
 
 
 def what_fits(dimension: str, system: UnitSystem | None) -> str:

@@ -156,7 +156,7 @@ def override(*settings):
 
 # what is given, and parts of the line that comes, in their order: file, key, value, remedy
 SCENES = {
-    "missing": ({}, "scene.toml: no such scene file; give the path of a TOML file"),
+    "missing": ({}, "scene.toml: no such file; give the path of a TOML file"),
     "a folder": ({"scene.toml": None}, "scene.toml: cannot be read: Is a directory; give the path of a TOML file"),
     "empty": ({"scene.toml": ""}, "scene.toml: stage: missing; a run needs at least one [[stage]] (and 2 more)"),
     "truncated": ({"scene.toml": SCENE[: SCENE.index(' GPa"')]}, "scene.toml: not valid TOML: … (at"),
@@ -359,21 +359,21 @@ SCENES = {
     ),
     "a type PETSc does not know": (
         {"scene.toml": SCENE + '[petsc]\nmonolithic_ksp_type = "gmress"\n'},
-        "scene.toml: PETSc option of -monolithic_, in [petsc] or on the command line: … gmress; see PETSc's manual",
+        'scene.toml: petsc.monolithic_ksp_type = "gmress": must be one of preonly, … command line: -- -monolithic_ksp_type',
     ),
 }
 TABLES = {
     "missing": (
         scene(TRACES, 'fractures_csv = "traces.csv"\n'),
-        "traces.csv: no such file of traces; geometry.fractures_csv",
+        "traces.csv: no such file; geometry.fractures_csv",
     ),
-    "a folder": (traces(None), "traces.csv: cannot be read: Is a directory; give a UTF-8 text file"),
+    "a folder": (traces(None), "traces.csv: cannot be read: Is a directory; geometry.fractures_csv names a UTF-8"),
     "empty": (traces(""), "traces.csv: is empty; its first line must name the columns, such as name,x,y"),
     "a head alone": (traces("name,x,y\n"), "traces.csv: has no rows below its first line; give at least one trace"),
-    "rubbish": (traces(RUBBISH), "traces.csv: cannot be read: not UTF-8: … at byte 128; give a UTF-8 text file"),
+    "rubbish": (traces(RUBBISH), "traces.csv: not UTF-8 text: … at byte 128; save it as UTF-8"),
     "UTF-16": (
         traces("name,x,y\nfault,1,2\n".encode("utf-16")),
-        "traces.csv: cannot be read: not UTF-8: … give a UTF-8",
+        "traces.csv: not UTF-8 text: … save it as UTF-8",
     ),
     "truncated": (
         traces("name,x,y\nfault,1,2\nfault,4\n"),

@@ -239,23 +239,30 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
             )
 
 
-def prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None) -> Model:
+def prepare(
+    scene: Scene,
+    comm: MPI.Comm,
+    saved: SplitMesh | None = None,
+    cell_rank: Ints | None = None,
+    begins: bool = True,
+) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 
     saved, cell_rank  mesh and partition of an earlier run, on rank 0
+    begins            whether the run begins, and notes tell what its mesh does not resolve
     """
     with naming(scene):
         set_defaults(scene.petsc)
-        return _prepare(scene, comm, saved, cell_rank)
+        return _prepare(scene, comm, saved, cell_rank, begins)
 
 
-def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None) -> Model:
+def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:
     scene = with_sizes(scene, comm)
     mesh = on_root(comm, lambda: saved or _read_split(scene))
     placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
     assert placed is not None
-    wells_at, is_new = placed.wells, saved is None
-    coarse = on_root(comm, lambda: unresolved(scene, mesh, wells_at) if mesh is not None and is_new else []) or []
+    wells_at = placed.wells
+    coarse = on_root(comm, lambda: unresolved(scene, mesh, wells_at) if mesh is not None and begins else []) or []
     apart = on_root(comm, lambda: told_apart(scene, mesh, wells_at) if mesh is not None else []) or []
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = assemble(blocks, scene)

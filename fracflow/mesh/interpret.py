@@ -7,6 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.files import steers
 from fracflow.mesh.data import Floats, Ints, RawMesh
 from fracflow.mesh.facets import count_cells_at, number_rows, spot
 from fracflow.mesh.gmsh import Elements
@@ -131,6 +132,11 @@ def _check_names(elements: Elements, used: Ints, what: str) -> None:
         if not elements.group_names[group].strip():
             kind = ("point", "curve", "surface")[elements.group_dims[group]]
             raise InputError(f"{what}: physical {kind} {elements.group_tags[group]} has no name; give it one")
+        if steers(elements.group_names[group]):  # terminals would take it for a command
+            kind = ("point", "curve", "surface")[elements.group_dims[group]]
+            raise InputError(
+                f"{what}: physical {kind} {elements.group_tags[group]}: control characters in its name; rename it"
+            )
 
 
 def _fracture_groups(elements: Elements, cells: Ints, facets: Ints, group: Ints, fractures: Collection[str]) -> Ints:

@@ -12,12 +12,14 @@ import h5py
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.files import fresh, steers
+from fracflow.files_hdf5 import check_contained
 from fracflow.mesh.data import SplitMesh
 
 
 def save_mesh(mesh: SplitMesh, path: Path) -> None:
     """Write every part of a mesh, aside and then renamed."""
-    part = path.with_name(path.name + ".part")
+    part = fresh(path.with_name(path.name + ".part"))
     with h5py.File(part, "w") as file:
         for field in fields(mesh):
             value = getattr(mesh, field.name)
@@ -32,8 +34,9 @@ def load_mesh(path: Path) -> SplitMesh:
     """Read a mesh that was saved. Raises InputError where there is none."""
     try:
         with h5py.File(path, "r") as file:
+            check_contained(file, path)
             return SplitMesh(**{field.name: _part(file, field.name) for field in fields(SplitMesh)})
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: is no saved mesh ({error}); start the run again with fracflow run") from error
 
 
@@ -41,4 +44,6 @@ def _part(file: h5py.File, name: str) -> Any:
     if name in file:
         return file[name][()]
     value = json.loads(file.attrs[name])
+    if any(steers(str(each)) for each in value):
+        raise KeyError(f"{name}: control characters in a name")
     return tuple(value) if isinstance(value, list) else value

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from fracflow._petsc import PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.errors import InputError
+from fracflow.files import fresh
+from fracflow.files_hdf5 import check_contained
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.state import Forces, Memory, Motion, Past, Sections, State
@@ -52,7 +54,7 @@ FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
     """Write a checkpoint aside, bring it to disk, and put it in the place of the last one. Rank 0 only."""
-    part = path.with_name(path.name + ".part")
+    part = fresh(path.with_name(path.name + ".part"))
     with h5py.File(part, "w") as file:
         for name, values in arrays.items():
             file[name] = values
@@ -66,6 +68,7 @@ def read_notes(path: Path) -> dict[str, Any]:
     """What a checkpoint says beside its arrays. Raises InputError where it cannot be read."""
     try:
         with h5py.File(path, "r") as file:
+            check_contained(file, path)
             notes: dict[str, Any] = json.loads(file.attrs["notes"])
             for key in NOTES:
                 notes[key]

@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from fracflow.files import fresh
 from fracflow.output.convergence import LATITUDE, Row
-from fracflow.output.look import COLOURS, INK, PALE, STYLE, fonts, one_note_on_letters
+from fracflow.output.look import COLOURS, INK, PALE, plain, styled
 
 KINDS = ("event", "control", "probe", "energy")
 MOST_ROWS = 40
@@ -67,17 +68,16 @@ def draw(rows: Sequence[Row], folder: Path) -> Path:
 
     First events and controls, then of each quantity the probe that is worst, and energies in grey.
     """
-    import matplotlib
     from matplotlib.figure import Figure
 
     shown = [row for row in rows if row.is_seen and row.differences and row.change > 0.0 and min(row.differences) > 0.0]
-    with matplotlib.rc_context({**STYLE, "font.family": fonts()}), one_note_on_letters():
+    with styled():
         figure = Figure(figsize=(8.0, 4.8), layout="constrained")
         axes = figure.subplots()
         for row in (row for row in shown if row.kind == "energy"):
             axes.loglog(*_line(row), "-", color=PALE, linewidth=0.8)
         for row, colour in zip(_worst(shown)[:MOST_LINES], COLOURS, strict=False):
-            axes.loglog(*_line(row), "o-", color=colour, label=row.name)
+            axes.loglog(*_line(row), "o-", color=colour, label=plain(row.name))
             if np.isfinite(row.error) and row.error > 0.0:
                 axes.loglog(0.5 ** len(row.differences), row.error / row.change, "o", color=colour, fillstyle="none")
         if shown:
@@ -92,7 +92,7 @@ def draw(rows: Sequence[Row], folder: Path) -> Path:
         axes.set_xlabel("level")
         axes.set_ylabel("difference to the next level; hollow: estimated error")
         axes.set_title("Convergence, relative to the change of each quantity; energies in grey")
-        part = folder / "converge.png.part"
+        part = fresh(folder / "converge.png.part")
         figure.savefig(part, format="png")
     part.replace(folder / "converge.png")
     return folder / "converge.png"

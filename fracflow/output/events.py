@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
+from fracflow.files import read_text, steers
 from fracflow.output.folder import write_atomic
 
 OF_EVENTS = (
@@ -23,6 +24,7 @@ OF_EVENTS = (
 _NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
 COLUMNS = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)
 _KINDS = ("open", "slip")
+LARGEST = 512 << 20  # bytes of the table of a long run
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -173,17 +175,22 @@ def read_events(path: str | Path) -> list[dict[str, Any]]:
 
     Raises InputError if the file is missing or has other columns.
     """
+    remedy = "name an events.csv of a run"
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
-            table = csv.DictReader(file)
-            rows = list(table)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; name an events.csv of a run") from error
+        table = csv.DictReader(io.StringIO(read_text(Path(path), remedy, LARGEST), newline=""))
+        rows = list(table)
+    except csv.Error as error:
+        raise InputError(f"{path}: {error}; {remedy}") from error
     if tuple(table.fieldnames or ()) != COLUMNS:
-        raise InputError(f"{path}: columns are {table.fieldnames}, should be {', '.join(COLUMNS)}")
-    return [_typed(row) for row in rows]
+        raise InputError(f"{path}: columns are {str(table.fieldnames)[:200]}, should be {', '.join(COLUMNS)}")
+    try:
+        return [_typed(row) for row in rows]
+    except (ValueError, TypeError):  # a field that is no number, or too few of them
+        raise InputError(f"{path}: is damaged: a row does not have its {len(COLUMNS)} fields; {remedy}") from None
 
 
 def _typed(row: dict[str, str]) -> dict[str, Any]:
+    if any(steers(row[key]) for key in ("kind", "fracture", "probe")):
+        raise ValueError
     numbers = {key: float(row[key]) if row[key] else None for key in (*_NUMBERS, *OF_EVENTS)}
     return {**row, **numbers, "node": int(row["node"])}

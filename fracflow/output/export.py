@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.output.folder import write_atomic
+from fracflow.output.folder import check_own, write_atomic
 from fracflow.output.history import read_attributes, read_history
 
 Columns = dict[str, NDArray[Any]]
@@ -66,6 +67,7 @@ def tables(folder: str | Path) -> dict[str, Columns]:
 
     Every table begins with the time. Raises InputError if there is no history.
     """
+    check_own(Path(folder))
     history, units = read_history(Path(folder) / "history.h5"), units_of_run(Path(folder))
     found: dict[str, Columns] = {}
     for key, values in history.items():
@@ -106,9 +108,8 @@ def export_csv(folder: str | Path, output: str | Path | None = None) -> list[Pat
     place = target.parent if one else target
     try:
         place.mkdir(parents=True, exist_ok=True)
-        return [
-            _write(target if one else place / f"{_file_name(table)}.csv", columns) for table, columns in found.items()
-        ]
+        names = _file_names(found)
+        return [_write(target if one else place / f"{names[table]}.csv", found[table]) for table in found]
     except OSError as error:
         raise InputError(f"{target}: {error.strerror}; name a folder or a .csv file to write to") from error
 
@@ -116,6 +117,21 @@ def export_csv(folder: str | Path, output: str | Path | None = None) -> list[Pat
 def _head(name: str, key: str, units: Mapping[str, str]) -> str:
     unit = unit_of(key, units)
     return f"{name} [{unit}]" if unit else name
+
+
+def _file_names(tables: Iterable[str]) -> dict[str, str]:
+    """Names of tables -> names of their files, none twice, whatever the case of its letters."""
+    found: dict[str, str] = {}
+    taken = set[str]()
+    for table in tables:
+        name, base = _file_name(table), _file_name(table)
+        for number in count(2):
+            if name.lower() not in taken:
+                break
+            name = f"{base}_{number}"
+        taken.add(name.lower())
+        found[table] = name
+    return found
 
 
 def _file_name(table: str) -> str:

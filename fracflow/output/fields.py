@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
+from fracflow.files import fresh
+from fracflow.files_hdf5 import check_contained
 from fracflow.output.folder import to_json, write_atomic
 
 Floats = NDArray[np.float64]
@@ -141,13 +143,15 @@ def _read_flat(path: Path) -> tuple[float, Data, Data]:
 
 def _opened(path: Path) -> h5py.File:
     try:
-        return h5py.File(path, "r")
-    except OSError as error:
+        file = h5py.File(path, "r")
+        check_contained(file, path)
+        return file
+    except (OSError, RuntimeError) as error:
         raise InputError(f"{path}: is no readable field file ({error}); name a run with fields") from error
 
 
 def _write(path: Path, arrays: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> None:
-    part = path.with_name(path.name + ".part")
+    part = fresh(path.with_name(path.name + ".part"))
     with h5py.File(part, "w") as file:
         for key, array in arrays.items():
             file[key] = array

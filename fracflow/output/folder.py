@@ -6,12 +6,14 @@ import fcntl
 import json
 import os
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.files import fresh, no_plain_file, open_own
 
 MARKER = ".fracflow"
 _OWN_FILES = (
@@ -35,7 +37,7 @@ _UNFINISHED = ("*.part", *(f"{folder}/*.part" for folder in _OWN_FOLDERS))  # wh
 
 def write_atomic(path: Path, text: str) -> None:
     """Write ``text`` aside and rename, so that ``path`` always holds a whole text."""
-    part = path.with_name(path.name + ".part")
+    part = fresh(path.with_name(path.name + ".part"))
     part.write_text(text, encoding="utf-8")
     os.replace(part, path)
 
@@ -61,6 +63,37 @@ def _plain(value: Any) -> Any:
     return str(value)
 
 
+def check_own(path: Path, writes: bool = False) -> None:
+    """Look at what has our names in a run folder, changing nothing: files and folders that are no links.
+
+    A folder may come from anybody: a link in it leads out of it, and a pipe or a device never ends. Raises InputError. Where
+    something ``writes``, files that are changed in their place have no second name.
+    """
+    for file in (path / MARKER, path / "log.txt") if writes else ():
+        if not file.is_symlink() and file.is_file() and file.stat().st_nlink > 1:
+            raise InputError(no_plain_file(file))
+    _check_entries(path, [MARKER, *(pattern for pattern in (*_OWN_FILES, *_UNFINISHED) if "/" not in pattern)])
+    for name in _OWN_FOLDERS:
+        folder = path / name
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise InputError(f"{folder}: is a link, or no folder; remove it, or name another folder")
+        inside = [
+            pattern.partition("/")[2] for pattern in (*_OWN_FILES, *_UNFINISHED) if pattern.startswith(f"{name}/")
+        ]
+        _check_entries(folder, inside)
+
+
+def _check_entries(folder: Path, patterns: Sequence[str]) -> None:
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                is_own = any(fnmatchcase(entry.name, pattern) for pattern in patterns)
+                if is_own and not entry.is_file(follow_symlinks=False):
+                    raise InputError(no_plain_file(folder / entry.name))
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # others tell of it
+
+
 def check_folder(path: Path, resume: bool = False) -> None:
     """Look whether a run can be written to ``path``, changing nothing. Raises InputError as RunFolder does."""
     try:
@@ -68,6 +101,7 @@ def check_folder(path: Path, resume: bool = False) -> None:
             raise InputError(f"{path}: is a file; name a folder for the run")
         is_run = (path / MARKER).exists()
         if is_run:
+            check_own(path, writes=True)
             _taken(path).close()
         if resume and not is_run:
             raise InputError(f"{path}: holds no run of fracflow; name the folder of an earlier run")
@@ -82,7 +116,7 @@ def check_folder(path: Path, resume: bool = False) -> None:
 
 def _taken(path: Path) -> TextIO:
     """The marker of a run folder, made and locked until it is closed. Raises InputError where another run holds it."""
-    marker = (path / MARKER).open("a+", encoding="utf-8")
+    marker = open(open_own(path / MARKER, os.O_RDWR | os.O_APPEND | os.O_CREAT), "a+", encoding="utf-8")
     try:
         fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -167,9 +201,12 @@ class RunFolder:
             if number >= steps or (number % every if every else number):
                 file.unlink()
         if self.log_bytes() > log_bytes:
-            os.truncate(self.path / "log.txt", log_bytes)
+            number = open_own(self.path / "log.txt", os.O_WRONLY)
+            os.ftruncate(number, log_bytes)
+            os.close(number)
 
     def log(self, line: str) -> None:
         """Append one line to ``log.txt``; it is on disk when this returns."""
-        with (self.path / "log.txt").open("a", encoding="utf-8") as file:
+        number = open_own(self.path / "log.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+        with open(number, "a", encoding="utf-8") as file:
             file.write(line.rstrip("\n") + "\n")

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
+from fracflow.files import fresh
+from fracflow.files_hdf5 import check_contained
 from fracflow.output.folder import to_json
 
 _ROWS_A_CHUNK = 256
@@ -29,7 +31,7 @@ class HistoryFile:
 
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
-        self._part = self.path.with_name(self.path.name + ".part")
+        self._part = fresh(self.path.with_name(self.path.name + ".part"))
         self._file = h5py.File(self._part, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
         self._rows = 0
@@ -137,7 +139,9 @@ def _opened(path: str | Path) -> h5py.File:
         raise InputError(f"{path}: no such file; name the folder of a run")
     try:
         # After a kill the file is still marked as being written: only a SWMR reader is let in.
-        return h5py.File(path, "r", libver="latest", swmr=True)
+        file = h5py.File(path, "r", libver="latest", swmr=True)
+        check_contained(file, Path(path))
+        return file
     except OSError as error:
         raise InputError(f"{path}: is no readable history ({error}); name a run's history.h5") from error
 

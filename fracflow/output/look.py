@@ -45,6 +45,22 @@ def fonts() -> list[str]:
 
 
 @contextmanager
+def styled() -> Iterator[None]:
+    """Draw in this style alone: Matplotlib takes settings from a file in the working folder too, such as to call TeX."""
+    import matplotlib
+
+    with matplotlib.rc_context(), one_note_on_letters():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update({**STYLE, "font.family": fonts()})
+        yield
+
+
+def plain(text: str) -> str:
+    """A name as it is: what stands between dollars would be read as a formula."""
+    return text.replace("$", r"\$")
+
+
+@contextmanager
 def one_note_on_letters() -> Iterator[None]:
     """Bring Matplotlib's warnings, one a letter that no font has, down to one that says what to do."""
     with warnings.catch_warnings(record=True) as caught:

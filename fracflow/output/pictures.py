@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fracflow.output.look import COLOURS, INK, PALE, STYLE, fonts, one_note_on_letters
+from fracflow.files import fresh
+from fracflow.output.look import COLOURS, INK, PALE, plain, styled
 from fracflow.output.rundata import PROBE_QUANTITIES, RunData, load_run_data
 
 if TYPE_CHECKING:
@@ -33,19 +34,17 @@ def draw(folder: str | Path) -> list[Path]:
 
     The second is left out if the run has no probes. Raises InputError if the folder has no history.
     """
-    import matplotlib
-
     run = load_run_data(folder)
     pictures = Path(folder) / "pictures"
     pictures.mkdir(exist_ok=True)
-    with matplotlib.rc_context({**STYLE, "font.family": fonts()}), one_note_on_letters():
+    with styled():
         drawn = {"overview": _overview(run), "probes": _probes(run)}
         paths = [_save(figure, pictures / f"{name}.png") for name, figure in drawn.items() if figure]
     return paths
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    part = path.with_name(path.name + ".part")
+    part = fresh(path.with_name(path.name + ".part"))
     figure.savefig(part, format="png")
     part.replace(path)
     return path
@@ -71,9 +70,9 @@ def _draw_head(figure: Figure, title: str, below: str) -> None:
     """The title, and a smaller line under it."""
     from matplotlib.text import Annotation
 
-    head = figure.suptitle(f"{title}\n", fontsize=13, fontweight="bold", x=0.01, ha="left")
+    head = figure.suptitle(f"{plain(title)}\n", fontsize=13, fontweight="bold", x=0.01, ha="left")
     place = dict(xy=(0.0, 0.0), xycoords=head, xytext=(0.0, 2.0), textcoords="offset points")
-    figure.add_artist(Annotation(below, **place, fontsize=9, annotation_clip=False))  # type: ignore[arg-type]
+    figure.add_artist(Annotation(plain(below), **place, fontsize=9, annotation_clip=False))  # type: ignore[arg-type]
 
 
 def _height(run: RunData) -> float:
@@ -170,7 +169,7 @@ def _tag(axes: Axes, text: str, x: float, y: float, shift: tuple[float, float], 
 
     halo = [effects.withStroke(linewidth=2.5, foreground="white")]
     place = dict(xy=(x, y), xytext=shift, textcoords="offset points", fontsize=7.5, zorder=7)
-    axes.annotate(text, path_effects=halo, **place, **how)  # type: ignore[arg-type]
+    axes.annotate(plain(text), path_effects=halo, **place, **how)  # type: ignore[arg-type]
 
 
 def _draw_lines(
@@ -222,7 +221,7 @@ def _name_ends(axes: Axes, ends: list[tuple[str, float]]) -> None:
         spread[i] = min(spread[i], spread[i + 1] - gap)
     for group, y in zip(groups, spread, strict=True):
         colour = COLOURS[group[0]] if len(group) == 1 else INK
-        names = [ends[i][0] for i in sorted(group)]
+        names = [plain(ends[i][0]) for i in sorted(group)]
         line = dict(arrowstyle="-", color=colour, lw=0.7, shrinkA=0, shrinkB=0)
         axes.annotate(
             ",\n".join(", ".join(names[k : k + 2]) for k in range(0, len(names), 2)), (1.0, heights[group[0]]), (1.03, y),

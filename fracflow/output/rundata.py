@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from fracflow.errors import InputError
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
+from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history
+from fracflow.output.look import plain
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
 
 Floats = NDArray[np.float64]
@@ -224,6 +226,7 @@ class RunData:
 def load_run_data(folder: str | Path) -> RunData:
     """Read a run folder. Raises InputError if it has no history with a step in it."""
     folder = Path(folder)
+    check_own(folder)
     history, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
     if not len(history.get("time", ())):
         raise InputError(f"{folder}: has no finished step; run it first")
@@ -236,7 +239,7 @@ def load_run_data(folder: str | Path) -> RunData:
     seen = {event["probe"]: (event["x"], event["y"]) for event in events if event["probe"]}
     return RunData(
         title=str(attrs.get("title") or folder.resolve().name),
-        units=json.loads(attrs.get("units", "{}")),
+        units={key: plain(str(unit)) for key, unit in json.loads(attrs.get("units", "{}")).items()},
         history=history,
         probes=_places(attrs, "probes") or seen,
         wells=_places(attrs, "wells"),

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from fracflow.errors import InputError
+from fracflow.files import open_own, read_text
 from fracflow.output.folder import MARKER, RunFolder
 
 RUNNING, ENDED, STOPPED, FAILED, CUT_OFF = "running", "ended", "stopped", "failed", "cut off"
@@ -32,19 +35,19 @@ def write_status(folder: RunFolder, status: Status) -> None:
 def read_status(folder: str | Path) -> Status:
     """How the run of a folder stands now; a run that says it is under way and holds its folder no more was cut off."""
     try:
-        found = json.loads((Path(folder) / FILE).read_text(encoding="utf-8"))
+        found = json.loads(read_text(Path(folder) / FILE, "name a run folder"))
         word, line = str(found["status"]), str(found["line"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (InputError, ValueError, KeyError, TypeError, RecursionError):
         return Status()
     return Status(CUT_OFF if word == RUNNING and not _is_held(Path(folder)) else word, line)
 
 
 def _is_held(folder: Path) -> bool:
     try:
-        with (folder / MARKER).open(encoding="utf-8") as marker:
+        with open(open_own(folder / MARKER, os.O_RDONLY), encoding="utf-8") as marker:
             fcntl.flock(marker, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:
+    except (OSError, InputError):
         return True  # a file system without locks: it may be
     return False

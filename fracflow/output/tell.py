@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from fracflow.files import shown_plain
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
@@ -52,7 +53,7 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
     history = read_history(folder / "history.h5")
     units = read_attributes(folder / "history.h5")["units"]
     units = json.loads(units) if isinstance(units, str) else units
-    length, time, force = (units[key] for key in ("length", "time", "force"))
+    length, time, force = (shown_plain(str(units[key])) for key in ("length", "time", "force"))
     title = "Energy books" + (f" [{force} {length} per {length} of thickness]" if length else "")
     table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
     for name in BOOKS:
@@ -79,7 +80,7 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         )
     events = read_events(folder / "events.csv")
     if not events:
-        console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True)
+        console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
         return
     heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
     slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")
@@ -89,9 +90,9 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         end = "" if event["end"] is None else f"{event['end']:.6g}"
         slips.add_row(
             event["kind"],
-            event["fracture"],
+            escape(event["fracture"]),
             str(event["node"]),
-            event["probe"],
+            escape(event["probe"]),
             f"{event['start']:.6g}",
             end,
             f"{event['slip']:.4e}",
@@ -101,7 +102,9 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         console.print(line, soft_wrap=True, markup=False)
     if len(events) > MOST_EVENTS:
         console.print(
-            f"and {len(events) - MOST_EVENTS} more, of smaller slip, in {folder / 'events.csv'}", soft_wrap=True
+            f"and {len(events) - MOST_EVENTS} more, of smaller slip, in {folder / 'events.csv'}",
+            soft_wrap=True,
+            markup=False,
         )
 
 

@@ -165,7 +165,7 @@ def test_syntax_missing_file_and_encoding(make, tmp_path):
     }.items():
         with pytest.raises(InputError, match=rf"line .* in key = {re.escape(value)}: .*{how}.*such as"):
             make(text=f"title = 1\nkey = {value}\n\n[fluid]\n")
-    with pytest.raises(InputError, match="no such scene file"):
+    with pytest.raises(InputError, match="no such file; give the path of a TOML file"):
         load(tmp_path / "other.toml")
     with pytest.raises(InputError, match="cannot be read"):
         load(tmp_path)

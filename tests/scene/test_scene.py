@@ -80,11 +80,11 @@ def test_overrides_by_name_index_and_new_tables(make):
         "petsc.ksp_rtol=1e-9",
         "title=two words",
         "load.0.on.1=east",
-        'petsc."a.b"=true',
+        'control."a.b".initial=2',
     )
     assert scene.well[0].flow_rate(0) == 5
     assert (scene.stage[0].tolerance, scene.stage[1].end) == (1e-4, 7)
-    assert scene.petsc == {"ksp_rtol": 1e-9, "a.b": True}
+    assert scene.petsc == {"ksp_rtol": 1e-9} and scene.control["a.b"].initial == 2
     assert scene.title == "two words" and scene.load[0].on == ("south", "east")
 
 

@@ -127,8 +127,8 @@ def test_settings_go_over_the_table(write, tmp_path):
         ("name,x,y,aperture\na,0,1,2 Pa\na,2,3,\n", 'line 2: "a": aperture = "2 Pa": "Pa" is not a unit of length'),
         ("name,x,y,aperture\na,0,1,-1\na,2,3,\n", 'line 2: "a": aperture = -1.0: out of range; must be above 0'),
         ("name,x,y,law\na,0,1,linnear\na,2,3,\n", 'line 2: "a": law = "linnear": unknown; .*did you mean "linear"'),
-        (b"name,x,y\n\xc4tna,0,1\n", "cannot be read: .*give a UTF-8 text file"),
-        (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR", "give a UTF-8 text file"),
+        (b"name,x,y\n\xc4tna,0,1\n", "not UTF-8 text: .*save it as UTF-8"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR", "not UTF-8 text: .*save it as UTF-8"),
         (b"name,x,y\na,\x000,1\n", "line 2"),
         ('name,x,y\n"a,0,1\na,1,1\n', "line 3: .*give a plain table"),
         ("name,x,y\ndefault,0,1\ndefault,1,1\n", r'line 2: name = "default": is kept for \[fracture.default\]'),
@@ -143,7 +143,7 @@ def test_tables_that_make_no_sense(write, text, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('fractures_csv = "absent.csv"', "absent.csv: no such file of traces"),
+        ('fractures_csv = "absent.csv"', "absent.csv: no such file"),
         ('fractures_csv = ""', "geometry.fractures_csv = .*must not be empty"),
         ("fractures_csv = 3", "geometry.fractures_csv = 3: must be a string"),
         ('fractures_csv = "traces.csv"\nsize_at_fractures = 3', "geometry.size_at_fractures = 3: must be at most size = 2"),
