@@ -52,7 +52,9 @@ def check_geo(path: Path, root: Path | None = None) -> Checked:
     """
     found = Checked()
     _add(found, path, (root or path.parent).resolve(), ())
-    _depth(found, next(iter(found.texts)), path, (), {})
+    known: dict[str, int] = {}
+    for name in found.units:
+        _depth(found, name, path, (), known)
     return found
 
 
@@ -69,8 +71,8 @@ def _add(found: Checked, path: Path, root: Path, above: tuple[Path, ...]) -> str
     found.sources[name], found.texts[name] = path, ""
     text = read_bytes(path, "mesh.file names a Gmsh geometry", LARGEST).decode("utf-8", "surrogateescape")
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
-    file = _File(found, name, path, root, text, (*above, place))
     try:
+        file = _File(found, name, path, root, text, (*above, place))
         file.check()
     except Unclear as error:
         raise InputError(f"{path}: line {error.line}: {error.why}; {REMEDY}") from None
@@ -304,6 +306,10 @@ class _File:
             ):
                 raise self._refusal(first, after - 1, f"{value} cannot stand there")
 
+    def _follows_place(self, at: int) -> bool:
+        """Whether a mark follows a place in a list, as in ``x[3] = 1``; what follows ``x[]`` is the whole list."""
+        return self._value(at - 1) in (")", "]") and self._value(at - 2) not in ("(", "[")
+
     def _counts_up(self, first: int, at: int) -> bool:
         """Whether the statement that ends at a mark is ``name[place]++;``, whose place is looked at."""
         inside = {self._value(place) for place in range(first, at)}
@@ -393,20 +399,27 @@ class _File:
 
     def _end(self, first: int) -> int:
         """The last token of a statement: its semicolon, the brace that ends it, or the last of the file."""
-        depth, is_braced = 0, self._value(first) in words.BRACED
+        open_ones, is_braced = "", self._value(first) in words.BRACED
         for at in range(first, len(self.tokens)):
             token = self.tokens[at]
             if token.kind == "word" and token.value in words.BLOCKS:
                 raise self._refusal(first, at, f"{token.value} cannot stand inside of a statement")
             if token.kind != "mark":
                 continue
-            depth += (token.value in OPENING) - (token.value in CLOSING)
-            if depth < 0:
-                raise self._refusal(first, at, "a bracket that is not open")
-            if depth == 0 and token.value == ";":
+            if token.value in OPENING:
+                open_ones += token.value
+            elif token.value in CLOSING:
+                if not open_ones or OPENING[open_ones[-1]] != token.value:
+                    raise self._refusal(first, at, "a bracket that is not open")
+                open_ones = open_ones[:-1]
+            elif token.value == ";" and open_ones[-1:] != "{":
+                if open_ones:
+                    raise self._refusal(first, at, f"{open_ones[-1]} is not closed")
                 return at
+            elif open_ones and token.value in ASSIGNING | COUNTING and self._follows_place(at):
+                raise self._refusal(first, at, "an entry of a list is set by a statement of its own")
             goes_on = ("{", ";", "Using", "In", "Surface" if self._value(first) == "Intersect" else ";")
-            if depth == 0 and token.value == "}" and is_braced and self._value(at + 1) not in goes_on:
+            if not open_ones and token.value == "}" and is_braced and self._value(at + 1) not in goes_on:
                 return at
         return len(self.tokens) - 1  # of an error that Gmsh reports
 

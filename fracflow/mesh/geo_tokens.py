@@ -44,6 +44,8 @@ class Unclear(Exception):
 
 def cut(text: str) -> list[Token]:
     """The tokens of a file, comments left out. Raises Unclear."""
+    if "\r" in text:
+        raise Unclear(text[: text.index("\r")].count("\n") + 1, "a line end that is neither Unix's nor that of Windows")
     tokens: list[Token] = []
     at, line = 0, 1
     while at < len(text):
