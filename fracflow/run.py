@@ -121,8 +121,8 @@ def resume(
 ) -> Totals:
     """Go on with a run that was stopped, on any number of ranks. Collective.
 
-    A run that was stopped before its first checkpoint begins again, with ``trust`` where it needs that; one that has ended stays as it is. Raises
-    InputError, SolveError and Interrupted, on every rank.
+    A run that was stopped before its first checkpoint begins again, with ``trust`` where its .geo needs that; one that
+    has ended stays as it is. Raises InputError, SolveError and Interrupted, on every rank.
     """
     began, folder = clock.perf_counter(), Path(folder)
     on_root(comm, lambda: require_run(folder))

@@ -25,6 +25,7 @@ ASSIGNING = frozenset(("=", "+=", "-=", "*=", "/="))
 COUNTING = frozenset(("++", "--"))
 FORMAT = re.compile(r"(?:[^%]|%[-+ 0]?\d{0,2}(?:\.\d{1,2})?[eEfFgG])*")
 LONGEST_FORMAT, LONGEST_STEM = 120, 60
+END = Token("end", "", 0, 0, "")
 REMEDY = "remove it, or give --trust (trust=True in Python) if you trust whoever wrote the file"
 
 
@@ -67,7 +68,7 @@ def _add(found: Checked, path: Path, root: Path, above: tuple[Path, ...]) -> str
     if len(found.sources) >= MOST_FILES:
         raise InputError(f"{path}: is more than the {MOST_FILES} files that a geometry may be made of; join some")
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:LONGEST_STEM]
-    name = f"{len(found.sources)}-{stem}.geo" if found.sources else f"{stem}.geo"
+    name = f"{len(found.sources)}-{stem}.geo"
     found.sources[name], found.texts[name] = path, ""
     text = read_bytes(path, "mesh.file names a Gmsh geometry", LARGEST).decode("utf-8", "surrogateescape")
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
@@ -204,7 +205,7 @@ class _File:
                 self._assignment(first, last)
 
     def _include(self, first: int, last: int) -> None:
-        token = self.tokens[first + 1] if last == first + 2 else self.tokens[first]
+        token = self._token(first + 1 if last == first + 2 else first)
         name = token.value
         if token.kind != "text" or not name or name[0] in "/~" or ":" in name:
             raise self._refusal(first, last, "Include takes the name of a file in the scene's folder")
@@ -228,7 +229,7 @@ class _File:
         elif head == "Delete":
             if after not in ("{", "Field", "Embedded", "Physicals", "Meshes"):
                 raise self._refusal(first, last)
-        elif head == "SetFactory" and (last != first + 4 or self.tokens[first + 2].value not in words.FACTORIES):
+        elif head == "SetFactory" and (last != first + 4 or self._token(first + 2).value not in words.FACTORIES):
             raise self._refusal(first, last)
 
     def _assignment(self, first: int, last: int) -> None:
@@ -239,7 +240,7 @@ class _File:
         mark = self._value(at)
         if name in words.OPTIONS and mark == ".":
             self._option(first, last)
-        elif name == "Mesh" and self.tokens[at].kind == "number" and last == at + 1:
+        elif name == "Mesh" and self._token(at).kind == "number" and last == at + 1:
             return
         elif name in ("Background", "BoundaryLayer") and mark == "Field" and self._value(at + 1) == "=":
             return
@@ -286,7 +287,7 @@ class _File:
 
     def _saying(self, first: int, last: int) -> None:
         """``Printf("text", numbers);`` and nothing behind the bracket, where Gmsh has names of files."""
-        if self._matching(first + 1, "(") + 1 != last or self.tokens[first + 2].kind != "text":
+        if self._matching(first + 1, "(") + 1 != last or self._token(first + 2).kind != "text":
             raise self._refusal(first, last)
 
     # What every statement must be
@@ -347,7 +348,7 @@ class _File:
             return bool(is_formula) and before == "=" and self._value(at - 3) == "." and at == last - 1
         if before in words.LABELS:
             return after in (",", "}", "]", ")")
-        if before == "=" and self.tokens[at - 2].kind == "number":  # a choice of a constant
+        if before == "=" and self._token(at - 2).kind == "number":  # a choice of a constant
             return self._value(at - 3) in ("{", ",") and after in (",", "}")
         if before == "(" and self._value(at - 2) == "Sprintf":
             return self._is_group(at - 2) and self._is_format(at)
@@ -355,7 +356,7 @@ class _File:
 
     def _is_group(self, at: int) -> bool:
         """Whether the name of a physical group stands at a place, in round brackets, or in a list of names in braces."""
-        while self._value(at - 1) == "," and self.tokens[at - 2].kind == "text":
+        while self._value(at - 1) == "," and self._token(at - 2).kind == "text":
             at -= 2
         is_physical = self._value(at - 2) in words.ENTITIES and self._value(at - 3) == "Physical"
         return is_physical and self._value(at - 1) in ("(", "{")
@@ -372,18 +373,19 @@ class _File:
 
     def _value(self, at: int) -> str:
         """A token as the file has it; a text in quotes is never taken for a word or mark."""
-        if not 0 <= at < len(self.tokens):
-            return ""
-        token = self.tokens[at]
+        token = self._token(at)
         return f'"{token.value}"' if token.kind == "text" else token.value
 
+    def _token(self, at: int) -> Token:
+        return self.tokens[at] if 0 <= at < len(self.tokens) else END
+
     def _is_word(self, at: int) -> bool:
-        return 0 <= at < len(self.tokens) and self.tokens[at].kind == "word" and self._value(at) not in words.BLOCKS
+        return self._token(at).kind == "word" and self._value(at) not in words.BLOCKS
 
     def _matching(self, at: int, mark: str) -> int:
         """Where the bracket that opens at a place closes."""
-        if at >= len(self.tokens) or self.tokens[at].kind != "mark" or self._value(at) != mark:
-            raise self._refusal(self.at, min(at, len(self.tokens) - 1))
+        if self._value(at) != mark:
+            raise self._refusal(at - 1, at)
         open_ones = []
         for place in range(at, len(self.tokens)):
             token = self.tokens[place]
@@ -423,11 +425,14 @@ class _File:
                 return at
         return len(self.tokens) - 1  # of an error that Gmsh reports
 
+    def _known(self, at: int) -> Token:
+        return self.tokens[max(0, min(at, len(self.tokens) - 1))]
+
     def _shown(self, first: int, last: int) -> str:
-        start, end = self.tokens[first].at, self.tokens[min(last, len(self.tokens) - 1)]
-        said = " ".join(self.text[start : end.at + len(end.value)].split())
+        start, end = self._known(first), self._known(last)
+        said = " ".join(self.text[start.at : end.at + len(end.value) + 2 * (end.kind == "text")].split())
         return said if len(said) <= 60 else said[:57] + "..."
 
     def _refusal(self, first: int, last: int, why: str = "") -> Unclear:
         why = why or "is not on the list of statements that only make geometry"
-        return Unclear(self.tokens[min(first, len(self.tokens) - 1)].line, f"{self._shown(first, last)}: {why}")
+        return Unclear(self._known(first).line, f"{self._shown(first, last)}: {why}")

@@ -23,7 +23,9 @@ from fracflow.mesh.msh_check import check_msh
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]
 SECONDS, MEMORY = ("FRACFLOW_GMSH_SECONDS", 600), ("FRACFLOW_GMSH_GIB", 8)  # variables, and what holds without them
-LEAST_MEMORY, PER_BYTE = 1 << 30, 100  # bytes to read a mesh file of any size, and more for each of its bytes
+# To read a mesh file of any size, and more for each of its bytes: memory [bytes] and CPU time [s].
+LEAST_MEMORY, MEMORY_PER_BYTE = 1 << 30, 100
+LEAST_SECONDS, BYTES_PER_SECOND = 20, 100_000
 LONGEST_REPORT = 4096
 OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Unable to allocate", "ut of memory")
 
@@ -67,7 +69,7 @@ def open_msh(path: Path) -> Elements:
     version = check_msh(path)
     # Gmsh would run a program that lies beside the file, under its name and .opt; beside the link there is none.
     job = {"msh2" if version == 2 else "file": "mesh.msh", "link": str(path.resolve()), "bytes": path.stat().st_size}
-    return run_worker(job, str(path))
+    return run_worker(job, str(path), sources={"mesh.msh": path})
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,11 @@ def limits(size: int | None = None) -> Limits:
         if not re.fullmatch(r"\d{1,6}", text) or not int(text):
             raise InputError(f'{name} = "{text}": must be a whole number from 1 to 999999; set it right or unset it')
         found[name] = int(text)
-    memory = found[MEMORY[0]] << 30
-    return Limits(found[SECONDS[0]], memory if size is None else min(memory, LEAST_MEMORY + PER_BYTE * size))
+    seconds, memory = found[SECONDS[0]], found[MEMORY[0]] << 30
+    if size is not None:
+        seconds = min(seconds, LEAST_SECONDS + size // BYTES_PER_SECOND)
+        memory = min(memory, LEAST_MEMORY + MEMORY_PER_BYTE * size)
+    return Limits(seconds, memory)
 
 
 def run_worker(

@@ -21,9 +21,11 @@ def read_msh2(path: Path) -> dict[str, Any]:
 
     try:
         mesh = meshio.gmsh.read(path)
+    except MemoryError:
+        raise
     except (Exception, SystemExit) as error:  # meshio raises whatever its parser meets
         reason = " ".join(str(error).split()) if isinstance(error, meshio.ReadError) else "it is cut off or damaged"
-        raise ValueError(f"cannot be read as a Gmsh mesh: {reason}; save it again from Gmsh") from error
+        raise ValueError(f"cannot be read as a Gmsh mesh: {reason}") from error
     groups = _groups(path)
     tags = mesh.cell_data.get("gmsh:physical", [np.zeros(len(block.data), np.int64) for block in mesh.cells])
     nodes = {kind: [np.zeros((0, CORNERS[kind]), np.int64)] for kind in CORNERS}
@@ -37,7 +39,7 @@ def read_msh2(path: Path) -> dict[str, Any]:
         first = sum(len(rows) for rows in nodes[kind])
         nodes[kind].append(np.asarray(block.data, dtype=np.int64))
         if np.any((nodes[kind][-1] < 0) | (nodes[kind][-1] >= len(mesh.points))):
-            raise ValueError("an element has a node that the file does not have; save it again from Gmsh")
+            raise ValueError("an element has a node that the file does not have")
         for value in np.unique(tag[tag > 0]):
             key = (DIMS[kind], int(value))
             if key not in number:

@@ -101,7 +101,7 @@ ORDINARY = {
           Physical Curve(Sprintf("side %g", i)) = {i};
         EndFor
         Physical Curve("alle Seiten: Süd/Ost (1)") = {1, 2}; Physical Surface('quoted') = {1};
-        c() = Physical Curve{"side 1", "side 2"}; Physical Point("corner") += {1};""",
+        c() = Physical Curve{1, 2}; Physical Point("corner") += {1};""",
     "comments": '/* For a start: "If it is /* one, it ends" */\n'
     + SQUARE
     + '// SystemCall "no"; Else\n/**/ /***/ k = 1; // "\nIf (k) /* EndIf */ k = 2; EndIf\n',
@@ -241,7 +241,7 @@ def test_files_are_included_from_the_folder_only(tmp_path):
     for depth in range(DEEPEST + 2):
         write(tmp_path, f'Include "{depth + 1}.geo";\n', f"scene/{depth}.geo")
     write(tmp_path, "", f"scene/{DEEPEST + 2}.geo")
-    with pytest.raises(InputError, match="includes itself|more than"):
+    with pytest.raises(InputError, match=r"includes itself|more than"):
         check_geo(tmp_path / "scene" / "0.geo")
 
 
