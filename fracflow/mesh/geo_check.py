@@ -19,12 +19,14 @@ LARGEST = 16 << 20  # bytes of a file
 MOST_FILES = 100
 DEEPEST = 40  # blocks, macros and included files in each other; Gmsh has room for 100
 MOST_TILDES = 8
+MOST_NAMES = 200  # in a list of groups
 MOST_ENTRIES = 1e7  # of a list
 OPENING, CLOSING = {"(": ")", "[": "]", "{": "}"}, frozenset(")]}")
 ASSIGNING = frozenset(("=", "+=", "-=", "*=", "/="))
 COUNTING = frozenset(("++", "--"))
 FORMAT = re.compile(r"(?:[^%]|%[-+ 0]?\d{0,2}(?:\.\d{1,2})?[eEfFgG])*")
 LONGEST_FORMAT, LONGEST_STEM = 120, 60
+HAVE_FIELD = ("Delete", "Background", "BoundaryLayer")
 END = Token("end", "", 0, 0, "")
 REMEDY = "remove it, or give --trust (trust=True in Python) if you trust whoever wrote the file"
 
@@ -222,6 +224,10 @@ class _File:
     def _keyword(self, head: str, first: int, last: int) -> None:
         """A statement that begins with a keyword of geometry."""
         after = self._value(first + 1)
+        if after in ("(", "[", *ASSIGNING, *COUNTING) and not (
+            (after == "(" and head in words.PLACED) or (after == "[" and head in ("DefineConstant", "Field"))
+        ):
+            raise self._refusal(first, last)
         if head == "Field":
             self._field(first, last)
         elif head in words.SAYING:
@@ -242,7 +248,7 @@ class _File:
             self._option(first, last)
         elif name == "Mesh" and self._token(at).kind == "number" and last == at + 1:
             return
-        elif name in ("Background", "BoundaryLayer") and mark == "Field" and self._value(at + 1) == "=":
+        elif name in HAVE_FIELD and mark == "Field" and self._value(at + 1) == "=":
             return
         elif name in words.ACTIONS and mark == "{":
             return
@@ -298,6 +304,8 @@ class _File:
             value, before = self._value(at), self._value(at - 1) if at > first else ""
             if value in words.REFUSED or value in words.BLOCKS or value in ("Include", "Call"):
                 raise self._refusal(first, after - 1, f"{value} is not read")
+            if value == "Field" and first < at and not (at == first + 1 and self._value(first) in HAVE_FIELD):
+                raise self._refusal(first, after - 1, "Field stands at the beginning of a statement")
             is_option = before in words.OPTIONS or before == "Color" or (self._value(first) == "Field" and before == "]")
             if (
                 value == "::"
@@ -356,7 +364,8 @@ class _File:
 
     def _is_group(self, at: int) -> bool:
         """Whether the name of a physical group stands at a place, in round brackets, or in a list of names in braces."""
-        while self._value(at - 1) == "," and self._token(at - 2).kind == "text":
+        least = at - 2 * MOST_NAMES
+        while at > least and self._value(at - 1) == "," and self._token(at - 2).kind == "text":
             at -= 2
         is_physical = self._value(at - 2) in words.ENTITIES and self._value(at - 3) == "Physical"
         return is_physical and self._value(at - 1) in ("(", "{")

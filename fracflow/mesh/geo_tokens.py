@@ -9,6 +9,7 @@ from fracflow.mesh.geo_words import BLOCKS
 
 LONGEST_NAME = 60  # Gmsh prints names into buffers of fixed size
 LONGEST_TEXT = 200
+MOST_TOKENS = 2_000_000
 SCAN = re.compile(
     r"""(?P<space>[ \t\f\n]+)
       | (?P<comment>//[^\n]*|/\*.*?\*/)
@@ -22,7 +23,7 @@ SCAN = re.compile(
 HIDDEN = re.compile(rf"(?<![A-Za-z_])(?:{'|'.join(sorted(BLOCKS))})(?![A-Za-z_])")
 
 
-@dataclass
+@dataclass(slots=True)
 class Token:
     """A piece of a file: ``kind`` is "text", "number", "word" or "mark"; ``shown`` is given to Gmsh in its place."""
 
@@ -53,6 +54,8 @@ def cut(text: str) -> list[Token]:
         if found is None or (text.startswith("/*", at) and found.lastgroup != "comment"):
             raise Unclear(line, _why(text, at))
         kind, value = str(found.lastgroup), found.group()
+        if len(tokens) > MOST_TOKENS:
+            raise Unclear(line, f"more than {MOST_TOKENS} words, numbers and marks")
         if kind not in ("space", "comment"):
             tokens.append(_token(kind, value, line, at, text[found.end() : found.end() + 1]))
         line += value.count("\n")

@@ -11,7 +11,7 @@ BLOCKS = frozenset("If ElseIf Else EndIf For EndFor Macro Function Return".split
 HEADS = ENTITIES | frozenset(
     """
     Circle Ellipse Ellipsis Spline BSpline CatmullRom Bezier Nurbs Wire Compound Plane Ruled Parent
-    Sphere Box Block Torus Rectangle Disk Cylinder Cone Wedge ThruSections ThickSolid Physical
+    Sphere Box Block Torus Rectangle Disk Cylinder Cone Wedge ThruSections Physical
     Translate Rotate Symmetry Dilate Affine Intersect Split Delete Recursive Color Show Hide Extrude
     BooleanUnion BooleanFuse BooleanIntersection BooleanCommon BooleanDifference BooleanCut
     BooleanFragments BooleanCoherence BooleanSection Fillet Chamfer
@@ -20,7 +20,16 @@ HEADS = ENTITIES | frozenset(
     BoundingBox DefineConstant SetFactory Printf Error Warning Field
     """.split()
 )
-# Of these some end with a brace, without a semicolon.
+# Those of them that are followed by a place in round brackets; all other names so followed are lists.
+PLACED = frozenset(
+    """
+    Point Line Curve Circle Ellipse Ellipsis Spline BSpline CatmullRom Bezier Nurbs Wire Surface Volume
+    Sphere Box Block Torus Rectangle Disk Cylinder Cone Wedge ThruSections SetFactory Printf Error Warning
+    BooleanUnion BooleanFuse BooleanIntersection BooleanCommon BooleanDifference BooleanCut
+    BooleanFragments BooleanCoherence
+    """.split()
+)
+# Some end with a brace, without a semicolon.
 BRACED = frozenset(
     """
     Translate Rotate Symmetry Dilate Affine Delete Recursive Color Show Hide Extrude Intersect ThruSections Ruled

@@ -8,6 +8,7 @@ import pytest
 from meshing import MESHES
 
 from fracflow.errors import InputError
+from fracflow.mesh import geo_tokens
 from fracflow.mesh.geo_check import DEEPEST, check_geo
 from fracflow.mesh.read import read_mesh
 
@@ -198,7 +199,8 @@ REFUSED = [
     'Physical Curve("a\\") = {1};', 'Physical Curve("a\nb") = {1};', "Physical Curve('a\"b') = {1};", 'Physical Curve("a',
     "/* no end", "x = 1; /* /", "x = $1;", "x = `id`;", "x = 1 \\\n + 2;", "#include <a>", "#! /bin/sh", "x = ü;", "x\0 = 1;",
     "x = 1;\rSystemCall = 2;", "// a comment\rx = 1;", "x = 1;\x1a", "x\u200b = 1;", 'x = 1;\x0bSave "a";',
-    "{ x = 1; }", "1 = 2;", '"a" = 2;', "x = (1;)", "x = 1)); Exit;",
+    "{ x = 1; }", "Delete { y; x[-5] = 1; }", "Delete { y; Field[1] = Octree; }", "SyncModel[-5] = 1;", "Parent(-1) = 2;",
+    "Delete { y; x[-5]++; }", "Physical Surface{" + '"a", ' * 300 + '"b"};',"1 = 2;", '"a" = 2;', "x = (1;)", "x = 1)); Exit;",
 ]  # fmt: skip
 
 
@@ -210,6 +212,12 @@ def test_what_makes_no_geometry_is_refused(tmp_path, text):
     with pytest.raises(InputError, match=r"a\.geo: (line \d|macro \w+: (calls itself|more than)|inside)?.*--trust") as caught:
         check_geo(path)
     assert len(str(caught.value)) < 700 and "\n" not in str(caught.value)
+
+
+def test_a_file_of_too_many_words_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(geo_tokens, "MOST_TOKENS", 100)
+    with pytest.raises(InputError, match=r"a\.geo: line 26: more than 100 words, numbers and marks; .*--trust"):
+        check_geo(write(tmp_path, "x = 1;\n" * 30))
 
 
 def test_the_line_names_file_line_statement_and_remedy(tmp_path):
