@@ -179,7 +179,7 @@ def _remedy(what: str, said: str, allowed: Limits) -> str:
     if any(word in said for word in OUT_OF_MEMORY):
         return f"it may use {allowed.memory / 2**30:.3g} GiB; let it make fewer cells, or set {MEMORY[0]} to more GiB"
     if what.endswith(".msh"):
-        return "save the mesh again"
+        return "save it again from Gmsh"
     return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
 
 

@@ -25,7 +25,7 @@ def check_msh(path: Path) -> int:
     with path.open("rb") as file:
         # Gmsh takes a file with another first line for a program, whatever its name is.
         if file.readline(64).rstrip(b"\r\n") != b"$MeshFormat":
-            raise InputError(f"{path}: is no Gmsh mesh of version 2 or 4: its first line is not $MeshFormat; {SAVE}")
+            raise InputError(f"{path}: is no Gmsh mesh of version 2 or 4; {SAVE}, $MeshFormat in its first line")
         found = re.fullmatch(rb"([24])(?:\.\d+)?[ \t]+([01])[ \t]+(\d+)[ \t]*\r?\n", file.readline(64))
         if found is None:
             raise InputError(f"{path}: is no Gmsh mesh of version 2 or 4; {SAVE}")
