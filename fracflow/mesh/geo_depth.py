@@ -35,9 +35,11 @@ def _depth(units: Mapping[str, Unit], name: str, path: Path, above: tuple[str, .
     if name in above:
         raise InputError(f"{where}: calls itself, so that it may never end; {REMEDY}")
     unit = units.get(name, Unit())  # Gmsh reports a macro that there is not
-    known[name] = max(
-        [unit.deepest, *(at + 1 + _depth(units, to, path, (*above, name), known) for at, to in unit.goes_to)]
-    )
-    if known[name] > DEEPEST:
+    deepest = DEEPEST + 1
+    if len(above) <= DEEPEST:
+        below = (at + 1 + _depth(units, to, path, (*above, name), known) for at, to in unit.goes_to)
+        deepest = max([unit.deepest, *below])
+    if deepest > DEEPEST:
         raise InputError(f"{where}: more than {DEEPEST} blocks in each other; {REMEDY}")
-    return known[name]
+    known[name] = deepest
+    return deepest
