@@ -22,6 +22,13 @@ Order = Literal["little", "big"]
 def check_msh(path: Path) -> int:
     """The version of a .msh, 2 or 4. Raises InputError for a file that Gmsh would take for something else."""
     check_regular(path, "mesh.file names a Gmsh mesh", LARGEST)
+    try:
+        return _check(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; mesh.file names a Gmsh mesh") from None
+
+
+def _check(path: Path) -> int:
     with path.open("rb") as file:
         # Gmsh takes a file with another first line for a program, whatever its name is.
         if file.readline(64).rstrip(b"\r\n") != b"$MeshFormat":
