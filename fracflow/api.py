@@ -149,18 +149,21 @@ class Run:
         }
 
 
-def load(path: str | Path, overrides: tuple[str, ...] | list[str] = ()) -> Scene:
-    """Read a scene; ``overrides`` are as with --set: "path.to.key=value". Raises InputError of one line."""
+def load(path: str | Path, overrides: tuple[str, ...] | list[str] = (), trust: bool = False) -> Scene:
+    """Read a scene; ``overrides`` are as with --set: "path.to.key=value". Raises InputError of one line.
+
+    With ``trust`` Gmsh runs the scene's .geo as it is, whatever that does; without, only what makes geometry.
+    """
     from fracflow.scene import load
 
-    return load(path, list(overrides))
+    return load(path, list(overrides), trust)
 
 
-def run(scene: Scene, out: str | Path | None = None) -> Run:
+def run(scene: Scene, out: str | Path | None = None, trust: bool = False) -> Run:
     """Run a scene and give what it left in the folder ``out``, by default runs/<name of the scene>.
 
     Under mpirun every rank must call it, and may use what it gives. What an earlier run left in the folder is replaced; no
-    pictures are drawn (``fracflow picture FOLDER``).
+    pictures are drawn (``fracflow picture FOLDER``). ``trust`` is as in ``load``.
     Raises, on every rank, InputError, SolveError (``open`` gives what was reached) and Interrupted.
     """
     from fracflow._petsc import MPI
@@ -169,7 +172,7 @@ def run(scene: Scene, out: str | Path | None = None) -> Run:
     folder = Path("runs") / scene.name if out is None else Path(out)
     failure: SolveError | Interrupted | None = None
     try:
-        run(scene, folder, MPI.COMM_WORLD)
+        run(scene.with_trust() if trust else scene, folder, MPI.COMM_WORLD)
     except (SolveError, Interrupted) as error:
         failure = error
     MPI.COMM_WORLD.barrier()  # no rank reads before rank 0 has closed the files
@@ -178,19 +181,21 @@ def run(scene: Scene, out: str | Path | None = None) -> Run:
     return Run(folder)
 
 
-def converge(scene: Scene, out: str | Path | None = None, levels: int = 3) -> tuple[Run, list[Row]]:
+def converge(
+    scene: Scene, out: str | Path | None = None, levels: int = 3, trust: bool = False
+) -> tuple[Run, list[Row]]:
     """Run a scene on ``levels`` meshes, each with cells and time steps half as large as the one before, and compare.
 
     Leaves the runs in level-0, level-1, ... of the folder ``out``, by default runs/<name of the scene>-converge, beside
     converge.csv, converge.json and converge.png; runs that are complete there are not made again. Gives the finest
     run, and for each quantity its observed order and estimated error, in the scene's units, with a warning where these are
-    not to be trusted. Under mpirun every rank must call it. Raises as ``run`` does.
+    not to be trusted. Under mpirun every rank must call it. ``trust`` is as in ``load``. Raises as ``run`` does.
     """
     from fracflow._petsc import MPI
     from fracflow.refinement import converge
 
     folder = Path("runs") / f"{scene.name}-converge" if out is None else Path(out)
-    comm = MPI.COMM_WORLD
+    comm, scene = MPI.COMM_WORLD, scene.with_trust() if trust else scene
     rows = comm.bcast(converge(scene, folder, levels, lambda level: level.run(), comm))
     return Run(folder / f"level-{levels - 1}"), rows
 

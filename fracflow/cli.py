@@ -28,6 +28,9 @@ SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="path.to.key=value; arrays by the name of their entry")
 ]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="let Gmsh run the scene's .geo as it is; it may do all that you may")
+]
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", help="run folder; by default runs/<name of the scene's folder>")
 ]
@@ -46,6 +49,7 @@ def run_command(
             help="run it on 3 (or so many) meshes, cells and steps halved from one to the next, and estimate errors",
         ),
     ] = None,
+    trust: Trust = False,
 ) -> None:
     """Run a scene, alone or under mpirun; what follows -- goes to PETSc."""
     from fracflow._petsc import MPI, PETSc
@@ -60,7 +64,7 @@ def run_command(
     from fracflow.scene_advice import advice
 
     comm = MPI.COMM_WORLD
-    given = load(scene, set_ or [])
+    given = load(scene, set_ or [], trust)
     console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True, markup=False)  # lines name [tables]
@@ -84,7 +88,9 @@ def run_command(
 
 
 @app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
-def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argument(help="a run folder")]) -> None:
+def resume_command(
+    context: typer.Context, folder: Annotated[Path, typer.Argument(help="a run folder")], trust: Trust = False
+) -> None:
     """Go on with a run that was stopped, on any number of ranks; what follows -- goes to PETSc."""
     from fracflow._petsc import MPI, PETSc
 
@@ -100,7 +106,7 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True, markup=False)
-    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))
+    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust))
 
 
 @app.command()
@@ -108,6 +114,7 @@ def check(
     scene: SceneFile,
     set_: Overrides = None,
     as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
+    trust: Trust = False,
 ) -> None:
     """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
     from fracflow.begin.check import set_up
@@ -118,7 +125,7 @@ def check(
     from fracflow.scene import load
     from fracflow.scene_advice import advice
 
-    given = load(scene, set_ or [])
+    given = load(scene, set_ or [], trust)
     found, moved, numbers, decisions, network = set_up(given)
     notes = [*advice(given), *moved]
     if as_json:
@@ -136,14 +143,14 @@ def check(
 
 
 @app.command("mesh")
-def mesh_command(scene: SceneFile, set_: Overrides = None) -> None:
+def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
     from fracflow.begin.hydraulic import told_apart
     from fracflow.begin.setup import place, read_split
     from fracflow.mesh.split import summary
     from fracflow.scene import load
 
-    given = load(scene, set_ or [])
+    given = load(scene, set_ or [], trust)
     split = read_split(given)
     for note in split.notes:
         typer.echo(note)

@@ -117,15 +117,17 @@ def _run(
     return _go(model, recorder, step, began, progress)
 
 
-def resume(folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Totals:
+def resume(
+    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None, trust: bool = False
+) -> Totals:
     """Go on with a run that was stopped, on any number of ranks. Collective.
 
-    A run that was stopped before its first checkpoint begins again; one that has ended stays as it is. Raises
-    InputError, SolveError and Interrupted, on every rank.
+    A run that was stopped before its first checkpoint begins again, with ``trust`` where its .geo needs that; one that
+    has ended stays as it is. Raises InputError, SolveError and Interrupted, on every rank.
     """
     began, folder = clock.perf_counter(), Path(folder)
     on_root(comm, lambda: require_run(folder))
-    scene, saved = load(folder / "scene.toml"), folder / "checkpoint.h5"
+    scene, saved = load(folder / "scene.toml", trust=trust), folder / "checkpoint.h5"
     if not comm.bcast(saved.exists(), root=0):
         # the folder alone is enough: the mesh's own file may be elsewhere now, or changed
         path = folder / "mesh.h5"

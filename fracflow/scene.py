@@ -87,6 +87,7 @@ class Scene(Part):
 
     _file: Path = PrivateAttr(default=Path("scene.toml"))
     _notes: tuple[str, ...] = PrivateAttr(default=())
+    _trust: bool = PrivateAttr(default=False)
 
     @model_validator(mode="before")
     @classmethod
@@ -133,6 +134,17 @@ class Scene(Part):
         """Why keys that its file leaves open have the values they have, a line each."""
         return self._notes
 
+    @property
+    def trust(self) -> bool:
+        """Whether Gmsh may run the scene's .geo as it is; else only statements that make geometry are read."""
+        return self._trust
+
+    def with_trust(self) -> Scene:
+        """The scene as one whose .geo comes from an author who is trusted: Gmsh runs it as it is."""
+        scene = self.model_copy()
+        scene._trust = True
+        return scene
+
     def with_geometry(self, keys: Mapping[str, float], notes: Sequence[str] = ()) -> Scene:
         """The scene with keys of its [geometry] set, and why they are so."""
         if self.geometry is None or not keys:
@@ -155,7 +167,7 @@ class Scene(Part):
     @property
     def mesh_path(self) -> Path | None:
         """The absolute path of the geometry or mesh file, None where the scene has [geometry]."""
-        return None if self.mesh is None else (self.folder / self.mesh.file).resolve()
+        return None if self.mesh is None else Path(os.path.realpath(self.folder / self.mesh.file))
 
     @property
     def refine(self) -> int:
@@ -248,8 +260,11 @@ class Scene(Part):
         return cls.model_json_schema()
 
 
-def load(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
-    """Read a scene file and apply ``path.to.key=value`` overrides; raises InputError of one line."""
+def load(path: str | Path, overrides: Sequence[str] = (), trust: bool = False) -> Scene:
+    """Read a scene file and apply ``path.to.key=value`` overrides; raises InputError of one line.
+
+    trust  whether Gmsh may run the scene's .geo as it is, whatever that does
+    """
     file = Path(path)
     data = read_toml(file)
     for setting in [text for text in overrides if text.startswith(BEFORE_TRACES)]:
@@ -257,7 +272,8 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scene:
     data = with_traces(data, file)
     for setting in [text for text in overrides if not text.startswith(BEFORE_TRACES)]:
         override(data, setting)
-    return Scene.from_data(data, file)
+    scene = Scene.from_data(data, file)
+    return scene.with_trust() if trust else scene
 
 
 def _tables(thing: Any) -> Iterator[TimeTable]:

@@ -135,7 +135,8 @@ def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
 def _read_split(scene: Scene) -> SplitMesh:
     names = [name for name in scene.fracture if name != "default"]
     if scene.mesh_path is not None:
-        raw = read_mesh(scene.mesh_path, [*names, *(["default"] if "default" in scene.fracture else [])])
+        wanted = [*names, *(["default"] if "default" in scene.fracture else [])]
+        raw = read_mesh(scene.mesh_path, wanted, scene.trust, scene.folder)
     else:
         raw = build_mesh(geometry_of(scene))
     for _ in range(scene.refine):

@@ -6,8 +6,12 @@ takes nothing with it. What Gmsh reports goes to error.txt.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
+import os
+import resource
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +19,10 @@ from typing import Any
 import gmsh
 import numpy as np
 
+from fracflow.mesh.msh2 import read_msh2
+
+GRACE = 5  # seconds of CPU time
+PR_SET_PDEATHSIG = 1  # of prctl
 KINDS = {15: "point", 1: "line", 2: "triangle", 3: "quad"}  # Gmsh's element types
 FRONTAL, RIGHT_ANGLED = 6, 8  # its algorithms: for triangles, and for triangles that make good quads in pairs
 
@@ -22,27 +30,48 @@ FRONTAL, RIGHT_ANGLED = 6, 8  # its algorithms: for triangles, and for triangles
 def main(folder: Path) -> int:
     """Do the job in ``folder``; 0 if mesh.npz was written, 1 if error.txt was."""
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
-    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.logger.start()
+    keep_within(job["seconds"], job["memory"], job["parent"])
     try:
-        if "file" in job:
-            arrays = read_file(job["file"])
-        else:
-            arrays = mesh_geometry(job)
-    except Exception as error:  # Gmsh raises plain Exception
-        (folder / "error.txt").write_text(_reason(error), encoding="utf-8")
+        arrays = read_msh2(Path(job["msh2"])) if "msh2" in job else with_gmsh(job)
+    except Exception as error:
+        (folder / "error.txt").write_text(str(error) or type(error).__name__, encoding="utf-8")
         return 1
-    finally:
-        gmsh.finalize()
     np.savez(folder / "mesh.npz", **arrays)
     return 0
 
 
-def _reason(error: Exception) -> str:
-    """Gmsh's first error, which tells more than its last."""
-    reports = [line.removeprefix("Error:").strip() for line in gmsh.logger.get() if line.startswith("Error")]
-    return " ".join((reports or [str(error) or type(error).__name__])[0].split())
+def keep_within(seconds: int, memory: int, parent: int) -> None:
+    """Let the system end this process where it uses too much CPU time [s] or memory [bytes], or its parent has ended."""
+    wanted = {
+        resource.RLIMIT_CPU: seconds,
+        resource.RLIMIT_AS: memory,
+        resource.RLIMIT_FSIZE: memory,
+        resource.RLIMIT_CORE: 0,
+    }
+    for kind, limit in wanted.items():
+        hard = resource.getrlimit(kind)[1]
+        least = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        # a signal that says why comes first, then one that nothing withstands
+        resource.setrlimit(kind, (least, least + GRACE if kind == resource.RLIMIT_CPU and least == limit else least))
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent:
+            sys.exit(1)
+
+
+def with_gmsh(job: dict[str, Any]) -> dict[str, Any]:
+    """Let Gmsh open a file or mesh traces. Raises RuntimeError with its first error, which tells more than its last."""
+    gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.logger.start()
+    try:
+        return read_file(job["file"]) if "file" in job else mesh_geometry(job)
+    except Exception as error:  # Gmsh raises plain Exception
+        reports = [line.removeprefix("Error:").strip() for line in gmsh.logger.get() if line.startswith("Error")]
+        reason = (reports or [str(error) or type(error).__name__])[0]
+        raise RuntimeError(f"Gmsh: {' '.join(reason.split())}") from error
+    finally:
+        gmsh.finalize()
 
 
 def _stop_on_errors() -> None:

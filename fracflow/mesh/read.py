@@ -11,9 +11,12 @@ from typing import Literal
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.files import check_regular, read_bytes
 from fracflow.mesh.data import Floats, RawMesh
-from fracflow.mesh.gmsh import KINDS, Elements, open_in_gmsh, run_worker
+from fracflow.mesh.geo_check import check_geo
+from fracflow.mesh.gmsh import open_checked, open_in_gmsh, open_msh, run_worker
 from fracflow.mesh.interpret import interpret
+from fracflow.mesh.msh_check import LARGEST
 from fracflow.mesh.near import NearMiss, near_misses, told
 from fracflow.mesh.quads import all_quads
 from fracflow.mesh.quality import cell_areas
@@ -22,9 +25,6 @@ from fracflow.mesh.snap import STRETCH, natural_snap
 from fracflow.mesh.traces import Network, Trace, polygon_area, tidy
 
 SUFFIXES = (".geo", ".msh")
-MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
-DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
-CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
 LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
@@ -60,22 +60,26 @@ class GeometrySpec:
     snap: float | None = None
 
 
-def read_mesh(path: str | Path, fractures: Collection[str]) -> RawMesh:
+def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False, folder: Path | None = None) -> RawMesh:
     """Read a Gmsh geometry (.geo) or mesh (.msh 2.2 or 4.1).
 
     A physical curve is a fracture if ``fractures`` has its name, or has "default" and the curve lies inside
-    the mesh; else it is a side. Raises InputError, naming the file, for what cannot be read or has no
-    meaning.
+    the mesh; else it is a side. A .geo is a program: without ``trust`` only statements that make geometry are read
+    (``geo_check``), and files that it includes must lie in ``folder``, or in its own where it lies elsewhere.
+    Raises InputError, naming the file, for what cannot be read or has no meaning.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise InputError(f'{path}: unknown kind of file "{path.suffix}"; give a Gmsh .geo or .msh')
-    if not os.path.isfile(path):
-        raise InputError(f"{path}: no such file; mesh.file names it from the scene's folder")
-    if path.suffix == ".geo" and path.read_bytes().rpartition(b"\n")[2].strip():
-        # Gmsh says nothing and leaves the line out.
-        raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
-    elements = _read_msh2(path) if path.suffix == ".msh" and _version(path) == 2 else open_in_gmsh(path)
+    check_regular(path, "mesh.file names it from the scene's folder", LARGEST)
+    if path.suffix == ".msh":
+        elements = open_msh(path)
+    else:
+        if read_bytes(path, "mesh.file names it from the scene's folder").rpartition(b"\n")[2].strip():
+            # Gmsh says nothing and leaves the line out.
+            raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
+        is_inside = folder is not None and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
+        elements = open_in_gmsh(path) if trust else open_checked(path, check_geo(path, folder if is_inside else None))
     return interpret(elements, fractures, str(path))
 
 
@@ -187,61 +191,3 @@ def _check_traces(traces: list[Trace], taken: Iterable[str]) -> None:
             raise InputError(f"{what}: points must be two or more pairs [x, y] of finite numbers")
         if np.any(is_still := np.all(points[1:] == points[:-1], axis=1)):
             raise InputError(f"{what}: two points in a row are {points[np.argmax(is_still)].tolist()}; remove one")
-
-
-def _version(path: Path) -> int:
-    """Major version of a .msh file."""
-    with path.open("rb") as file:
-        for line in file:
-            if line.strip() == b"$MeshFormat":
-                word = next(file, b"").split(b".")[0].strip().split(b" ")[0]
-                if word in (b"2", b"4"):
-                    return int(word)
-                break
-    raise InputError(f"{path}: is no Gmsh mesh of version 2 or 4; save it with Mesh.MshFileVersion = 4.1")
-
-
-def _groups_msh2(path: Path) -> list[tuple[int, int, str]]:
-    """Tag, dimension and name of the groups; meshio keeps only one of two that share a name."""
-    text = path.read_bytes().partition(b"$PhysicalNames")[2].partition(b"$EndPhysicalNames")[0]
-    rows = [line.split(None, 2) for line in text.decode("utf-8", "replace").splitlines()]
-    return [(int(row[1]), int(row[0]), row[2].strip().strip('"')) for row in rows if len(row) == 3]
-
-
-def _read_msh2(path: Path) -> Elements:
-    """Version 2 has one physical tag an element; one in two groups stands twice."""
-    import meshio  # imports much
-
-    try:
-        mesh = meshio.gmsh.read(path)
-    except Exception as error:  # meshio raises whatever its parser meets
-        reason = " ".join(str(error).split()) if isinstance(error, meshio.ReadError) else "it is cut off or damaged"
-        raise InputError(f"{path}: cannot be read as a Gmsh mesh: {reason}; save it again from Gmsh") from error
-    groups = _groups_msh2(path)
-    tags = mesh.cell_data.get("gmsh:physical", [np.zeros(len(block.data), np.int64) for block in mesh.cells])
-    nodes = {kind: [np.zeros((0, CORNERS[kind]), np.int64)] for kind in KINDS}
-    members = {kind: [np.zeros((0, 2), np.int64)] for kind in KINDS}
-    number = {(dim, tag): index for index, (tag, dim, _) in enumerate(groups)}
-    others = sorted({block.type for block in mesh.cells} - MESHIO_KINDS.keys())
-    for block, tag in zip(mesh.cells, tags, strict=True):
-        if block.type in others:
-            continue
-        kind = MESHIO_KINDS[block.type]
-        first = sum(len(rows) for rows in nodes[kind])
-        nodes[kind].append(np.asarray(block.data, dtype=np.int64))
-        for value in np.unique(tag[tag > 0]):
-            key = (DIMS[kind], int(value))
-            if key not in number:
-                number[key] = len(groups)
-                groups.append((key[1], key[0], ""))
-            rows = first + np.flatnonzero(tag == value)
-            members[kind].append(np.stack([rows, np.full(len(rows), number[key])], axis=1))
-    return Elements(
-        points=np.asarray(mesh.points, dtype=float),
-        nodes={kind: np.concatenate(rows) for kind, rows in nodes.items()},
-        members={kind: np.concatenate(rows) for kind, rows in members.items()},
-        others=tuple(others),
-        group_dims=np.array([dim for _, dim, _ in groups], dtype=np.int64),
-        group_tags=np.array([tag for tag, _, _ in groups], dtype=np.int64),
-        group_names=tuple(name for _, _, name in groups),
-    )
