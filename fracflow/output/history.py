@@ -36,7 +36,7 @@ class HistoryFile:
         self._part = self.path.with_name(self.path.name + ".part")
         self._file = h5py.File(self._part, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
-        self._rows, self._last = 0, b""
+        self._rows, self._last, self._goes_on = 0, b"", False
         self._notes = {k: v if isinstance(v, str | int | float) else to_json(v) for k, v in (attrs or {}).items()}
         for name, value in self._notes.items():
             self._file.attrs[name] = value
@@ -55,6 +55,7 @@ class HistoryFile:
             history._create(old)
             history._extend(old)
             history._show()
+            history._goes_on = True
         return history
 
     @property
@@ -73,6 +74,11 @@ class HistoryFile:
             self._create(row)
         elif row.keys() != self._sets.keys():
             odd = sorted(row.keys() ^ self._sets.keys())
+            if self._goes_on:
+                raise InputError(
+                    f"{self.path}: {odd[0]} is not both there and in the steps that follow: probes or controls of the scene"
+                    f" were changed; put them back, or {AGAIN}"
+                )
             raise ValueError(f"history record: keys {odd} are not in every record; all must be in the first")
         self._extend(row)
         self._show()
@@ -186,8 +192,11 @@ def _read(
     columns = {name: values[:rows] for name, values in found.arrays.items()}
     start, seals = _check_start(path, found), columns.pop(SEAL, None)
     attrs = {name: value for name, value in found.attributes.items() if name != SEAL}
-    if columns and "time" not in columns:
+    if columns and ("time" not in columns or columns["time"].dtype.kind != "f"):
         raise InputError(f"{path}: {_NO_HISTORY} (it has no time); {_REMEDY}")
+    for name, values in columns.items():
+        if values.ndim != 1 and (name == "time" or name.startswith(("step/", "energy/"))):
+            raise InputError(f"{path}: {_NO_HISTORY} ({name} has {values.ndim} dimensions); {_REMEDY}")
     if seals is None or not start:
         if must:
             raise InputError(f"{path}: its seal is missing; {AGAIN}")

@@ -54,12 +54,13 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
     length, time, force = (units.get(key, "") for key in ("length", "time", "force"))
     title = "Energy books" + (f" [{force} {length} per {length} of thickness]" if length else "")
     table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
-    for name in BOOKS:
+    books = [name for name in BOOKS if f"energy/{name}" in history]  # earlier versions had fewer
+    for name in books:
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)
     left, closed, most = (
-        max(np.abs(history[f"energy/{name}"]).max() for name in names)
+        max((np.abs(history[f"energy/{name}"]).max() for name in books if name in names), default=0.0)
         for names in (("residual",), ("residual_closed",), BOOKS)
     )
     if left > OPEN * most:

@@ -59,7 +59,7 @@ class Recorder:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
-        self.totals = Totals(**notes["totals"]) if notes else Totals()
+        self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
 
     def log(self, line: str) -> None:
@@ -70,13 +70,11 @@ class Recorder:
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
         snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
-        if self.files is not None and snapshot is not None:
-            margin = float(snapshot.column("margin").min(initial=np.inf))
-            if margin < self.totals.narrowest:
-                self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
-            self.files.append(step, snapshot, margin)
-            self.totals.least = max(self.totals.least, snapshot.least[0])
-            self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
+        if self._goes_on:  # the first step may show that the history was made with another scene
+            on_root(self.comm, lambda: self._append(step, snapshot))
+            self._goes_on = False
+        else:
+            self._append(step, snapshot)
         self._watch_spurious(step)
         self._watch_pressure(step)
         self._watch_widening(step)
@@ -84,6 +82,16 @@ class Recorder:
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
         self._tell_coupling(step)
+
+    def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
+        if self.files is None or snapshot is None:
+            return
+        margin = float(snapshot.column("margin").min(initial=np.inf))
+        if margin < self.totals.narrowest:
+            self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
+        self.files.append(step, snapshot, margin)
+        self.totals.least = max(self.totals.least, snapshot.least[0])
+        self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""

@@ -232,6 +232,14 @@ def test_a_changed_scene_is_told_and_goes_on(folder, recwarn):
     assert "note: " in (folder / "log.txt").read_text()
 
 
+def test_a_scene_with_other_probes_cannot_go_on(folder, monkeypatch, capfd):
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text + '[[probe]]\nname = "new"\nat = [450.0, 500.0]\non = "Bruno"\n')
+    code, said = spoken(["resume", folder], monkeypatch, capfd)
+    assert code == 2 and len(said.splitlines()) == 1 and "history.h5: probe/new/" in said
+    assert "probes or controls of the scene were changed" in said
+
+
 def test_a_folder_without_seals_goes_on_with_a_line(folder, whole, recwarn):
     """As earlier versions left them: the same to the bit, and sealed from then on."""
     with changed_notes(folder / "checkpoint.h5") as notes:
