@@ -26,6 +26,7 @@ import numpy as np
 
 MOST_SETS, MOST_GROUPS, DEEPEST = 20_000, 20_000, 16
 ATTEMPTS = 26  # at metadata of a live file; HDF5 makes a hundred and sleeps 1 ns, 2 ns, 4 ns, ...: for ever
+_MAPS, _SIZE = "/proc/self/maps", "/proc/self/statm"
 SPARE = 256 << 20  # bytes of memory beside those of the file
 
 
@@ -75,7 +76,9 @@ def _opened(path: str, live: bool) -> h5py.File:
 
 def _limit_attempts(access: int) -> None:
     """h5py has no name for this call of the library; without it the patience of who asks is the bound."""
-    with open("/proc/self/maps", encoding="utf-8") as maps:
+    if not os.path.exists(_MAPS):
+        return
+    with open(_MAPS, encoding="utf-8") as maps:
         names = {line.split()[-1] for line in maps if "libhdf5" in line}
     for name in sorted(names):
         call = getattr(ctypes.CDLL(name), "H5Pset_metadata_read_attempts", None)
@@ -133,7 +136,9 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
 
 
 def _limit_memory(more: int) -> None:
-    with open("/proc/self/statm", encoding="utf-8") as file:
+    if not os.path.exists(_SIZE):  # no Linux
+        return
+    with open(_SIZE, encoding="utf-8") as file:
         now = int(file.read().split()[0]) * resource.getpagesize()
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     most = now + more
