@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -263,10 +264,9 @@ class Files:
             ),
         )
         self.chatter = Chatter(self.events.nodes.fracture)
-        with restoring(folder / "checkpoint.h5"):
+        with restoring(folder / "checkpoint.h5") if notes is not None else nullcontext():
             self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
-        if notes is not None:
-            with restoring(folder / "checkpoint.h5"):
+            if notes is not None:
                 self.events.remember(notes["events"])
         self.count = len(flow)
         self.extra: int | None = None

@@ -483,6 +483,17 @@ def test_a_process_that_hangs_or_dies_is_replaced(folder, monkeypatch):
     assert flat(read_arrays(path)) == right
 
 
+def test_no_other_part_of_the_program_reads_such_files():
+    """Only the process that may crash opens one that is not new."""
+    calls = [
+        (path.name, line.strip())
+        for path in (ROOT / "fracflow").rglob("*.py")
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if "h5py.File(" in line and path.name != "h5_worker.py"
+    ]
+    assert calls and all('"w"' in line for _, line in calls), calls
+
+
 @pytest.mark.starts_ranks
 def test_ranks_refuse_it_together(folder):
     flip(folder / "checkpoint.h5", "displacement")
