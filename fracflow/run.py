@@ -164,7 +164,9 @@ def has_checkpoint(folder: Path) -> bool:
     if (folder / "checkpoint.h5").exists():
         return True
     if (folder / "history.h5").exists() and len(read_history(folder / "history.h5").get("time", ())) > 1:
-        raise InputError(f"{folder / 'checkpoint.h5'}: no such file, although history.h5 has steps; put it back, or {AGAIN}")
+        raise InputError(
+            f"{folder / 'checkpoint.h5'}: no such file, although history.h5 has steps; put it back, or {AGAIN}"
+        )
     return False
 
 
