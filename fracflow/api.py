@@ -16,7 +16,7 @@ from fracflow.files import read_text
 from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
 from fracflow.output.folder import check_own
-from fracflow.output.history import read_attributes, read_history
+from fracflow.output.history import read_history, read_units
 from fracflow.output.status import read_status
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ class Run:
     @property
     def units(self) -> dict[str, str]:
         """Names of the units of length, force and time; empty strings for a scene without units."""
-        return dict(json.loads(read_attributes(self.folder / "history.h5").get("units", "{}")))
+        return read_units(self.folder / "history.h5")
 
     @property
     def scene(self) -> Scene:

@@ -24,7 +24,7 @@ OF_EVENTS = (
 _NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
 COLUMNS = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)
 _KINDS = ("open", "slip")
-LARGEST = 512 << 20  # bytes of the table of a long run
+LARGEST = 1 << 30  # bytes of a file
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -173,24 +173,23 @@ class EventLog:
 def read_events(path: str | Path) -> list[dict[str, Any]]:
     """Read events.csv: one dict an event, numbers as numbers, None for ``end`` while it is under way and where there is none.
 
-    Raises InputError if the file is missing or has other columns.
+    Raises InputError if the file is missing, has other columns, or a row that no run writes.
     """
-    remedy = "name an events.csv of a run"
+    table = csv.reader(io.StringIO(read_text(Path(path), "name an events.csv of a run", LARGEST), newline=""))
+    rows: list[dict[str, Any]] = []
     try:
-        table = csv.DictReader(io.StringIO(read_text(Path(path), remedy, LARGEST), newline=""))
-        rows = list(table)
-    except csv.Error as error:
-        raise InputError(f"{path}: {error}; {remedy}") from error
-    if tuple(table.fieldnames or ()) != COLUMNS:
-        raise InputError(f"{path}: columns are {str(table.fieldnames)[:200]}, should be {', '.join(COLUMNS)}")
-    try:
-        return [_typed(row) for row in rows]
-    except (ValueError, TypeError):  # a field that is no number, or too few of them
-        raise InputError(f"{path}: is damaged: a row does not have its {len(COLUMNS)} fields; {remedy}") from None
+        if (heads := tuple(next(table, ()))) != COLUMNS:
+            raise InputError(f"{path}: columns are {', '.join(heads)[:200]}, should be {', '.join(COLUMNS)}")
+        rows.extend(_typed(row) for row in table if row)
+    except (ValueError, csv.Error) as error:
+        raise InputError(f"{path}: row {len(rows) + 1} is no event ({error}); put back a copy of the file") from None
+    return rows
 
 
-def _typed(row: dict[str, str]) -> dict[str, Any]:
-    if any(steers(row[key]) for key in ("kind", "fracture", "probe")):
-        raise ValueError
-    numbers = {key: float(row[key]) if row[key] else None for key in (*_NUMBERS, *OF_EVENTS)}
-    return {**row, **numbers, "node": int(row["node"])}
+def _typed(row: list[str]) -> dict[str, Any]:
+    may_lack = ("end", *OF_EVENTS)
+    if any(steers(word) for word in row):
+        raise ValueError("control characters")
+    texts = dict(zip(COLUMNS, [*row, *[""] * (len(COLUMNS) - len(row))], strict=True))
+    numbers = {k: None if k in may_lack and not texts[k] else float(texts[k]) for k in (*_NUMBERS, *OF_EVENTS)}
+    return {**texts, **numbers, "node": int(texts["node"])}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterable, Mapping
 from itertools import count
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import check_own, write_atomic
-from fracflow.output.history import read_attributes, read_history
+from fracflow.output.history import read_history, read_units
 
 Columns = dict[str, NDArray[Any]]
 
@@ -58,8 +57,7 @@ def unit_of(key: str, units: Mapping[str, str]) -> str:
 
 def units_of_run(folder: Path) -> dict[str, str]:
     """Names of length, force and time, as ``unit_of`` takes them; none where the scene has none."""
-    found: dict[str, str] = json.loads(read_attributes(folder / "history.h5").get("units", "{}"))
-    return found
+    return read_units(folder / "history.h5")
 
 
 def tables(folder: str | Path) -> dict[str, Columns]:
