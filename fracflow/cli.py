@@ -16,7 +16,7 @@ from rich.console import Console
 
 from fracflow.cli_runs import run_levels, watched
 from fracflow.endings import abort, stop
-from fracflow.errors import InputError, Interrupted, SolveError
+from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow.card import Number
@@ -244,7 +244,7 @@ def main() -> None:
         stop("interrupted", 130)
     except InputError as error:
         stop(str(error), 2)
-    except SolveError as error:
+    except (SolveError, DiskError) as error:
         stop(str(error), 3)
     except Interrupted as error:
         stop(str(error), 130)
@@ -253,5 +253,7 @@ def main() -> None:
     except BrokenPipeError:  # whoever read has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
+    except OSError as error:
+        stop(str(DiskError.of(error, "standard output")), 3)
     except Exception:
         abort()

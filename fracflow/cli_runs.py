@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fracflow.errors import Interrupted, SolveError
+from fracflow.errors import InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
@@ -101,8 +101,16 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
     from fracflow.output.pictures import draw
     from fracflow.output.tell import tell
 
-    tell(folder, console, failed)
-    for path in draw(folder) if pictures else ():
+    paths = []
+    try:
+        tell(folder, console, failed)
+        paths = draw(folder) if pictures else paths
+    except (OSError, InputError) as error:  # of the files, or of a full disk; the run itself is whole
+        why = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        if isinstance(error, BrokenPipeError) or (isinstance(error, OSError) and not error.filename):
+            raise
+        console.print(f"! told and drawn only in part: {why}; again with: fracflow picture {folder}", soft_wrap=True, markup=False)
+    for path in paths:
         console.print(f"picture: {path}", soft_wrap=True)
 
 

@@ -46,5 +46,14 @@ class PutBack(Exception):
         super().__init__(f"{decision}: time {time:.9g}: {why}")
 
 
+class DiskError(Exception):
+    """A file of the run folder cannot be written, or read again: exit code 3, the state that was saved last is on disk."""
+
+    @classmethod
+    def of(cls, error: OSError, where: object, remedy: str = "") -> DiskError:
+        """What the system said of a file, or of any below ``where``, and a remedy."""
+        return cls(f"{error.filename or where}: {error.strerror or error}; {remedy or 'make room, or look at the disk'}")
+
+
 class Interrupted(Exception):
     """The run was asked to stop; its state is saved. Exit code 130."""

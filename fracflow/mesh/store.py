@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,19 @@ import h5py
 import numpy as np
 
 from fracflow.errors import InputError
+from fracflow.files_hdf import whole_file
 from fracflow.mesh.data import SplitMesh
 
 
 def save_mesh(mesh: SplitMesh, path: Path) -> None:
-    """Write every part of a mesh, aside and then renamed."""
-    part = path.with_name(path.name + ".part")
-    with h5py.File(part, "w") as file:
+    """Write every part of a mesh, aside and then renamed. Raises OSError."""
+    with whole_file(path) as file:
         for field in fields(mesh):
             value = getattr(mesh, field.name)
             if isinstance(value, np.ndarray):
                 file[field.name] = value
             else:
                 file.attrs[field.name] = json.dumps(value, ensure_ascii=False)
-    os.replace(part, path)
 
 
 def load_mesh(path: Path) -> SplitMesh:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from fracflow._petsc import PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.errors import InputError
+from fracflow.files_hdf import whole_file
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.state import Forces, Memory, Motion, Past, Sections, State
@@ -52,14 +52,10 @@ FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
     """Write a checkpoint aside, bring it to disk, and put it in the place of the last one. Rank 0 only."""
-    part = path.with_name(path.name + ".part")
-    with h5py.File(part, "w") as file:
+    with whole_file(path, is_synced=True) as file:
         for name, values in arrays.items():
             file[name] = values
         file.attrs["notes"] = json.dumps(notes, ensure_ascii=False)
-    with part.open("rb") as written:
-        os.fsync(written.fileno())
-    os.replace(part, path)
 
 
 def read_notes(path: Path) -> dict[str, Any]:

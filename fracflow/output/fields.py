@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
+from fracflow.files_hdf import whole_file
 from fracflow.output.folder import to_json, write_atomic
 
 Floats = NDArray[np.float64]
@@ -147,13 +147,11 @@ def _opened(path: Path) -> h5py.File:
 
 
 def _write(path: Path, arrays: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> None:
-    part = path.with_name(path.name + ".part")
-    with h5py.File(part, "w") as file:
+    with whole_file(path) as file:
         for key, array in arrays.items():
             file[key] = array
         for key, value in attrs.items():
             file.attrs[key] = value if isinstance(value, str | int | float) else to_json(value)
-    os.replace(part, path)
 
 
 def _topology(cells: Ints) -> tuple[Ints, str]:

@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -18,6 +19,7 @@ _OWN_FILES = (
     "scene.toml",
     "mesh.h5",
     "history.h5",
+    "history.h5.redo",
     "events.csv",
     "plan.json",
     "status.json",
@@ -34,10 +36,15 @@ _UNFINISHED = ("*.part", *(f"{folder}/*.part" for folder in _OWN_FOLDERS))  # wh
 
 
 def write_atomic(path: Path, text: str) -> None:
-    """Write ``text`` aside and rename, so that ``path`` always holds a whole text."""
+    """Write ``text`` aside and rename, so that ``path`` always holds a whole text. Raises OSError."""
     part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink()
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
@@ -102,27 +109,30 @@ class RunFolder:
 
     path    a new or empty folder, or the folder of an earlier run: that run's own files are removed,
             any other file stays
+    scene   text of scene.toml: where it is there already, it stays with its mesh, so that a kill leaves what to go on with
     resume  keep the earlier run's files, but for half written ones, and go on
 
     Until it is closed no other run may have the folder. Raises InputError if ``path`` is a file, or holds files but no
     run of fracflow, or (with ``resume``) no run at all, or if another run is under way in it.
     """
 
-    def __init__(self, path: str | Path, resume: bool = False) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path, resume: bool = False, scene: str | None = None) -> None:
+        self.path, self.unlogged = Path(path), 0
         check_folder(self.path, resume)
         try:
-            self._prepare(keep=resume)
+            self._prepare(resume, scene)
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}; name a folder to write to") from error
 
-    def _prepare(self, keep: bool) -> None:
+    def _prepare(self, keep: bool, scene: str | None) -> None:
         self.path.mkdir(parents=True, exist_ok=True)
         self._marker = _taken(self.path)
         self._marker.truncate(0)
         self._marker.write(f"run folder of fracflow, last written to by process {os.getpid()}\n")
         self._marker.flush()
-        for pattern in _UNFINISHED if keep else (*_UNFINISHED, *_OWN_FILES):
+        is_same = scene is not None and self._holds(scene)
+        own = [name for name in _OWN_FILES if not (is_same and name in ("scene.toml", "mesh.h5"))]
+        for pattern in _UNFINISHED if keep else (*_UNFINISHED, *own):
             for file in self.path.glob(pattern):
                 file.unlink()
         if not keep:
@@ -130,6 +140,12 @@ class RunFolder:
                 folder = self.path / name
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()
+
+    def _holds(self, scene: str) -> bool:
+        try:
+            return (self.path / "scene.toml").read_text(encoding="utf-8") == scene
+        except (OSError, UnicodeDecodeError):
+            return False
 
     def close(self) -> None:
         """Let other runs have the folder."""
@@ -170,6 +186,9 @@ class RunFolder:
             os.truncate(self.path / "log.txt", log_bytes)
 
     def log(self, line: str) -> None:
-        """Append one line to ``log.txt``; it is on disk when this returns."""
-        with (self.path / "log.txt").open("a", encoding="utf-8") as file:
-            file.write(line.rstrip("\n") + "\n")
+        """Append one line to ``log.txt``; it is on disk when this returns, or counted as ``unlogged``."""
+        try:
+            with (self.path / "log.txt").open("a", encoding="utf-8") as file:
+                file.write(line.rstrip("\n") + "\n")
+        except OSError:
+            self.unlogged += 1

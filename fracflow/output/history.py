@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
+from fracflow.files_hdf import Committed, Completed, complete
 from fracflow.output.folder import to_json
 
 _ROWS_A_CHUNK = 256
@@ -24,13 +25,17 @@ class HistoryFile:
     attrs  metadata of the run (units, versions, ...); all but strings and numbers are stored as JSON
 
     ``time`` is the last dataset that a record is written to: a step that has its time is complete. Until the first
-    record the file is PATH.part, for HDF5 could not read it after a kill.
+    record the file is PATH.part, for HDF5 could not read it after a kill. Each record is committed as a whole: beside the
+    file is PATH.redo until it is closed, which ``read_history`` looks at. Raises OSError where a record cannot be written.
     """
 
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
         self._part = self.path.with_name(self.path.name + ".part")
-        self._file = h5py.File(self._part, "w", libver="latest")
+        if self.path.exists():
+            complete(self.path)
+        self._disk, self._is_shown = Committed(self._part), False
+        self._file = h5py.File(self._disk, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
         self._rows = 0
         for name, value in (attrs or {}).items():
@@ -67,9 +72,15 @@ class HistoryFile:
         self._show()
 
     def close(self) -> None:
-        """Close the file; a closed history needs no SWMR reader."""
-        self._file.close()
-        self._show()
+        """Close the file, if it is open; a closed history needs no SWMR reader. Raises OSError."""
+        if self._disk.file < 0:
+            return
+        try:
+            self._file.close()
+            self._show()
+        finally:
+            self._disk.close()
+        self._disk.check()
 
     def __enter__(self) -> HistoryFile:
         return self
@@ -78,8 +89,11 @@ class HistoryFile:
         self.close()
 
     def _show(self) -> None:
-        if self._part.exists():
+        self._disk.commit()
+        if not self._is_shown:  # whole from its first record on
             os.replace(self._part, self.path)
+            self._disk.protect(self.path)
+            self._is_shown = True
 
     def _create(self, columns: Mapping[str, NDArray[Any]]) -> None:
         if "time" not in columns:
@@ -136,8 +150,7 @@ def _opened(path: str | Path) -> h5py.File:
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; name the folder of a run")
     try:
-        # After a kill the file is still marked as being written: only a SWMR reader is let in.
-        return h5py.File(path, "r", libver="latest", swmr=True)
+        return h5py.File(Completed(Path(path)), "r")
     except OSError as error:
         raise InputError(f"{path}: is no readable history ({error}); name a run's history.h5") from error
 

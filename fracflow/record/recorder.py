@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from fracflow.assembly.flow import is_transposed
 from fracflow.begin.setup import Model, on_root
 from fracflow.card import as_lines, scene_card
 from fracflow.card import as_records as card_records
+from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
@@ -25,7 +27,7 @@ from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
 from fracflow.output.history import read_attributes
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
-from fracflow.output.status import RUNNING, Status, write_status
+from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
 from fracflow.record.catalogue import catalogue_of, instant
@@ -59,6 +61,9 @@ class Recorder:
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
         self.totals = Totals(**notes["totals"]) if notes else Totals()
+        self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
+        self.saved = self.totals.steps
+        self._folder = folder
         self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
 
     def log(self, line: str) -> None:
@@ -66,14 +71,31 @@ class Recorder:
         if self.files is not None:
             self.files.folder.log(line)
 
+    def check(self) -> None:
+        """Raise DiskError on every rank where rank 0 could not write. Collective."""
+        if (found := self.comm.bcast(self.lost, root=0)) is not None:
+            raise DiskError(str(found))
+
+    def _write(self, work: Callable[[], None]) -> None:
+        """Do ``work`` on rank 0, if all before could be written; ranks agree on it in ``check``."""
+        if self.files is None or self.lost is not None:
+            return
+        try:
+            work()
+        except OSError as error:
+            kept = f"the last state on disk is that after {self.saved} steps: make room, then go on with: fracflow resume"
+            none = "no state is on disk yet: make room, then start the run again"
+            self.lost = DiskError.of(error, self._folder, f"{kept} {self._folder}" if self.saved else none)
+
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
         snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
-        if self.files is not None and snapshot is not None:
+        files = self.files
+        if files is not None and snapshot is not None:
             margin = float(snapshot.column("margin").min(initial=np.inf))
             if margin < self.totals.narrowest:
                 self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
-            self.files.append(step, snapshot, margin)
+            self._write(lambda: files.append(step, snapshot, margin))
             self.totals.least = max(self.totals.least, snapshot.least[0])
             self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
         self._watch_spurious(step)
@@ -162,8 +184,8 @@ class Recorder:
         is_extra = not self._wants_fields(index)
         if is_extra:
             self._fields(step, index, whole)
-        if self.files is not None:
-            self.files.drop_extra(index if is_extra else None)
+        if (files := self.files) is not None:
+            self._write(lambda: files.drop_extra(index if is_extra else None))
 
     def _wants_fields(self, index: int) -> bool:
         every = self.model.scene.output.fields_every
@@ -172,35 +194,45 @@ class Recorder:
     def _fields(self, step: Step, index: int, whole: bool = True) -> None:
         ends = sampling.all_ends(self.sampler, step.state)
         motion = sampling.all_motion(self.sampler, step.state) if whole else None
-        if self.files is not None and ends is not None:
-            self.files.fields(index, step.state, ends, motion)
+        if (files := self.files) is not None and ends is not None:
+            self._write(lambda: files.fields(index, step.state, ends, motion))
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
         if step.progress is None:
             return
         arrays = gather_state(self.model.operators, step.state)
-        if self.files is not None and arrays is not None:
-            self.files.save(
-                step, arrays, {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
-            )
+        about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
+        if (files := self.files) is not None and arrays is not None:
+            self._write(lambda: files.save(step, arrays, about))
+            self.saved = self.totals.steps if self.lost is None else self.saved
 
     def finish(self, seconds: float, status: Status) -> None:
         """Write plan.json, the last lines of the log, and how the run ended."""
         for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
             self.log(line)
-        if self.files is not None:
+        if (files := self.files) is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
-            self.files.write_plan([*self.files.decisions, done])
-            write_status(self.files.folder, status)
+            self._write(lambda: files.write_plan([*files.decisions, done]))
+            self._write(lambda: write_status(files.folder, status))
+            if self.lost is not None:
+                with suppress(OSError):
+                    write_status(files.folder, Status(FAILED, str(self.lost)))
+            if files.folder.unlogged:
+                self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
+
+    def end(self) -> None:
+        """Close what grows with the steps: from here on nothing is recorded."""
+        if (files := self.files) is not None:
+            self._write(files.end)
 
     def close(self) -> None:
         """Close the files, whatever happened."""
-        if self.files is not None:
-            self.files.history.close()
-            catalogue = self.files.catalogue
-            self.files.events.close(catalogue.unfinished() if catalogue is not None else None)
-            self.files.folder.close()
+        if (files := self.files) is not None:
+            self._write(files.end)
+            with suppress(OSError):
+                files.history.close()
+            files.folder.close()
 
 
 class Files:
@@ -212,13 +244,14 @@ class Files:
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
         if notes is not None:
             read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
-        self.folder = RunFolder(folder, resume=notes is not None)
+        scene = model.stated.dump_toml(folder.resolve())
+        self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
         write_status(self.folder, Status(RUNNING))
         self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
         if notes is None:
             save_mesh(model.stated_mesh, self.folder / "mesh.h5")
-            self.folder.write_text("scene.toml", model.stated.dump_toml(folder.resolve()))
+            self.folder.write_text("scene.toml", scene)
             self.write_plan(self.decisions)
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
@@ -250,7 +283,7 @@ class Files:
         self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
         if notes is not None:
             self.events.remember(notes["events"])
-        self.count = len(flow)
+        self.count, self.is_ended = len(flow), False
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
         resumes = notes is not None
@@ -344,6 +377,13 @@ class Files:
         if self.scene.method.contact == "lumped" and not self.scene.has_flow:
             return 'method.contact = "redistributed" takes the mass from the walls, else take a smaller time_step'
         return 'take a smaller time_step, or method.stepper = "generalised-alpha" with rho_infinity = 0, which damps it'
+
+    def end(self) -> None:
+        """Close history and events. Raises OSError."""
+        self.history.close()
+        if not self.is_ended:
+            self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
+        self.is_ended = True
 
     def drop_extra(self, index: int | None) -> None:
         """Take fields away that are out of turn, but for those of a step ``index``, which come next to be taken away."""
