@@ -14,13 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from fracflow.cli_runs import run_levels, watched
+from fracflow.cli_runs import Terminal, run_levels, watched
 from fracflow.endings import abort, stop
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow.card import Number
 
+while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's numbers are no file's of a run
+    pass
+os.close(_free)
+sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
 WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
 USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
@@ -61,7 +65,7 @@ def run_command(
 
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [])
-    console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True, markup=False)  # lines name [tables]
     if converge is not None:
@@ -95,7 +99,7 @@ def resume_command(context: typer.Context, folder: Annotated[Path, typer.Argumen
     comm = MPI.COMM_WORLD
     on_root(comm, lambda: check_folder(folder, resume=True))
     on_root(comm, lambda: require_run(folder))
-    console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True)
     watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick))

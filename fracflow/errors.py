@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 
 class InputError(Exception):
     """The scene, the mesh or the command line is wrong: exit code 2."""
@@ -57,3 +59,15 @@ class DiskError(Exception):
 
 class Interrupted(Exception):
     """The run was asked to stop; its state is saved. Exit code 130."""
+
+
+def is_alone() -> bool:
+    """Whether an error is on its way that other ranks may not have: this one must not wait for them then.
+
+    Solvers are freed by all ranks together; a rank that runs out of memory would wait there for ever.
+    """
+    error = sys.exc_info()[1]
+    return error is not None and not isinstance(error, _AGREED)
+
+
+_AGREED = (InputError, SolveError, DiskError, PutBack, Interrupted, GeneratorExit)

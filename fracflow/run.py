@@ -15,7 +15,7 @@ from fracflow.begin.start import rest, settle
 from fracflow.begin.tied import watch_tied
 from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
-from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveError
+from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveError, is_alone
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.near import near_ones
 from fracflow.mesh.store import load_mesh
@@ -52,7 +52,7 @@ def run(
     show      is given the scene card before the first step, on rank 0
     say       is given lines that should be read before it: that wells are in parts that never meet, what nearly meets
     progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
-              of a stage auto that was tried from a time and thrown away
+              of a stage auto that was tried from a time and thrown away; a method ``saved(steps)`` of each checkpoint
 
     Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
     gone, and ``progress`` sees those of both. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
@@ -182,6 +182,7 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     stepping = Stepping(model)
     stepping.network.log = recorder.log
     stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
+    recorder.tell_saved(getattr(progress, "saved", None))
     try:
         recorder.check()
         step, failure = _steps(stepping, recorder, step, progress)
@@ -194,7 +195,8 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
         recorder.check()
     finally:
         recorder.close()
-        stepping.destroy()
+        if not is_alone():
+            stepping.destroy()
     if failure is not None:
         raise failure
     return recorder.totals

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
+import secrets
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -128,7 +130,8 @@ class RunFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         self._marker = _taken(self.path)
         self._marker.truncate(0)
-        self._marker.write(f"run folder of fracflow, last written to by process {os.getpid()}\n")
+        self._mark = f"run folder of fracflow, run {secrets.token_hex(4)}, last written to by process {os.getpid()}\n"
+        self._marker.write(self._mark)
         self._marker.flush()
         is_same = scene is not None and self._holds(scene)
         own = [name for name in _OWN_FILES if not (is_same and name in ("scene.toml", "mesh.h5"))]
@@ -146,6 +149,17 @@ class RunFolder:
             return (self.path / "scene.toml").read_text(encoding="utf-8") == scene
         except (OSError, UnicodeDecodeError):
             return False
+
+    def check(self, is_thorough: bool = False) -> None:
+        """Raise OSError where the folder is no more the one that the run began in.
+
+        is_thorough   or where another run has taken it, on a file system without locks
+        """
+        held, there = os.fstat(self._marker.fileno()), os.stat(self.path / MARKER)
+        if (held.st_dev, held.st_ino) != (there.st_dev, there.st_ino):
+            raise OSError(errno.ESTALE, "another folder was put in its place while the run was under way", str(self.path))
+        if is_thorough and (self.path / MARKER).read_text(encoding="utf-8") != self._mark:
+            raise OSError(errno.EBUSY, "another run has taken the folder", str(self.path))
 
     def close(self) -> None:
         """Let other runs have the folder."""

@@ -63,13 +63,21 @@ class Recorder:
         self.totals = Totals(**notes["totals"]) if notes else Totals()
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved = self.totals.steps
-        self._folder = folder
+        self._folder, self._tell_saved = folder, None
         self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
+
+    _tell_saved: Callable[[int], None] | None
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
         if self.files is not None:
             self.files.folder.log(line)
+
+    def tell_saved(self, tell: Callable[[int], None] | None) -> None:
+        """Tell on rank 0 after how many steps the last state on disk is, now and whenever there is another."""
+        self._tell_saved = tell
+        if tell is not None and self.files is not None and self.saved:
+            tell(self.saved)
 
     def check(self) -> None:
         """Raise DiskError on every rank where rank 0 could not write. Collective."""
@@ -83,9 +91,7 @@ class Recorder:
         try:
             work()
         except OSError as error:
-            kept = f"the last state on disk is that after {self.saved} steps: make room, then go on with: fracflow resume"
-            none = "no state is on disk yet: make room, then start the run again"
-            self.lost = DiskError.of(error, self._folder, f"{kept} {self._folder}" if self.saved else none)
+            self.lost = DiskError.of(error, self._folder, self._remedy())
 
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
@@ -105,6 +111,12 @@ class Recorder:
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
         self._tell_coupling(step)
+
+    def _remedy(self) -> str:
+        if self.saved and (self._folder / "checkpoint.h5").exists():
+            kept = f"the last state on disk is that after {self.saved} steps"
+            return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
+        return f"{self._folder} has no state to go on from: if it was moved, resume it there; else start the run again"
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
@@ -205,7 +217,9 @@ class Recorder:
         about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
         if (files := self.files) is not None and arrays is not None:
             self._write(lambda: files.save(step, arrays, about))
-            self.saved = self.totals.steps if self.lost is None else self.saved
+            if self.lost is None:
+                self.saved = self.totals.steps
+                self.tell_saved(self._tell_saved)
 
     def finish(self, seconds: float, status: Status) -> None:
         """Write plan.json, the last lines of the log, and how the run ended."""
@@ -217,6 +231,7 @@ class Recorder:
             self._write(lambda: write_status(files.folder, status))
             if self.lost is not None:
                 with suppress(OSError):
+                    files.folder.check(is_thorough=True)
                     write_status(files.folder, Status(FAILED, str(self.lost)))
             if files.folder.unlogged:
                 self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
@@ -301,7 +316,8 @@ class Files:
         self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
 
     def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
-        """Write the checkpoint: the state, where the run is, and where its files are."""
+        """Write the checkpoint: the state, where the run is, and where its files are. Raises OSError."""
+        self.folder.check(is_thorough=True)
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
@@ -314,7 +330,8 @@ class Files:
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
 
     def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
-        """One row of history and the events up to it."""
+        """One row of history and the events up to it. Raises OSError."""
+        self.folder.check()
         state, report = step.state, step.report
         # a step that is cut where a status changes ends with the change; else it came somewhere in the step
         began = state.time if self.time is None or report.located else self.time
