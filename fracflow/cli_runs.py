@@ -118,7 +118,7 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
     from fracflow.output.pictures import draw
     from fracflow.output.tell import tell
 
-    paths = []
+    paths: list[Path] = []
     try:
         tell(folder, console, failed)
         paths = draw(folder) if pictures else paths

@@ -17,6 +17,7 @@ import h5py
 Pieces = list[tuple[int, bytes]]  # offset and bytes, in the order in which they were written
 _MAGIC = b"FRACREDO"
 _HEAD, _PIECE = struct.Struct("<8sIQ"), struct.Struct("<QQ")  # magic, checksum, length; offset, length
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 1 << 16  # bytes: metadata, not arrays
 _SUPERBLOCK, _VERSION, _FLAGS, _END = 48, 8, 11, 28  # bytes of the head of a file, and where in it things are
 _WRITING, _SHARED = 1, 4  # flags of a file that is written, and may be read meanwhile
@@ -125,6 +126,7 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
     part = path.with_name(path.name + ".part")
     try:
         backing = Backing(part)
+        backing.path = path
         try:
             try:
                 with h5py.File(backing, "w") as file:
@@ -215,7 +217,7 @@ class Completed(Backing):
         self.size = max([os.fstat(self.file).st_size, *(offset + len(data) for offset, data in self._pieces)])
         head = bytearray(_SUPERBLOCK)
         self.readinto(memoryview(head))
-        self._pieces.append((0, _marked(bytes(head), self.size)))
+        self._pieces.append((0, _marked(bytes(head), self.size)[: self.size]))
 
     def readinto(self, into: memoryview) -> int:
         """Fill a buffer; zeros where nothing has been written. Raises OSError."""
@@ -271,7 +273,8 @@ def complete(path: Path) -> None:
 
 def _marked(superblock: bytes, size: int | None = None) -> bytes:
     """The head of a file with both flags that let readers in, of which HDF5 sets one here; or with none, and a size."""
-    if len(superblock) != _SUPERBLOCK or superblock[_VERSION] < 3 or not superblock[_FLAGS] & _SHARED:
+    is_ours = len(superblock) == _SUPERBLOCK and superblock.startswith(_SIGNATURE) and superblock[_VERSION] >= 3
+    if not is_ours or not superblock[_FLAGS] & _SHARED:
         return superblock
     head = bytearray(superblock[:-4])
     if size is None:

@@ -35,6 +35,7 @@ class HistoryFile:
         if self.path.exists():
             complete(self.path)
         self._disk, self._is_shown = Committed(self._part), False
+        self._disk.path = self.path
         self._file = h5py.File(self._disk, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
         self._rows = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
@@ -91,7 +92,7 @@ class Recorder:
         try:
             work()
         except OSError as error:
-            self.lost = DiskError.of(error, self._folder, self._remedy())
+            self.lost = DiskError.of(error, self._folder, self._remedy(error.errno))
 
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
@@ -112,11 +113,13 @@ class Recorder:
         self.totals.add(step.report)
         self._tell_coupling(step)
 
-    def _remedy(self) -> str:
-        if self.saved and (self._folder / "checkpoint.h5").exists():
+    def _remedy(self, number: int | None) -> str:
+        if number in (errno.ENOENT, errno.ESTALE):
+            return f"{self._folder} is not what it was: if it was moved, resume it where it is; else start the run again"
+        if self.saved:
             kept = f"the last state on disk is that after {self.saved} steps"
             return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
-        return f"{self._folder} has no state to go on from: if it was moved, resume it there; else start the run again"
+        return "no state is on disk yet: make room, or look at the disk, then start the run again"
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
@@ -261,6 +264,13 @@ class Files:
             read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
         scene = model.stated.dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
+        try:
+            self._open(model, folder, notes, scene)
+        except BaseException:
+            self.folder.close()
+            raise
+
+    def _open(self, model: Model, folder: Path, notes: Mapping[str, Any] | None, scene: str) -> None:
         write_status(self.folder, Status(RUNNING))
         self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
