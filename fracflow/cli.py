@@ -240,7 +240,10 @@ def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
     warnings.formatwarning = lambda message, *_: f"note: {message}\n"
     try:
-        sys.exit(app(with_levels(sys.argv[1:]), standalone_mode=False))
+        code = app(with_levels(sys.argv[1:]), standalone_mode=False)
+        if code == 130:  # typer's word for an interrupt, after which it would have this rank leave the others behind
+            raise KeyboardInterrupt
+        sys.exit(code)
     except USAGE as error:
         message = error.format_message() or "no command"  # type: ignore[attr-defined]
         stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
