@@ -14,13 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from fracflow.cli_runs import run_levels, watched
+from fracflow.cli_runs import Terminal, run_levels, watched
 from fracflow.endings import abort, stop
-from fracflow.errors import InputError, Interrupted, SolveError
+from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow.card import Number
 
+while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's numbers are no file's of a run
+    pass
+os.close(_free)
+sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
 WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
 USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
@@ -65,7 +69,7 @@ def run_command(
 
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [], trust)
-    console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     for line in advice(given):
         console.print(f"note: {line}", soft_wrap=True, markup=False)  # lines name [tables]
     if converge is not None:
@@ -103,7 +107,7 @@ def resume_command(
     comm = MPI.COMM_WORLD
     on_root(comm, lambda: check_folder(folder, resume=True))
     on_root(comm, lambda: require_run(folder))
-    console = Console(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True, markup=False)
     watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust))
@@ -245,7 +249,10 @@ def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
     warnings.formatwarning = lambda message, *_: f"note: {message}\n"
     try:
-        sys.exit(app(with_levels(sys.argv[1:]), standalone_mode=False))
+        code = app(with_levels(sys.argv[1:]), standalone_mode=False)
+        if code == 130:  # typer's word for an interrupt, after which it would have this rank leave the others behind
+            raise KeyboardInterrupt
+        sys.exit(code)
     except USAGE as error:
         message = error.format_message() or "no command"  # type: ignore[attr-defined]
         stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
@@ -253,7 +260,7 @@ def main() -> None:
         stop("interrupted", 130)
     except InputError as error:
         stop(str(error), 2)
-    except SolveError as error:
+    except (SolveError, DiskError) as error:
         stop(str(error), 3)
     except Interrupted as error:
         stop(str(error), 130)
@@ -262,5 +269,7 @@ def main() -> None:
     except BrokenPipeError:  # whoever read has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
+    except OSError as error:
+        stop(str(DiskError.of(error, "standard output")), 3)
     except Exception:
         abort()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fracflow.errors import Interrupted, SolveError
+from fracflow.endings import LastWords
+from fracflow.errors import InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
@@ -18,6 +20,15 @@ if TYPE_CHECKING:
     from fracflow.run import Progress as Tick
     from fracflow.scene import Scene
     from fracflow.steps.step import Step
+
+
+class Terminal(Console):
+    """A console that goes quiet when whoever read has seen enough; the run goes on."""
+
+    def on_broken_pipe(self) -> None:
+        """Say no more."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
 
 
 def watched(
@@ -44,12 +55,15 @@ def watched(
     from fracflow.coupling.defaults import forget
 
     totals, failure = None, None
-    screen = Console(stderr=True, quiet=comm.rank > 0)
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
+    screen = Terminal(stderr=True, quiet=comm.rank > 0)
+    hidden = not screen.is_terminal
+    with LastWords(comm, folder) as words, Progress(*columns, console=screen, transient=True, disable=hidden) as bar:
         name = title or scene.title or str(folder)
         task = bar.add_task(name, total=total or None)
         try:
-            totals = job(Sight(scene, name, lambda text, steps: bar.update(task, advance=steps, description=text)))
+            sight = Sight(scene, name, lambda text, steps: bar.update(task, advance=steps, description=text))
+            sight.saved = words.saved
+            totals = job(sight)
         except SolveError as error:
             failure = error
         except Interrupted as error:
@@ -72,7 +86,10 @@ class Sight:
     """The bar of a run: its steps, and the trials that were rejected, each as it is.
 
     update  is given a line, and how many steps more there are
+    saved   is told after how many steps the last state on disk is
     """
+
+    saved: Callable[[int], None]
 
     def __init__(self, scene: Scene, name: str, update: Callable[[str, int], None]) -> None:
         """Before the first step."""
@@ -102,8 +119,17 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
     from fracflow.output.pictures import draw
     from fracflow.output.tell import tell
 
-    tell(folder, console, failed)
-    for path in draw(folder) if pictures else ():
+    paths: list[Path] = []
+    try:
+        tell(folder, console, failed)
+        paths = draw(folder) if pictures else paths
+    except (OSError, InputError) as error:  # of the files, or of a full disk; the run itself is whole
+        why = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        if isinstance(error, BrokenPipeError) or (isinstance(error, OSError) and not error.filename):
+            raise
+        line = f"! told and drawn only in part: {why}; again with: fracflow picture {folder}"
+        console.print(line, soft_wrap=True, markup=False)
+    for path in paths:
         console.print(f"picture: {path}", soft_wrap=True, markup=False)
 
 

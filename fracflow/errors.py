@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 
 class InputError(Exception):
     """The scene, the mesh or the command line is wrong: exit code 2."""
@@ -46,5 +48,28 @@ class PutBack(Exception):
         super().__init__(f"{decision}: time {time:.9g}: {why}")
 
 
+class DiskError(Exception):
+    """A file of the run folder cannot be written, or read again: exit code 3, the state that was saved last is on disk."""
+
+    @classmethod
+    def of(cls, error: OSError, where: object, remedy: str = "") -> DiskError:
+        """What the system said of a file, or of any below ``where``, and a remedy."""
+        return cls(
+            f"{error.filename or where}: {error.strerror or error}; {remedy or 'make room, or look at the disk'}"
+        )
+
+
 class Interrupted(Exception):
     """The run was asked to stop; its state is saved. Exit code 130."""
+
+
+def is_alone() -> bool:
+    """Whether an error is on its way that other ranks may not have: this one must not wait for them then.
+
+    Solvers are freed by all ranks together; a rank that runs out of memory would wait there for ever.
+    """
+    error = sys.exc_info()[1]
+    return error is not None and not isinstance(error, _AGREED)
+
+
+_AGREED = (InputError, SolveError, DiskError, PutBack, Interrupted, GeneratorExit)

@@ -11,22 +11,26 @@ than the file can hold.
 import os
 import sys
 
-if __name__ == "__main__":
-    del sys.path[0]  # the folder of this file has modules with common names
+if __name__ == "__main__":  # the folder of this file has modules with common names; that of the package has not
+    sys.path[0] = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
-import ctypes
 import json
 import resource
+import time
 from collections.abc import Iterator
 from math import prod
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
 
+from fracflow import files_hdf
+
 MOST_SETS, MOST_GROUPS, DEEPEST = 20_000, 20_000, 16
-ATTEMPTS = 26  # at metadata of a live file; HDF5 makes a hundred and sleeps 1 ns, 2 ns, 4 ns, ...: for ever
-_MAPS, _SIZE = "/proc/self/maps", "/proc/self/statm"
+ATTEMPTS = 5  # at a file whose writer is under way, which may change it in between
+PAUSE = 0.05  # seconds between them
+_SIZE = "/proc/self/statm"
 SPARE = 256 << 20  # bytes of memory beside those of the file
 
 
@@ -41,51 +45,47 @@ def bound(size: int) -> int:
 
 def answer(request: dict[str, Any], out: BinaryIO) -> None:
     """Read one file and send what is asked for."""
-    size = os.stat(request["path"]).st_size
-    _limit_memory(4 * size + SPARE)
-    with _opened(request["path"], request["live"]) as file:
+    path, live = Path(request["path"]), bool(request["live"])
+    _limit_memory(4 * path.stat().st_size + SPARE)
+    for left in reversed(range(ATTEMPTS if live else 1)):
+        try:
+            head, arrays = _read(path, request["names"], live)
+            break
+        except (OSError, RuntimeError, KeyError):  # its writer may have changed it meanwhile
+            if not left or not files_hdf.redo_of(path).exists():
+                raise
+            time.sleep(PAUSE)
+    _send(out, head)
+    for name, values in arrays.items():
+        _send(out, {"name": name, "dtype": values.dtype.str, "shape": list(values.shape)})
+        out.write(values.data if values.size else b"")
+    _send(out, {"end": True})
+
+
+def _read(path: Path, names: list[str] | None, live: bool) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
+    """Attributes and layout of a file, and the datasets of these names, all without any."""
+    size = path.stat().st_size
+    with _opened(path, live) as file:
         found = dict(_datasets(file, "", 0, [0]))
         layout = [(name, _type(name, dataset).str, [int(n) for n in dataset.shape]) for name, dataset in found.items()]
         if sum(np.dtype(kind).itemsize * prod(shape) for _, kind, shape in layout) > bound(size):
             raise Refused(f"its datasets claim more than the {size} bytes of the file hold")
-        _send(out, {"attributes": _attributes(file), "layout": layout})
-        rows = min((shape[0] for _, _, shape in layout if shape), default=0) if request["live"] else None
-        wanted = found if request["names"] is None else [name for name in request["names"] if name in found]
-        for name in wanted:
-            dataset = found[name]
-            values = np.ascontiguousarray(dataset[()] if rows is None or not dataset.shape else dataset[:rows])
-            _send(out, {"name": name, "dtype": values.dtype.str, "shape": list(values.shape)})
-            out.write(values.data if values.size else b"")
-    _send(out, {"end": True})
+        rows = min((shape[0] for _, _, shape in layout if shape), default=0) if live else None
+        wanted = found if names is None else [name for name in names if name in found]
+        arrays = {
+            name: np.ascontiguousarray(found[name][()] if rows is None or not found[name].shape else found[name][:rows])
+            for name in wanted
+        }
+        return {"attributes": _attributes(file), "layout": layout}, arrays
 
 
 def _send(out: BinaryIO, line: dict[str, Any]) -> None:
     out.write(json.dumps(line).encode() + b"\n")
 
 
-def _opened(path: str, live: bool) -> h5py.File:
-    if not live:
-        return h5py.File(path, "r")
-    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
-    access.set_libver_bounds(h5py.h5f.LIBVER_LATEST, h5py.h5f.LIBVER_LATEST)
-    access.set_fclose_degree(h5py.h5f.CLOSE_STRONG)
-    _limit_attempts(access.id)
-    # after a kill the file is still marked as being written: only a SWMR reader is let in
-    return h5py.File(h5py.h5f.open(os.fsencode(path), h5py.h5f.ACC_RDONLY | h5py.h5f.ACC_SWMR_READ, access))
-
-
-def _limit_attempts(access: int) -> None:
-    """h5py has no name for this call of the library; without it the patience of who asks is the bound."""
-    if not os.path.exists(_MAPS):
-        return
-    with open(_MAPS, encoding="utf-8") as maps:
-        names = {line.split()[-1] for line in maps if "libhdf5" in line}
-    for name in sorted(names):
-        call = getattr(ctypes.CDLL(name), "H5Pset_metadata_read_attempts", None)
-        if call is not None:
-            call.argtypes = [ctypes.c_int64, ctypes.c_uint]
-            call(access, ATTEMPTS)
-            return
+def _opened(path: Path, live: bool) -> h5py.File:
+    # a file that may have a writer is read as one that was closed, with its last change laid over it
+    return h5py.File(files_hdf.Completed(path), "r") if live else h5py.File(path, "r")
 
 
 def _datasets(group: h5py.Group, prefix: str, depth: int, seen: list[int]) -> Iterator[tuple[str, h5py.Dataset]]:

@@ -15,7 +15,7 @@ from fracflow.begin.start import rest, settle
 from fracflow.begin.tied import watch_tied
 from fracflow.card import Number
 from fracflow.coupling.defaults import is_large, set_defaults
-from fracflow.errors import InputError, Interrupted, PutBack, SolveError
+from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveError, is_alone
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.near import near_ones
 from fracflow.mesh.store import load_mesh
@@ -55,10 +55,10 @@ def run(
     show      is given the scene card before the first step, on rank 0
     say       is given lines that should be read before it: that wells are in parts that never meet, what nearly meets
     progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
-              of a stage auto that was tried from a time and thrown away
+              of a stage auto that was tried from a time and thrown away; a method ``saved(steps)`` of each checkpoint
 
     Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
-    gone, and ``progress`` sees those of both. Raises InputError, SolveError and Interrupted, on every rank.
+    gone, and ``progress`` sees those of both. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
     """
 
     def once(undone: Mapping[str, str]) -> Totals:
@@ -125,7 +125,7 @@ def resume(
     """Go on with a run that was stopped, on any number of ranks. Collective.
 
     A run that was stopped before its first checkpoint begins again, with ``trust`` where its .geo needs that; one that
-    has ended stays as it is. Raises InputError, SolveError and Interrupted, on every rank.
+    has ended stays as it is. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
     """
     began, folder = clock.perf_counter(), Path(folder)
     on_root(comm, lambda: require_run(folder))
@@ -204,14 +204,21 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     stepping = Stepping(model)
     stepping.network.log = recorder.log
     stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
+    recorder.tell_saved(getattr(progress, "saved", None))
     try:
-        failure = _steps(stepping, recorder, step, progress)
+        recorder.check()
+        step, failure = _steps(stepping, recorder, step, progress)
+        recorder.end()
         for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
             recorder.log(line)
         recorder.finish(clock.perf_counter() - began, _status(failure))
+        if failure is None:  # last of all: what a kill leaves before it is gone on with
+            recorder.save(step, finished=True)
+        recorder.check()
     finally:
         recorder.close()
-        stepping.destroy()
+        if not is_alone():
+            stepping.destroy()
     if failure is not None:
         raise failure
     return recorder.totals
@@ -222,7 +229,7 @@ def _handed(recorder: Recorder) -> list[str]:
     return told_handed(recorder.files.events.rows, recorder.files.mesh)
 
 
-def _status(failure: SolveError | Interrupted | None) -> Status:
+def _status(failure: SolveError | Interrupted | DiskError | None) -> Status:
     word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
     return Status(word, str(failure or ""))
 
@@ -235,10 +242,10 @@ def is_moving(scene: Scene, step: Step) -> bool:
 
 def _steps(
     stepping: Stepping, recorder: Recorder, step: Step, progress: Progress | None
-) -> SolveError | Interrupted | None:
-    """All steps that are left, on record; what ended them before their time. Collective."""
+) -> tuple[Step, SolveError | Interrupted | DiskError | None]:
+    """All steps that are left, on record: the last of them, and what ended them before their time. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
-    failure: SolveError | Interrupted | None = None
+    failure: SolveError | Interrupted | DiskError | None = None
     going_on = step.progress or {}
     with Watch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
@@ -259,7 +266,9 @@ def _steps(
                             progress(step)
                         state.destroy()
                         state = step.state
-                        wish = watch.wish(recorder.totals.steps)
+                        wish = watch.wish(recorder.totals.steps, must_stop=recorder.lost is not None)
+                        if wish is Wish.STOP:
+                            recorder.check()
                         if wish is not Wish.GO_ON:
                             recorder.save(step)
                             recorder.last(step, whole=wish is Wish.STOP)
@@ -280,13 +289,14 @@ def _steps(
             for each in {id(state): state, id(step.state): step.state}.values():
                 each.destroy()
             raise
-        except (SolveError, Interrupted) as error:  # raised on every rank: what follows stays collective
+        except (SolveError, Interrupted, DiskError) as error:  # raised on every rank: what follows stays collective
             if isinstance(error, SolveError):
                 recorder.totals.give_up(error)
-            failure = error if isinstance(error, Interrupted) else of_stage(stage, error)
+            failure = of_stage(stage, error) if isinstance(error, SolveError) else error
             recorder.log(f"stopped: {failure}")
     if not isinstance(failure, Interrupted):
         step = replace(step, state=state)
         recorder.last(step)
-        recorder.save(step, finished=failure is None)
-    return failure
+        if failure is not None:
+            recorder.save(step)
+    return step, failure

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.files import fresh
+from fracflow.files_hdf import whole_file
 from fracflow.h5_reader import Arrays, Layout, read_h5
 
 SEAL = "seal"  # dataset of digests, and attribute of the root
@@ -83,21 +81,18 @@ def write_sealed(path: Path, arrays: Mapping[str, Any], notes: Mapping[str, Any]
 
     notes    texts and numbers
     durable  whether it is on disk before it takes that place
+
+    Raises OSError.
     """
     values = {name: np.asarray(each) for name, each in arrays.items()}
     digests = np.concatenate([np.zeros((0, WIDTH), np.uint8), *(pieces(values[name]) for name in sorted(values))])
     root = root_of(layout_of(values), notes, digests)
-    part = fresh(path.with_name(path.name + ".part"))
-    with h5py.File(part, "w") as file:
+    with whole_file(path, is_synced=durable) as file:
         for name, each in values.items():
             file[name] = each
         file[SEAL] = digests
         for name, note in {**notes, SEAL: root}.items():
             file.attrs[name] = note
-    if durable:
-        with part.open("rb") as written:
-            os.fsync(written.fileno())
-    os.replace(part, path)
     return root
 
 

@@ -18,7 +18,7 @@ from fracflow.assembly.operators import Operators, assemble
 from fracflow.begin.hydraulic import told_apart
 from fracflow.begin.meeting import meeting_supports, refuse_two_pressures
 from fracflow.coupling.defaults import set_defaults
-from fracflow.errors import InputError
+from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
@@ -85,16 +85,18 @@ class Model:
 
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
-    """Do ``work`` on rank 0; an InputError there is raised on every rank. Collective."""
-    result, message = None, None
+    """Do ``work`` on rank 0; an InputError there is raised on every rank, what the system said as a DiskError. Collective."""
+    result, failure = None, None
     if comm.rank == 0:
         try:
             result = work()
-        except InputError as error:
-            message = str(error)
-    message = comm.bcast(message, root=0)
-    if message is not None:
-        raise InputError(message)
+        except (InputError, DiskError) as error:
+            failure = error
+        except OSError as error:
+            failure = DiskError.of(error, "the run folder")
+    kind, message = comm.bcast((type(failure), str(failure)), root=0)
+    if issubclass(kind, Exception):
+        raise kind(message)
     return result
 
 

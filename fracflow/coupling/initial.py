@@ -15,7 +15,7 @@ from fracflow.coupling.joined_matrix import JoinedMatrix
 from fracflow.coupling.newton import Newton
 from fracflow.coupling.step_problem import StepProblem
 from fracflow.coupling.true_residual import check_solution
-from fracflow.errors import SolveError
+from fracflow.errors import SolveError, is_alone
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene import Scene
 from fracflow.tables_time import JUST_AFTER, JUST_BEFORE
@@ -44,8 +44,9 @@ def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem:
     except SolveError as error:
         raise SolveError(f"time {problem.time:.6g}: no initial pressures: {error}") from error
     finally:
-        newton.destroy()
-        matrix.destroy()
+        if not is_alone():
+            newton.destroy()
+            matrix.destroy()
 
 
 def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETSc.Vec:

@@ -16,7 +16,7 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.loads import Loads
 from fracflow.assembly.operators import Operators
 from fracflow.coupling.period import sprung
-from fracflow.errors import NotConverged
+from fracflow.errors import NotConverged, is_alone
 from fracflow.mesh.data import Bools, Floats
 from fracflow.state import Past, Sections
 
@@ -110,7 +110,8 @@ def largest_share(operators: Operators, loads: Loads, sections: Sections, weaken
     except NotConverged:
         return Share(np.inf, mode)
     finally:
-        compliance.destroy()
+        if not is_alone():
+            compliance.destroy()
 
 
 def _sliding(sections: Sections, weakening: Weakening) -> Floats:

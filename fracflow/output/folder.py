@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
+import secrets
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TextIO
@@ -20,6 +23,7 @@ _OWN_FILES = (
     "scene.toml",
     "mesh.h5",
     "history.h5",
+    "history.h5.redo",
     "events.csv",
     "plan.json",
     "status.json",
@@ -36,10 +40,15 @@ _UNFINISHED = ("*.part", *(f"{folder}/*.part" for folder in _OWN_FOLDERS))  # wh
 
 
 def write_atomic(path: Path, text: str) -> None:
-    """Write ``text`` aside and rename, so that ``path`` always holds a whole text."""
-    part = fresh(path.with_name(path.name + ".part"))
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    """Write ``text`` aside and rename, so that ``path`` always holds a whole text. Raises OSError."""
+    part = path.with_name(path.name + ".part")
+    try:
+        fresh(part).write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink()
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
@@ -136,27 +145,31 @@ class RunFolder:
 
     path    a new or empty folder, or the folder of an earlier run: that run's own files are removed,
             any other file stays
+    scene   text of scene.toml: where it is there already, it stays with its mesh, so that a kill leaves what to go on with
     resume  keep the earlier run's files, but for half written ones, and go on
 
     Until it is closed no other run may have the folder. Raises InputError if ``path`` is a file, or holds files but no
     run of fracflow, or (with ``resume``) no run at all, or if another run is under way in it.
     """
 
-    def __init__(self, path: str | Path, resume: bool = False) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path, resume: bool = False, scene: str | None = None) -> None:
+        self.path, self.unlogged = Path(path), 0
         check_folder(self.path, resume)
         try:
-            self._prepare(keep=resume)
+            self._prepare(resume, scene)
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}; name a folder to write to") from error
 
-    def _prepare(self, keep: bool) -> None:
+    def _prepare(self, keep: bool, scene: str | None) -> None:
         self.path.mkdir(parents=True, exist_ok=True)
         self._marker = _taken(self.path)
         self._marker.truncate(0)
-        self._marker.write(f"run folder of fracflow, last written to by process {os.getpid()}\n")
+        self._mark = f"run folder of fracflow, run {secrets.token_hex(4)}, last written to by process {os.getpid()}\n"
+        self._marker.write(self._mark)
         self._marker.flush()
-        for pattern in _UNFINISHED if keep else (*_UNFINISHED, *_OWN_FILES):
+        is_same = scene is not None and self._holds(scene)
+        own = [name for name in _OWN_FILES if not (is_same and name in ("scene.toml", "mesh.h5"))]
+        for pattern in _UNFINISHED if keep else (*_UNFINISHED, *own):
             for file in self.path.glob(pattern):
                 file.unlink()
         if not keep:
@@ -164,6 +177,25 @@ class RunFolder:
                 folder = self.path / name
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()
+
+    def _holds(self, scene: str) -> bool:
+        try:
+            return (self.path / "scene.toml").read_text(encoding="utf-8") == scene
+        except (OSError, UnicodeDecodeError):
+            return False
+
+    def check(self, is_thorough: bool = False) -> None:
+        """Raise OSError where the folder is no more the one that the run began in.
+
+        is_thorough   or where another run has taken it, on a file system without locks
+        """
+        held, there = os.fstat(self._marker.fileno()), os.stat(self.path / MARKER)
+        if (held.st_dev, held.st_ino) != (there.st_dev, there.st_ino):
+            raise OSError(
+                errno.ESTALE, "another folder was put in its place while the run was under way", str(self.path)
+            )
+        if is_thorough and (self.path / MARKER).read_text(encoding="utf-8") != self._mark:
+            raise OSError(errno.EBUSY, "another run has taken the folder", str(self.path))
 
     def close(self) -> None:
         """Let other runs have the folder."""
@@ -206,7 +238,10 @@ class RunFolder:
             os.close(number)
 
     def log(self, line: str) -> None:
-        """Append one line to ``log.txt``; it is on disk when this returns."""
-        number = open_own(self.path / "log.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
-        with open(number, "a", encoding="utf-8") as file:
-            file.write(line.rstrip("\n") + "\n")
+        """Append one line to ``log.txt``; it is on disk when this returns, or counted as ``unlogged``."""
+        try:
+            number = open_own(self.path / "log.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+            with open(number, "a", encoding="utf-8") as file:
+                file.write(line.rstrip("\n") + "\n")
+        except (OSError, InputError):  # a disk that is full, a link that somebody has put there
+            self.unlogged += 1

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
-from fracflow.files import fresh
+from fracflow.files_hdf import Committed, complete
 from fracflow.h5_reader import Found, read_h5
 from fracflow.output.folder import to_json
 from fracflow.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
@@ -30,13 +30,19 @@ class HistoryFile:
     attrs  metadata of the run (units, versions, ...); all but strings and numbers are stored as JSON
 
     ``time`` is the last dataset that a record is written to: a step that has its time is complete. Until the first
-    record the file is PATH.part, for HDF5 could not read it after a kill. Records are sealed one by one, in a chain.
+    record the file is PATH.part, for HDF5 could not read it after a kill. Each record is committed as a whole: beside the
+    file is PATH.redo until it is closed, which ``read_history`` looks at. Records are sealed one by one, in a chain. Raises
+    OSError where a record cannot be written.
     """
 
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
-        self._part = fresh(self.path.with_name(self.path.name + ".part"))
-        self._file = h5py.File(self._part, "w", libver="latest")
+        self._part = self.path.with_name(self.path.name + ".part")
+        if self.path.exists():
+            complete(self.path)
+        self._disk, self._is_shown = Committed(self._part), False
+        self._disk.path = self.path
+        self._file = h5py.File(self._disk, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
         self._rows, self._last, self._goes_on = 0, b"", False
         self._notes = {k: v if isinstance(v, str | int | float) else to_json(v) for k, v in (attrs or {}).items()}
@@ -86,9 +92,15 @@ class HistoryFile:
         self._show()
 
     def close(self) -> None:
-        """Close the file; a closed history needs no SWMR reader."""
-        self._file.close()
-        self._show()
+        """Close the file, if it is open; a closed history needs no SWMR reader. Raises OSError."""
+        if self._disk.file < 0:
+            return
+        try:
+            self._file.close()
+            self._show()
+        finally:
+            self._disk.close()
+        self._disk.check()
 
     def __enter__(self) -> HistoryFile:
         return self
@@ -97,8 +109,11 @@ class HistoryFile:
         self.close()
 
     def _show(self) -> None:
-        if self._part.exists():
+        self._disk.commit()
+        if not self._is_shown:  # whole from its first record on
             os.replace(self._part, self.path)
+            self._disk.protect(self.path)
+            self._is_shown = True
 
     def _create(self, columns: Mapping[str, NDArray[Any]]) -> None:
         if "time" not in columns or SEAL in columns:

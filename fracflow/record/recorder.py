@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import warnings
-from collections.abc import Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from fracflow.assembly.flow import is_transposed
 from fracflow.begin.setup import Model, on_root
 from fracflow.card import as_lines, scene_card
 from fracflow.card import as_records as card_records
+from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
@@ -26,7 +28,7 @@ from fracflow.output.chatter import Chatter
 from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
-from fracflow.output.status import RUNNING, Status, write_status
+from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
 from fracflow.record.before import Before, scene_seal
@@ -61,21 +63,46 @@ class Recorder:
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
         self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
+        self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
+        self.saved = self.totals.steps
+        self._folder, self._tell_saved = folder, None
         self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
+
+    _tell_saved: Callable[[int], None] | None
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
         if self.files is not None:
             self.files.folder.log(line)
 
+    def tell_saved(self, tell: Callable[[int], None] | None) -> None:
+        """Tell on rank 0 after how many steps the last state on disk is, now and whenever there is another."""
+        self._tell_saved = tell
+        if tell is not None and self.files is not None and self.saved:
+            tell(self.saved)
+
+    def check(self) -> None:
+        """Raise DiskError on every rank where rank 0 could not write. Collective."""
+        if (found := self.comm.bcast(self.lost, root=0)) is not None:
+            raise DiskError(str(found))
+
+    def _write(self, work: Callable[[], None]) -> None:
+        """Do ``work`` on rank 0, if all before could be written; ranks agree on it in ``check``."""
+        if self.files is None or self.lost is not None:
+            return
+        try:
+            work()
+        except OSError as error:
+            self.lost = DiskError.of(error, self._folder, self._remedy(error.errno))
+
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
         snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
         if self._goes_on:  # the first step may show that the history was made with another scene
-            on_root(self.comm, lambda: self._append(step, snapshot))
+            on_root(self.comm, lambda: self._write(lambda: self._append(step, snapshot)))
             self._goes_on = False
         else:
-            self._append(step, snapshot)
+            self._write(lambda: self._append(step, snapshot))
         self._watch_spurious(step)
         self._watch_pressure(step)
         self._watch_widening(step)
@@ -90,9 +117,19 @@ class Recorder:
         margin = float(snapshot.column("margin").min(initial=np.inf))
         if margin < self.totals.narrowest:
             self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
-        self.files.append(step, snapshot, margin)
         self.totals.least = max(self.totals.least, snapshot.least[0])
         self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
+        self.files.append(step, snapshot, margin)
+
+    def _remedy(self, number: int | None) -> str:
+        if number in (errno.ENOENT, errno.ESTALE):
+            return (
+                f"{self._folder} is not what it was: if it was moved, resume it where it is; else start the run again"
+            )
+        if self.saved:
+            kept = f"the last state on disk is that after {self.saved} steps"
+            return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
+        return "no state is on disk yet: make room, or look at the disk, then start the run again"
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
@@ -172,8 +209,8 @@ class Recorder:
         is_extra = not self._wants_fields(index)
         if is_extra:
             self._fields(step, index, whole)
-        if self.files is not None:
-            self.files.drop_extra(index if is_extra else None)
+        if (files := self.files) is not None:
+            self._write(lambda: files.drop_extra(index if is_extra else None))
 
     def _wants_fields(self, index: int) -> bool:
         every = self.model.scene.output.fields_every
@@ -182,35 +219,48 @@ class Recorder:
     def _fields(self, step: Step, index: int, whole: bool = True) -> None:
         ends = sampling.all_ends(self.sampler, step.state)
         motion = sampling.all_motion(self.sampler, step.state) if whole else None
-        if self.files is not None and ends is not None:
-            self.files.fields(index, step.state, ends, motion)
+        if (files := self.files) is not None and ends is not None:
+            self._write(lambda: files.fields(index, step.state, ends, motion))
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
         if step.progress is None:
             return
         arrays = gather_state(self.model.operators, step.state)
-        if self.files is not None and arrays is not None:
-            self.files.save(
-                step, arrays, {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
-            )
+        about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
+        if (files := self.files) is not None and arrays is not None:
+            self._write(lambda: files.save(step, arrays, about))
+            if self.lost is None:
+                self.saved = self.totals.steps
+                self.tell_saved(self._tell_saved)
 
     def finish(self, seconds: float, status: Status) -> None:
         """Write plan.json, the last lines of the log, and how the run ended."""
         for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
             self.log(line)
-        if self.files is not None:
+        if (files := self.files) is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
-            self.files.write_plan([*self.files.decisions, done])
-            write_status(self.files.folder, status)
+            self._write(lambda: files.write_plan([*files.decisions, done]))
+            self._write(lambda: write_status(files.folder, status))
+            if self.lost is not None:
+                with suppress(OSError):
+                    files.folder.check(is_thorough=True)
+                    write_status(files.folder, Status(FAILED, str(self.lost)))
+            if files.folder.unlogged:
+                self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
+
+    def end(self) -> None:
+        """Close what grows with the steps: from here on nothing is recorded."""
+        if (files := self.files) is not None:
+            self._write(files.end)
 
     def close(self) -> None:
         """Close the files, whatever happened."""
-        if self.files is not None:
-            self.files.history.close()
-            catalogue = self.files.catalogue
-            self.files.events.close(catalogue.unfinished() if catalogue is not None else None)
-            self.files.folder.close()
+        if (files := self.files) is not None:
+            self._write(files.end)
+            with suppress(OSError):
+                files.history.close()
+            files.folder.close()
 
 
 class Files:
@@ -221,7 +271,17 @@ class Files:
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
         before = None if notes is None else Before(folder, notes)  # before anything is cut back
-        self.folder = RunFolder(folder, resume=notes is not None)
+        scene = model.stated.dump_toml(folder.resolve())
+        self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
+        try:
+            self._open(model, folder, notes, scene, before)
+        except BaseException:
+            self.folder.close()
+            raise
+
+    def _open(
+        self, model: Model, folder: Path, notes: Mapping[str, Any] | None, scene: str, before: Before | None
+    ) -> None:
         write_status(self.folder, Status(RUNNING))
         self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
@@ -230,7 +290,7 @@ class Files:
         else:
             self.mesh_seal = before.mesh
         if notes is None:
-            self.folder.write_text("scene.toml", model.stated.dump_toml(folder.resolve()))
+            self.folder.write_text("scene.toml", scene)
             self.write_plan(self.decisions)
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
@@ -268,7 +328,7 @@ class Files:
             self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
             if notes is not None:
                 self.events.remember(notes["events"])
-        self.count = len(flow)
+        self.count, self.is_ended = len(flow), False
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
         resumes = notes is not None
@@ -286,7 +346,8 @@ class Files:
         self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
 
     def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
-        """Write the checkpoint: the state, where the run is, and where its files are."""
+        """Write the checkpoint: the state, where the run is, and where its files are. Raises OSError."""
+        self.folder.check(is_thorough=True)
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
@@ -300,7 +361,8 @@ class Files:
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
 
     def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
-        """One row of history and the events up to it."""
+        """One row of history and the events up to it. Raises OSError."""
+        self.folder.check()
         state, report = step.state, step.report
         # a step that is cut where a status changes ends with the change; else it came somewhere in the step
         began = state.time if self.time is None or report.located else self.time
@@ -363,6 +425,13 @@ class Files:
         if self.scene.method.contact == "lumped" and not self.scene.has_flow:
             return 'method.contact = "redistributed" takes the mass from the walls, else take a smaller time_step'
         return 'take a smaller time_step, or method.stepper = "generalised-alpha" with rho_infinity = 0, which damps it'
+
+    def end(self) -> None:
+        """Close history and events. Raises OSError."""
+        self.history.close()
+        if not self.is_ended:
+            self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
+        self.is_ended = True
 
     def drop_extra(self, index: int | None) -> None:
         """Take fields away that are out of turn, but for those of a step ``index``, which come next to be taken away."""

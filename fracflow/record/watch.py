@@ -51,9 +51,9 @@ class Watch:
             for each, handler in self._before.items():
                 signal.signal(each, handler)
 
-    def wish(self, steps: int) -> Wish:
-        """What all ranks agree on after so many steps. Collective."""
-        here = self._wish
+    def wish(self, steps: int, must_stop: bool = False) -> Wish:
+        """What all ranks agree on after so many steps; one that must stop stops all. Collective."""
+        here = Wish.STOP if must_stop else self._wish
         is_late = self.comm.rank == 0 and clock.monotonic() - self._saved >= self.seconds
         if is_late or (self.every and steps % self.every == 0):
             here = max(here, Wish.SAVE)

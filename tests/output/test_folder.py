@@ -38,6 +38,18 @@ def test_an_earlier_run_is_replaced_but_other_files_stay(tmp_path):
     assert left == {".fracflow", "notes.txt", "mine.csv"}
 
 
+@pytest.mark.parametrize("resume", [False, True])
+def test_what_a_kill_left_half_written_is_taken_away(tmp_path, resume):
+    folder = RunFolder(tmp_path / "run")
+    (folder / "fields").mkdir()
+    for name in ("history.h5.part", "fields/rock_000001.h5.part", "checkpoint.h5", "notes.txt"):
+        (folder / name).write_text("")
+    folder.close()
+    RunFolder(tmp_path / "run", resume=resume).close()
+    left = {path.name for path in folder.path.rglob("*") if path.is_file()}
+    assert left == {".fracflow", "notes.txt", *(["checkpoint.h5"] if resume else [])}
+
+
 def test_a_folder_has_one_run_at_a_time(tmp_path):
     """A second process would write over the first one's files; a killed one leaves no lock behind."""
     hold = "import sys; from fracflow.output.folder import RunFolder; f = RunFolder(sys.argv[1]); print(1, flush=True); input()"

@@ -22,16 +22,43 @@ MPI.COMM_WORLD.barrier()
 """
 
 
+def started(program):
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    environment = {**kept, "PYTHONPATH": str(Path(__file__).parents[2])}
+    words = ["mpirun", "-n", "2", sys.executable, "-c", program]
+    return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60)
+
+
 @pytest.mark.serial
 @pytest.mark.starts_ranks
 @pytest.mark.parametrize("rank", [0, 1])
 def test_a_rank_alone_ends_all(rank):
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
-    environment = {**kept, "PYTHONPATH": str(Path(__file__).parents[2])}
-    words = ["mpirun", "-n", "2", sys.executable, "-c", PROGRAM.format(rank=rank)]
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60)
+    done = started(PROGRAM.format(rank=rank))
     assert done.returncode == 2, done.stderr
     assert f"fracflow: rank {rank} alone: no such file" in done.stderr
+
+
+INTERRUPTED = """
+import sys
+from fracflow import cli, endings, scene
+from fracflow._petsc import MPI
+endings.PATIENCE = 0.5
+def load(*given):
+    if MPI.COMM_WORLD.rank == 0:
+        raise KeyboardInterrupt
+    MPI.COMM_WORLD.barrier()
+scene.load = load
+sys.argv = ["fracflow", "run", "scene.toml"]
+cli.main()
+"""
+
+
+@pytest.mark.serial
+@pytest.mark.starts_ranks
+def test_an_interrupt_of_one_rank_before_the_first_step_ends_all():
+    done = started(INTERRUPTED)
+    assert done.returncode == 130, done.stderr
+    assert "fracflow: rank 0 alone: interrupted before the first step" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["unresolved", "told_apart"])

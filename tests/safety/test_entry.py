@@ -290,9 +290,10 @@ def test_what_is_written_follows_no_link(tmp_path):
     with HistoryFile(folder / "history.h5") as history:
         history.append({"time": 0.0})
     (folder / "log.txt").symlink_to(outside)
-    for work in (lambda: folder.log("a line"), lambda: folder.cut_back(0, 0, 0)):
-        with pytest.raises(InputError, match=r"log.txt: is a link"):
-            work()
+    folder.log("a line")
+    assert folder.unlogged == 1
+    with pytest.raises(InputError, match=r"log.txt: is a link"):
+        folder.cut_back(0, 0, 0)
     write_atomic(folder / "log.txt", "")  # takes the place of the link
     assert outside.read_text() == "mine" and not (folder / "log.txt").is_symlink()
 
