@@ -259,7 +259,7 @@ class Bench:
             bad := worker.ask("judge", str(folder), str(self.reference(case.scene, case.ranks)))["found"]
         ):
             found.wrong.append(f"resumed: differs: {bad[:300]}")
-        for path in self.folder.glob(f"{folder.name}*"):
+        for path in (*self.folder.glob(folder.name), *self.folder.glob(f"{folder.name}.*")):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def batch(self, cases: list[Case], worker: Worker) -> Iterator[Finding]:
