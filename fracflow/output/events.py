@@ -21,7 +21,10 @@ OF_EVENTS = (
 )  # fmt: skip
 """Columns that only rows of kind "event" have; their place is where the first section slid, their slip the largest."""
 _NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
-COLUMNS = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)
+_BEFORE = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)  # version 0.1.0
+LATEST = "start_latest"
+"""Until when what slips or opens may have begun: ``start`` where that instant was found, else the end of its step."""
+COLUMNS = (*_BEFORE, LATEST)
 _KINDS = ("open", "slip")
 
 Floats = NDArray[np.float64]
@@ -102,7 +105,7 @@ class EventLog:
                 self.rows[running.row[i]]["end"] = float(time)
                 running.row[i], running.peak_rate[i], changed = -1, 0.0, True
         for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
-            self._start(kind, i, began)
+            self._start(kind, i, began, time)
         self._plastic_slip = np.array(plastic_slip, dtype=float)
         if changed or starts:
             self._write()
@@ -140,10 +143,10 @@ class EventLog:
             self._running[kind] = _Running(np.array(found["row"], dtype=np.int64), *rates)
         self._write()
 
-    def _start(self, kind: str, i: int, time: float) -> None:
+    def _start(self, kind: str, i: int, began: float, latest: float) -> None:
         running = self._running[kind]
         running.row[i], running.slip_before[i] = len(self.rows), self._plastic_slip[i]
-        since = {"start": float(time), "end": None, "slip": 0.0, "peak_slip_rate": 0.0}
+        since = {"start": float(began), LATEST: float(latest), "end": None, "slip": 0.0, "peak_slip_rate": 0.0}
         self.rows.append({"kind": kind, **self._place(i), **since})
 
     def _place(self, i: int) -> dict[str, Any]:
@@ -171,7 +174,7 @@ class EventLog:
 def read_events(path: str | Path) -> list[dict[str, Any]]:
     """Read events.csv: one dict an event, numbers as numbers, None for ``end`` while it is under way and where there is none.
 
-    Raises InputError if the file is missing or has other columns.
+    A file of version 0.1.0 has no ``start_latest``: None. Raises InputError if the file is missing or has other columns.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
@@ -179,11 +182,11 @@ def read_events(path: str | Path) -> list[dict[str, Any]]:
             rows = list(table)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; name an events.csv of a run") from error
-    if tuple(table.fieldnames or ()) != COLUMNS:
+    if tuple(table.fieldnames or ()) not in (COLUMNS, _BEFORE):
         raise InputError(f"{path}: columns are {table.fieldnames}, should be {', '.join(COLUMNS)}")
     return [_typed(row) for row in rows]
 
 
 def _typed(row: dict[str, str]) -> dict[str, Any]:
-    numbers = {key: float(row[key]) if row[key] else None for key in (*_NUMBERS, *OF_EVENTS)}
+    numbers = {key: float(row[key]) if row.get(key) else None for key in (*_NUMBERS, *OF_EVENTS, LATEST)}
     return {**row, **numbers, "node": int(row["node"])}
