@@ -17,7 +17,10 @@ method.stepper = "explicit"
 output.pictures = false
 rock.rock = {youngs_modulus = "30 GPa", poissons_ratio = 0.25, density = 2700}
 initial_stress = {xx = "-13 MPa", yy = "-25 MPa", zz = "-15 MPa", xy = "3 MPa"}
-fracture.default = {normal_stiffness = "50 GPa/m", shear_stiffness = "20 GPa/m", friction_coefficient = 0.6}
+fracture.default.aperture = "0.2 mm"
+fracture.default.friction_coefficient = 0.6
+fracture.default.normal_stiffness = "50 GPa/m"
+fracture.default.shear_stiffness = "20 GPa/m"
 support = [{on = "side1"}]
 load = [{on = ["side2", "side3", "side4"], traction = "initial-stress"}]
 stage = [{kind = "dynamic", time_step = 1e-4, steps = 10}]
