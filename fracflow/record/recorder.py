@@ -237,8 +237,8 @@ class Files:
         wells = {name: self.mesh.points[self.mesh.flow_origin[n]].tolist() for name, n in model.placed.wells.items()}
         units = {part: str(getattr(system, part)) for part in ("length", "force", "time")}
         noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
-        about = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells, "fracflow": __version__}
-        about |= {"energy_noise": noise}
+        about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
+        about |= {"fracflow": __version__, "energy_noise": noise}
         path = self.folder / "history.h5"
         self.history = HistoryFile(path, about) if notes is None else HistoryFile.resume(path, notes["totals"]["steps"])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)

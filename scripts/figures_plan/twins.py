@@ -1,7 +1,8 @@
 """A scene run twice, as it stands and with nothing left out, and how far the two histories are apart.
 
 Values count by their change since the start, over the largest change of their kind: pressures over that of all pressures,
-components of a vector or tensor over that of all of them, energies over that of all entries of the books. What changes less than FLOOR of the largest value of its dimension does not.
+components of a vector or tensor over that of all of them, energies over that of all entries of the books. What changes less
+than FLOOR of the largest value of its dimension does not.
 """
 
 from __future__ import annotations
