@@ -40,7 +40,13 @@ OF_EVENTS = {
 """Numbers of a row of events.csv besides start and end, by its kind."""
 PARTS_OF = {"shear_traction": "traction", "normal_traction": "traction", "slip": "jump", "opening": "jump"}
 """Components of joints that have names of their own: the vector that they are of."""
-DIMENSIONS = {"slip": "jump", "mean_slip": "jump", "peak_slip_rate": "slip_rate", "radiated": "energy", "dissipated": "energy"}
+DIMENSIONS = {
+    "slip": "jump",
+    "mean_slip": "jump",
+    "peak_slip_rate": "slip_rate",
+    "radiated": "energy",
+    "dissipated": "energy",
+}
 """Columns whose kind has another name."""
 
 

@@ -61,7 +61,7 @@ def wait_for_rows(folder, rows, process, patience=60.0):
                 return
         except InputError:
             pass
-        time.sleep(0.002)
+        time.sleep(0.02)  # reading takes a core from those that run
 
 
 @pytest.fixture(scope="module")
