@@ -124,7 +124,7 @@ def _growing(scene: Scene) -> Iterator[str]:
     if geometry is None or method.stepper != "explicit" or method.fault_damping == 0.0 or not scene.has_dynamics:
         return
     ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
-    if "growth" in geometry.model_fields_set and ruptures and geometry.growth > GENTLE:
+    if geometry.growth is not None and ruptures and geometry.growth > GENTLE:
         yield (
             f"geometry.growth = {geometry.growth:g}: beside fracture.{ruptures[0]}, cells that grow so send waves back to it:"
             f" the error of its slip falls with their size, and by about the power 1.4 of it at a growth of {GENTLE:g}"

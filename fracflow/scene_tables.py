@@ -233,10 +233,10 @@ class Geometry(Part):
         default=None,
         description="mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given",
     )
-    growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] = Field(
-        default=0.3,
-        description="growth of the mesh size per length away from the fractures; if not given, 0.1 where these weaken with"
-        " slip [1]",
+    growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = Field(
+        default=None,
+        description="growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken"
+        " with slip [1]",
     )
     snap: Size | None = Field(
         default=None,

@@ -21,6 +21,7 @@ PATIENCE = float(os.environ.get("FRACFLOW_TEST_PATIENCE", "300"))  # seconds a r
 PATIENCE_AFTER_FAILURE = 30.0
 APPLICATIONS = {"bench", "failures", "reference", "report", "resume", "stability", "stepping"}
 """Folders of whole runs: on one and two ranks; tests/parallel and tests/resume compare some of them on three."""
+EVERY_CASE = {"resume"}  # of them, each of whose cases is another kind of state to take apart and put together
 
 # Ranks must draw the same examples, and a failure must come back on the next run.
 settings.register_profile("fracflow", derandomize=True, deadline=None, database=None)
@@ -58,14 +59,21 @@ def pytest_collection_modifyitems(config, items):
     """Serial tests run on one rank; whole applications on one and two, and parts of the program on any number.
 
     Serial is what needs one process or knows of no ranks, and orders in time, of steps that other tests take on ranks.
+    Of one test with many cases ranks run the first and the last where that is a whole application, or on three ranks.
     """
     tests = Path(__file__).parent
+    cases: dict[str, list[str]] = {}
+    for item in items:
+        if item.get_closest_marker("serial") is None:
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item.nodeid)
+    inner = {case for found in cases.values() for case in found[1:-1]}
 
     def runs_elsewhere(number, item):
         group = item.path.relative_to(tests).parts[0]
         # three ranks on two cores are slow
         is_spared = group in APPLICATIONS or (group == "physics" and number % 4 != 0)
-        return item.get_closest_marker("serial") is not None or (SIZE > 2 and is_spared)
+        is_inner = item.nodeid in inner and group not in EVERY_CASE and (SIZE > 2 or group in APPLICATIONS)
+        return item.get_closest_marker("serial") is not None or is_inner or (SIZE > 2 and is_spared)
 
     if SIZE == 1:
         return

@@ -31,6 +31,10 @@ class Scales:
     length: float
     stiffness: float
 
+    def energy_noise(self, unknowns: int) -> float:
+        """Round-off of a work of initial forces on displacements, summed over so many unknowns [energy per thickness]."""
+        return float(np.finfo(float).eps) * self.force * self.displacement * unknowns
+
 
 @dataclass(frozen=True)
 class Operators:

@@ -23,7 +23,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place
-from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh
+from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
@@ -160,7 +160,7 @@ def geometry_of(scene: Scene) -> GeometrySpec:
         geometry.cells,
         next(iter(scene.rock)),
         size_at_tips=geometry.size_at_tips,
-        growth=geometry.growth,
+        growth=GROWTH if geometry.growth is None else geometry.growth,
         snap=geometry.snap,
     )
 

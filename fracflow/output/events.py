@@ -22,7 +22,10 @@ OF_EVENTS = (
 )  # fmt: skip
 """Columns that only rows of kind "event" have; their place is where the first section slid, their slip the largest."""
 _NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
-COLUMNS = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)
+_BEFORE = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)  # version 0.1.0
+LATEST = "start_latest"
+"""Until when what slips or opens may have begun: ``start`` where that instant was found, else the end of its step."""
+COLUMNS = (*_BEFORE, LATEST)
 _KINDS = ("open", "slip")
 LARGEST = 1 << 30  # bytes of a file
 
@@ -104,7 +107,7 @@ class EventLog:
                 self.rows[running.row[i]]["end"] = float(time)
                 running.row[i], running.peak_rate[i], changed = -1, 0.0, True
         for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
-            self._start(kind, i, began)
+            self._start(kind, i, began, time)
         self._plastic_slip = np.array(plastic_slip, dtype=float)
         if changed or starts:
             self._write()
@@ -142,10 +145,10 @@ class EventLog:
             self._running[kind] = _Running(np.array(found["row"], dtype=np.int64), *rates)
         self._write()
 
-    def _start(self, kind: str, i: int, time: float) -> None:
+    def _start(self, kind: str, i: int, began: float, latest: float) -> None:
         running = self._running[kind]
         running.row[i], running.slip_before[i] = len(self.rows), self._plastic_slip[i]
-        since = {"start": float(time), "end": None, "slip": 0.0, "peak_slip_rate": 0.0}
+        since = {"start": float(began), LATEST: float(latest), "end": None, "slip": 0.0, "peak_slip_rate": 0.0}
         self.rows.append({"kind": kind, **self._place(i), **since})
 
     def _place(self, i: int) -> dict[str, Any]:
@@ -173,12 +176,14 @@ class EventLog:
 def read_events(path: str | Path) -> list[dict[str, Any]]:
     """Read events.csv: one dict an event, numbers as numbers, None for ``end`` while it is under way and where there is none.
 
-    Raises InputError if the file is missing, has other columns, or a row that no run writes.
+    A file of version 0.1.0 has no ``start_latest``: None. Raises InputError if the file is missing, has other columns, or a
+    row that no run writes.
     """
     table = csv.reader(io.StringIO(read_text(Path(path), "name an events.csv of a run", LARGEST), newline=""))
     rows: list[dict[str, Any]] = []
     try:
-        if (heads := tuple(next(table, ()))) != COLUMNS:
+        heads = tuple(next(table, ()))
+        if heads not in (COLUMNS, _BEFORE):
             raise InputError(f"{path}: columns are {', '.join(heads)[:200]}, should be {', '.join(COLUMNS)}")
         rows.extend(_typed(row) for row in table if row)
     except (ValueError, csv.Error) as error:
@@ -187,9 +192,9 @@ def read_events(path: str | Path) -> list[dict[str, Any]]:
 
 
 def _typed(row: list[str]) -> dict[str, Any]:
-    may_lack = ("end", *OF_EVENTS)
+    may_lack = ("end", *OF_EVENTS, LATEST)
     if any(steers(word) for word in row):
         raise ValueError("control characters")
     texts = dict(zip(COLUMNS, [*row, *[""] * (len(COLUMNS) - len(row))], strict=True))
-    numbers = {k: None if k in may_lack and not texts[k] else float(texts[k]) for k in (*_NUMBERS, *OF_EVENTS)}
+    numbers = {k: None if k in may_lack and not texts[k] else float(texts[k]) for k in (*_NUMBERS, *OF_EVENTS, LATEST)}
     return {**texts, **numbers, "node": int(texts["node"])}

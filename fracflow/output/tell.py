@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,10 @@ from rich.table import Table
 
 from fracflow.files import shown_plain
 from fracflow.mesh.store import load_mesh
-from fracflow.output.events import read_events
+from fracflow.output.events import LATEST, read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.handed import told_handed
-from fracflow.output.history import read_history, read_units
+from fracflow.output.history import read_attributes, read_history, read_units
 
 BOOKS = (
     "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "damping",
@@ -48,10 +48,39 @@ def _nearest(folder: Path) -> str:
     )
 
 
+def _began(event: Mapping[str, Any]) -> str:
+    """When slip or opening began: an instant, or the step in which it did."""
+    start, latest = event["start"], event[LATEST]
+    return f"{start:.6g}" if latest is None or latest <= start else f"{start:.6g} to {latest:.6g}"
+
+
+def _told_books(left: float, closed: float, most: float, noise: float) -> Iterator[str]:
+    """Lines on books that stay open: by ``left``, by ``closed`` with closed forms, beside the largest entry ``most``.
+
+    noise  round-off of sums of forces times displacements, of which nothing is known [energy per thickness]
+    """
+    if left > max(OPEN * most, noise):
+        yield (
+            f"! energy books: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
+            " wrong unit, very wide beside very narrow fractures, or a loose tolerance"
+        )
+    if closed > max(COARSE * most, noise):
+        yield (
+            f"! energy books: with the closed forms of what joints store {closed / most:.1e} of the largest entry is left over:"
+            " steps are too long for the joints, or unstable; compare with a shorter time_step"
+        )
+    if 0.0 < most <= noise:
+        yield (
+            f"energy books: all entries are round-off, below {noise:.1e}, which is the machine's precision of what the initial"
+            " stresses store: nothing moved that could be told from it"
+        )
+
+
 def tell(folder: Path, console: Console, failed: bool = False) -> None:
     """Print books and events of a run folder; of a run that ``failed`` without what more steps might bring."""
     history = read_history(folder / "history.h5")
-    units = read_units(folder / "history.h5")
+    about = read_attributes(folder / "history.h5")
+    units = read_units(folder / "history.h5", about)
     length, time, force = (shown_plain(units.get(key, "")) for key in ("length", "time", "force"))
     title = "Energy books" + (f" [{force} {length} per {length} of thickness]" if length else "")
     table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
@@ -64,20 +93,9 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         max((np.abs(history[f"energy/{name}"]).max() for name in books if name in names), default=0.0)
         for names in (("residual",), ("residual_closed",), BOOKS)
     )
-    if left > OPEN * most:
-        console.print(
-            f"! energy books: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
-            " wrong unit, very wide beside very narrow fractures, or a loose tolerance",
-            soft_wrap=True,
-            markup=False,
-        )
-    if closed > COARSE * most:
-        console.print(
-            f"! energy books: with the closed forms of what joints store {closed / most:.1e} of the largest entry is left over:"
-            " steps are too long for the joints, or unstable; compare with a shorter time_step",
-            soft_wrap=True,
-            markup=False,
-        )
+    noise = float(about.get("energy_noise", 0.0)) * len(history["time"])
+    for line in _told_books(left, closed, most, noise):
+        console.print(line, soft_wrap=True, markup=False)
     events = read_events(folder / "events.csv")
     if not events:
         console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
@@ -93,7 +111,7 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
             escape(event["fracture"]),
             str(event["node"]),
             escape(event["probe"]),
-            f"{event['start']:.6g}",
+            _began(event),
             end,
             f"{event['slip']:.4e}",
         )

@@ -14,6 +14,7 @@ from fracflow.card.number import View, spans
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.quality import cell_areas
+from fracflow.mesh.read import GROWTH as USUAL
 from fracflow.mesh.snap import natural_snap
 from fracflow.mesh.traces import polygon_area
 from fracflow.plan.coarse_rock import GENTLE, coarse_beside
@@ -208,13 +209,15 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
     if geometry.size is not None:
-        if "growth" in geometry.model_fields_set or not _weakens(scene):
+        if geometry.growth is not None:
             return snap, why
+        if not _weakens(scene):
+            return snap | ({"growth": USUAL} if len(traces) else {}), why
         fine = geometry.size_at_fractures or geometry.size
         if cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
             return snap, [
                 *why,
-                f"geometry.growth = {geometry.growth:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}",
+                f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}",
             ]
         return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
@@ -255,7 +258,7 @@ def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]
 
 
 def _growth(scene: Scene, geometry: Geometry) -> float:
-    if "growth" in geometry.model_fields_set:
+    if geometry.growth is not None:
         return geometry.growth
     return GENTLE if _weakens(scene) else GROWTH
 

@@ -33,6 +33,7 @@ from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
 from fracflow.record.before import Before, scene_seal
 from fracflow.record.catalogue import catalogue_of, instant
+from fracflow.record.suction import told_suction
 from fracflow.record.totals import Totals
 from fracflow.scene import Scene
 from fracflow.state import State
@@ -106,6 +107,7 @@ class Recorder:
         self._watch_spurious(step)
         self._watch_pressure(step)
         self._watch_widening(step)
+        self._watch_suction(step)
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
@@ -194,6 +196,13 @@ class Recorder:
             f" Above {FOLD:g} such a step has two solutions and may be at the wrong one: take smaller time_steps until nothing"
             " changes, or give accuracy.tolerance"
         )
+
+    def _watch_suction(self, step: Step) -> None:
+        """A line, once, where a pressure falls below zero: no fluid holds together there."""
+        if self.totals.sucked or not (line := told_suction(self.model, step.state)):
+            return
+        self.totals.sucked = 1
+        self._doubt(line)
 
     def _doubt(self, line: str) -> None:
         """A line of the log that the end of the run repeats."""
@@ -299,7 +308,9 @@ class Files:
         probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
         wells = {name: self.mesh.points[self.mesh.flow_origin[n]].tolist() for name, n in model.placed.wells.items()}
         units = {part: str(getattr(system, part)) for part in ("length", "force", "time")}
-        about = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells, "fracflow": __version__}
+        noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
+        about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
+        about |= {"fracflow": __version__, "energy_noise": noise}
         path = self.folder / "history.h5"
         old = (before.rows, before.attrs) if before is not None else None
         self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)

@@ -39,6 +39,7 @@ class Totals:
     rejected: int = 0
     wasted: int = 0
     strained: int = 0
+    sucked: int = 0
     widening: float = 1.0
     doubts: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)

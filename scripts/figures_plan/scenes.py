@@ -79,7 +79,7 @@ def rock(draw: np.random.Generator, kind: str, law: str, wet: bool, exact: bool)
         "initial_stress": {"xx": -press * float(draw.uniform(0.6, 1.0)), "yy": -press, "zz": -0.8 * press, "xy": sheared},
         "geometry": {
             "domain": [0, 0, SIDE, SIDE], "size": 2.5, "size_at_fractures": 1.2 if quads else 0.8, "fracture": traces,
-            "cells": "quads" if quads else "triangles", "growth": 0.3,
+            "cells": "quads" if quads else "triangles",
         },
         "fracture": {"default": joint(draw, law, press, wet)},
         "probe": [

@@ -1,7 +1,8 @@
 """A scene run twice, as it stands and with nothing left out, and how far the two histories are apart.
 
 Values count by their change since the start, over the largest change of their kind: pressures over that of all pressures,
-energies over that of all entries of the books. What changes less than FLOOR of the largest value of its dimension does not.
+components of a vector or tensor over that of all of them, energies over that of all entries of the books. What changes less
+than FLOOR of the largest value of its dimension does not.
 """
 
 from __future__ import annotations
@@ -37,7 +38,15 @@ OF_EVENTS = {
     ),
 }  # fmt: skip
 """Numbers of a row of events.csv besides start and end, by its kind."""
-DIMENSIONS = {"mean_slip": "slip", "peak_slip_rate": "slip_rate", "radiated": "energy", "dissipated": "energy"}
+PARTS_OF = {"shear_traction": "traction", "normal_traction": "traction", "slip": "jump", "opening": "jump"}
+"""Components of joints that have names of their own: the vector that they are of."""
+DIMENSIONS = {
+    "slip": "jump",
+    "mean_slip": "jump",
+    "peak_slip_rate": "slip_rate",
+    "radiated": "energy",
+    "dissipated": "energy",
+}
 """Columns whose kind has another name."""
 
 
@@ -169,20 +178,22 @@ def columns(history: Mapping[str, NDArray[Any]], key: str) -> Floats:
 
 def kind_of(key: str) -> str:
     """What a key of the history is compared by."""
-    return "energy" if key.startswith("energy/") else key if key.startswith("step/") else key.rpartition("/")[2]
+    name = key.rpartition("/")[2]
+    return "energy" if key.startswith("energy/") else key if key.startswith("step/") else PARTS_OF.get(name, name)
 
 
 def largest(full: Ran, reduced: Ran) -> dict[str, float]:
     """Largest change of each kind, at least FLOOR of the largest value of its dimension, in both runs."""
     change: dict[str, float] = {}
     value: dict[str, float] = {}
+    of_kind: dict[str, str] = {}
     for ran in (full, reduced):
         for key in ran.history:
             kind, values = kind_of(key), columns(ran.history, key)
             change[kind] = max(change.get(kind, 0.0), float(np.abs(values - values[0]).max()))
-            dimension = KINDS.get(kind, kind)
+            dimension = of_kind[kind] = KINDS.get(key.rpartition("/")[2], kind)
             value[dimension] = max(value.get(dimension, 0.0), float(np.abs(values).max()))
-    return {kind: max(size, FLOOR * value[KINDS.get(kind, kind)]) for kind, size in change.items()}
+    return {kind: max(size, FLOOR * value[of_kind[kind]]) for kind, size in change.items()}
 
 
 def over(difference: Floats, scale: Floats) -> Floats:

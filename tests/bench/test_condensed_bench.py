@@ -12,7 +12,6 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.serial
-@pytest.mark.starts_ranks
 def test_small_bench_keeps_its_bars_and_tells_a_missed_one(tmp_path):
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))}
     done = subprocess.run(

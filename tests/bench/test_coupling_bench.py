@@ -23,7 +23,6 @@ def bench(folder, *arguments, **environment):
 
 
 @pytest.mark.serial
-@pytest.mark.starts_ranks
 def test_small_bench_keeps_its_bars(tmp_path):
     done, rows = bench(tmp_path, "1000", "--ranks", "1", "--apertures", "1e-1", "1e-3", "1e-6")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -38,7 +37,6 @@ def test_small_bench_keeps_its_bars(tmp_path):
 
 
 @pytest.mark.serial
-@pytest.mark.starts_ranks
 def test_missed_bar_is_exit_code_1(tmp_path):
     """The rock's block by Jacobi in place of a factorisation."""
     spoilt = "-monolithic_fieldsplit_solid_pc_type jacobi"

@@ -36,7 +36,6 @@ def bench(*arguments):
 
 
 @pytest.mark.serial
-@pytest.mark.starts_ranks
 def test_few_scenes_agree_in_other_ways():
     done = bench(BENCHES / "metamorphic.py", *FEW, "--ranks-every", "0", "--only", *WAYS)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -50,7 +49,6 @@ def test_few_scenes_agree_in_other_ways():
 
 
 @pytest.mark.serial
-@pytest.mark.starts_ranks
 def test_a_wrong_sign_is_exit_code_1():
     done = bench("-c", WRONG_SIGN, *FEW[2:], "--scenes", "1", "--ranks-every", "0", "--only", "mirrored")
     assert done.returncode == 1, done.stdout + done.stderr

@@ -13,7 +13,6 @@ from _peers_run import Failed, measured, prepare_fracflow, prepare_ogs, read_fra
 pytestmark = pytest.mark.serial
 
 
-@pytest.mark.starts_ranks
 @pytest.mark.parametrize(
     ("problem", "options", "bars"),
     [
@@ -82,7 +81,6 @@ def test_ratios_are_taken_at_equal_errors():
     assert [check.ok for check in peers.checks_of(rows(6.0)[:2])] == [False]  # a peer that is not there is not shown
 
 
-@pytest.mark.starts_ranks
 def test_a_program_that_fails_says_what_it_printed(tmp_path):
     with pytest.raises(Failed, match=r"exit code 3: .*out of luck"):
         measured([sys.executable, "-c", "print('out of luck'); raise SystemExit(3)"], tmp_path)

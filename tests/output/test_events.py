@@ -37,6 +37,7 @@ def test_an_event_is_a_node_from_first_to_last_sliding_section(tmp_path):
         ("open", 5, 4.0, 5.0),
         ("slip", 7, 5.0, None),
     ]
+    assert [row["start_latest"] for row in rows] == [2.0, 2.0, 4.0, 5.0]
     assert [row["slip"] for row in rows] == pytest.approx([0.4, -0.4, 0.0, -0.1])
     assert [row["peak_slip_rate"] for row in rows] == [2.0, 3.0, 0.0, 0.25]
     assert rows[2]["fracture"] == "B, lower" and rows[2]["x"] == 2.0

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.serial
 NEAR = 2e-6  # instants are the same within 1e-6 of a step
 
 
-@pytest.mark.parametrize("seed", [2, 3, 12, 21])
+@pytest.mark.parametrize("seed", [2, 3, 12])
 def test_random_scenes(seed):
     found = twins(Scene.from_data(scene(seed), Path("random.toml")))
     assert not found.full.failure

@@ -6,7 +6,7 @@ from figures_time.events import exact, harmonic
 
 pytestmark = pytest.mark.serial
 
-STEPS = (0.2, 0.1, 0.05)
+STEPS = (0.2, 0.05)
 
 
 def errors(ran, push, *overrides):

@@ -8,7 +8,7 @@ pytestmark = pytest.mark.serial
 
 PUSH, LASTS, END = 2.25, 3.4, 12.0
 RECTANGLE = Push("rectangle", lambda t: PUSH if t < LASTS - 1e-12 else 0.0, (LASTS,), END, 1.0)
-STEPS = np.array([0.1, 0.05, 0.025])
+STEPS = np.array([0.1, 0.025])
 STEP_TABLE = f'{{time = [0, {LASTS}], value = [{PUSH}, 0], interpolation = "step"}}'
 TWO_ROWS = f"[[0, 0], [0, {PUSH}], [{LASTS}, {PUSH}], [{LASTS}, 0]]"
 

@@ -14,7 +14,7 @@ from fracflow.scene import load
 MESHES = Path(__file__).parents[2] / "meshes"
 # stress xx, yy, xy and p0 as the scenes state them; the wells' rate at a control of 1; where it comes out; dynamic steps
 SCENES = {
-    "three_fractures": ((-13e6, -25e6, 0.0), 5e6, 1e-3, (1000, 330), 60),
+    "three_fractures": ((-13e6, -25e6, 0.0), 5e6, 1e-3, (1000, 330), 20),
     "crossings": ((-10e6, -15e6, 4e6), 1e6, 1.0, None, 4),
 }
 

@@ -1,0 +1,61 @@
+"""What the end of a run says of its books: an alarm where they are open, none where all in them is round-off."""
+
+import h5py
+import numpy as np
+import pytest
+from rich.console import Console
+
+from fracflow._petsc import MPI
+from fracflow.output import read_history
+from fracflow.output.tell import tell
+from fracflow.run import run
+from fracflow.scene import load
+
+pytestmark = pytest.mark.serial
+STILL = """
+method.stepper = "explicit"
+output.pictures = false
+rock.rock = {youngs_modulus = "30 GPa", poissons_ratio = 0.25, density = 2700}
+initial_stress = {xx = "-13 MPa", yy = "-25 MPa", zz = "-15 MPa", xy = "3 MPa"}
+fracture.default.aperture = "0.2 mm"
+fracture.default.friction_coefficient = 0.6
+fracture.default.normal_stiffness = "50 GPa/m"
+fracture.default.shear_stiffness = "20 GPa/m"
+support = [{on = "side1"}]
+load = [{on = ["side2", "side3", "side4"], traction = "initial-stress"}]
+stage = [{kind = "dynamic", time_step = 1e-4, steps = 10}]
+[geometry]
+domain = [[0, 0], [97, 11], [90, 83], [-7, 71]]
+size = 15
+fracture = [{name = "a", points = [[20, 20], [70, 60]]}, {name = "b", points = [[60, 10], [40, 70]]}]
+"""
+
+
+@pytest.fixture
+def still(tmp_path):
+    """A run in which nothing moves but round-off."""
+    (tmp_path / "scene.toml").write_text(STILL)
+    run(load(tmp_path / "scene.toml"), tmp_path / "out", MPI.COMM_SELF)
+    return tmp_path / "out"
+
+
+def told(folder):
+    console = Console(width=200, record=True, quiet=False, file=(folder / "told").open("w"))
+    tell(folder, console)
+    return console.export_text()
+
+
+def test_round_off_is_no_open_book(still):
+    history = read_history(still / "history.h5")
+    entries = {key: np.abs(values).max() for key, values in history.items() if key.startswith("energy/")}
+    assert entries["energy/residual"] > 1e-6 * max(entries.values())  # open, were the largest entry the scale
+    said = told(still)
+    assert "! energy books" not in said and "all entries are round-off" in said
+
+
+def test_what_is_larger_is_told(still):
+    """A millijoule that is missing of an energy of 10 J, beside 7e7 J that the initial stresses store."""
+    with h5py.File(still / "history.h5", "r+") as file:
+        file["energy/rock_strain"][-1], file["energy/residual"][-1] = 10.0, 1e-3
+    said = told(still)
+    assert "! energy books: 1.0e-04 of the largest entry is left over" in said and "round-off" not in said

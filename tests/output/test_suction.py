@@ -1,0 +1,44 @@
+"""A well that pumps a fracture below a pressure of zero is told of, once, with place, value and remedy."""
+
+import pytest
+
+from fracflow._petsc import MPI
+from fracflow.run import run
+from fracflow.scene import Scene
+
+
+def data(start, least=None, gradient=0.0):
+    well = {"name": "out", "at": {"fracture": "seam", "end": "end"}, "flow_rate": [[0, 0], [10, -2e-5]]}
+    fluid = {"viscosity": 1e-3, "specific_weight": 1e4, "initial_pressure": start}
+    return {
+        "output": {"pictures": False},
+        "fluid": fluid | ({"pressure_gradient": gradient, "datum": 0.0} if gradient else {}),
+        "rock": {"rock": {"rigid": True, "density": 2500}},
+        "initial_stress": {"xx": -2e7, "yy": -2e7, "zz": -2e7},
+        "geometry": {"domain": [0, 0, 10, 10], "size": 5, "fracture": [{"name": "seam", "points": [[0, 5], [10, 5]]}]},
+        "fracture": {
+            "default": {"normal_stiffness": 1e11, "shear_stiffness": 1e11, "aperture": 1e-4, "friction_angle_deg": 30}
+        },
+        "support": [{"on": "rock", "components": ["x", "y", "rotation"]}],
+        "well": [
+            {"name": "in", "at": {"fracture": "seam", "end": "start"}, "pressure": "initial"},
+            well | ({"minimum_pressure": least} if least is not None else {}),
+        ],
+        "stage": [{"kind": "quasi-static", "time_step": 1, "steps": 10}],
+    }
+
+
+@pytest.mark.parametrize(
+    ("start", "least"), [(1e6, None), (0.0, None), (1e6, 0.0)], ids=["pumped dry", "changes of pressure", "limited"]
+)
+def test_suction_is_told_once(start, least, shared_tmp, comm):
+    """12 mu L Q/d^3 below 1 MPa: 1.08 MPa with the mean Q of the fifth step, of 4.5 s. Without initial pressure: changes."""
+    done = run(Scene.from_data(data(start, least)), shared_tmp / "out", MPI.COMM_WORLD)
+    log = comm.bcast((shared_tmp / "out" / "log.txt").read_text() if comm.rank == 0 else None)
+    found = [line for line in done.doubts if "below zero" in line]
+    if not start or least is not None:
+        assert not found and "below zero" not in log
+        return
+    (line,) = found
+    assert line.startswith("time 5 s: the pressure in seam at (10, 5) m falls to -8e+04 ")
+    assert "minimum_pressure" in line and log.count("below zero") == 1
