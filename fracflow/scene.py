@@ -163,7 +163,7 @@ class Scene(Part):
     @property
     def mesh_path(self) -> Path | None:
         """The absolute path of the geometry or mesh file, None where the scene has [geometry]."""
-        return None if self.mesh is None else (self.folder / self.mesh.file).resolve()
+        return None if self.mesh is None else Path(os.path.realpath(self.folder / self.mesh.file))
 
     @property
     def refine(self) -> int:

@@ -6,6 +6,7 @@ line as the file has it, included files with it. So nothing turns on how Gmsh re
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,9 +64,9 @@ def check_geo(path: Path, root: Path | None = None) -> Checked:
 
 def _add(found: Checked, path: Path, root: Path, above: tuple[Path, ...]) -> str:
     """Check a file unless that was done; the name that Gmsh is given for it."""
-    place = path.resolve()
+    place = _real(path)
     for name, source in found.sources.items():
-        if source.resolve() == place:
+        if _real(source) == place:
             return name
     if len(found.sources) >= MOST_FILES:
         raise InputError(f"{path}: is more than the {MOST_FILES} files that a geometry may be made of; join some")
@@ -81,6 +82,11 @@ def _add(found: Checked, path: Path, root: Path, above: tuple[Path, ...]) -> str
         raise InputError(f"{path}: line {error.line}: {error.why}; {REMEDY}") from None
     found.texts[name] = _written(file.tokens)
     return name
+
+
+def _real(path: Path) -> Path:
+    """Where a path leads; of links in a circle too, which cannot be read."""
+    return Path(os.path.realpath(path))
 
 
 def _written(tokens: list[Token]) -> str:
@@ -212,9 +218,9 @@ class _File:
         if token.kind != "text" or not name or name[0] in "/~" or ":" in name:
             raise self._refusal(first, last, "Include takes the name of a file in the scene's folder")
         path = self.path.parent / name
-        if self.root not in path.resolve().parents:
+        if self.root not in _real(path).parents:
             raise self._refusal(first, last, f"the file lies outside of the folder {self.root}")
-        if path.resolve() in self.above or len(self.above) > DEEPEST:
+        if _real(path) in self.above or len(self.above) > DEEPEST:
             raise self._refusal(first, last, "the file includes itself")
         given = _add(self.found, path, self.root, self.above)
         token.shown = f' "{given}" '
