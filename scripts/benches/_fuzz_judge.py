@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
-from fracflow.errors import DiskError, InputError, Interrupted, SolveError
+from fracflow import errors
 
 PACKAGE = str(Path(__file__).parents[2] / "fracflow")
 HANGS = 30.0  # [s]
@@ -26,7 +26,11 @@ REMEDY = re.compile(r";|\bmust\b|\ballowed\b|did you mean|needs? |\bgive |\bchoo
 NUMPY = re.compile(
     r"encountered in|Warning\b|deprecated|divide by zero|casting|overflow|HDF5-DIAG|Traceback|\[\d+\]PETSC ERROR"
 )
-ENDS = (InputError, SolveError, DiskError, Interrupted)
+ENDS = tuple(
+    each
+    for each in vars(errors).values()
+    if isinstance(each, type) and issubclass(each, Exception) and each is not errors.PutBack
+)
 
 
 class Hang(BaseException):
