@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError, Interrupted, SolveError
+from fracflow.files import read_text
 from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
-from fracflow.output.history import read_attributes, read_history
+from fracflow.output.history import read_history, read_units
 from fracflow.output.status import read_status
 
 if TYPE_CHECKING:
@@ -120,15 +121,15 @@ class Run:
     def _planned(self, key: str) -> list[dict[str, Any]]:
         path = self.folder / "plan.json"
         try:
-            found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))[key]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            found: list[dict[str, Any]] = json.loads(read_text(path, "name the folder of a run"))[key]
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError(f"{path}: is no readable plan ({error}); name the folder of a run") from error
         return found
 
     @property
     def units(self) -> dict[str, str]:
         """Names of the units of length, force and time; empty strings for a scene without units."""
-        return dict(json.loads(read_attributes(self.folder / "history.h5").get("units", "{}")))
+        return read_units(self.folder / "history.h5")
 
     @property
     def scene(self) -> Scene:

@@ -40,6 +40,7 @@ def watched(
         TextColumn("{task.completed} steps"),
         TimeRemainingColumn(),
     )
+    from fracflow.begin.setup import on_root
     from fracflow.coupling.defaults import forget
 
     totals, failure = None, None
@@ -55,8 +56,8 @@ def watched(
             raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
         finally:
             forget()
-    if comm.rank == 0 and (is_shown or failure is not None):
-        show(folder, console, scene.output.pictures, failure is not None)
+    if is_shown or failure is not None:
+        on_root(comm, lambda: show(folder, console, scene.output.pictures, failure is not None))
     comm.barrier()  # all ranks end together, in whichever way
     if failure is not None:
         raise SolveError(f"{failure}; what was reached is in {folder}")

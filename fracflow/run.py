@@ -19,14 +19,16 @@ from fracflow.errors import InputError, Interrupted, PutBack, SolveError
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.near import near_ones
 from fracflow.mesh.store import load_mesh
-from fracflow.output.checkpoint import read_arrays, read_notes, restore_state
+from fracflow.output.checkpoint import read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.handed import told_handed
+from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.record.recorder import Recorder, watches_spurious
 from fracflow.record.totals import Totals
 from fracflow.record.watch import Watch, Wish
 from fracflow.scene import Scene, load
 from fracflow.scene_actions import Stage
+from fracflow.sealed import AGAIN
 from fracflow.stages.auto import run_auto
 from fracflow.stages.equilibrate import equilibrate
 from fracflow.stages.instability import LimitPoint
@@ -127,21 +129,23 @@ def resume(
     began, folder = clock.perf_counter(), Path(folder)
     on_root(comm, lambda: require_run(folder))
     scene, saved = load(folder / "scene.toml", trust=trust), folder / "checkpoint.h5"
-    if not comm.bcast(saved.exists(), root=0):
+    if not comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
         return run(scene, folder, comm, progress)
     notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
+    with restoring(saved):
+        totals = Totals(**notes["totals"])
     if notes["finished"]:
-        return Totals(**notes["totals"])
-    arrays = read_arrays(saved)
+        return totals
+    arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
     cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
-    mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5"))
+    mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
     model = prepare(scene, comm, mesh, cell_rank)
     settle(model)
     model = planned(model, notes["totals"]["undone"], cell_rank)
-    step = Step(
-        restore_state(model.operators, arrays, notes),
-        notes["stage"], 0.0, StepReport(), notes["progress"],
-    )  # fmt: skip
+    with restoring(saved):
+        scene.stage[notes["stage"]]
+        state = restore_state(model.operators, arrays, notes)
+    step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
     recorder = Recorder(model, folder, comm, notes)
     recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
     try:
@@ -155,6 +159,15 @@ def has_ended(folder: Path) -> bool:
     """Whether the run in a folder came to the end of its last stage. Raises InputError for an unreadable checkpoint."""
     saved = folder / "checkpoint.h5"
     return saved.exists() and bool(read_notes(saved)["finished"])
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a run can go on. Raises InputError where it could not begin again without loss: its checkpoint was taken away."""
+    if (folder / "checkpoint.h5").exists():
+        return True
+    if (folder / "history.h5").exists() and len(read_history(folder / "history.h5").get("time", ())) > 1:
+        raise InputError(f"{folder / 'checkpoint.h5'}: no such file, although history.h5 has steps; put it back, or {AGAIN}")
+    return False
 
 
 def require_run(folder: Path) -> None:

@@ -17,7 +17,7 @@ LONGEST = 450
 
 # floor -> groups; a group is a package, or modules that stand together and may import each other
 FLOORS = (
-    ({"errors", "files"}, {"_petsc"}, {"laws"}, {"elements"}, {"stepping"}),
+    ({"errors", "files", "h5_reader", "h5_worker", "sealed"}, {"_petsc"}, {"laws"}, {"elements"}, {"stepping"}),
     ({"mesh"}, {"scene*", "units", "tables*", "profiles"}),
     ({"state"},),
     ({"assembly"},),

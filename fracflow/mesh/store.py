@@ -3,42 +3,93 @@
 from __future__ import annotations
 
 import json
-import os
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import SplitMesh
+from fracflow.sealed import AGAIN, read_sealed, write_sealed
+
+_NO_MESH = "is no saved mesh"
+_TEXTS = ("rocks", "fractures", "sides", "notes")
+_REALS = ("points", "joint_along")
 
 
-def save_mesh(mesh: SplitMesh, path: Path) -> None:
-    """Write every part of a mesh, aside and then renamed."""
-    part = path.with_name(path.name + ".part")
-    with h5py.File(part, "w") as file:
-        for field in fields(mesh):
-            value = getattr(mesh, field.name)
-            if isinstance(value, np.ndarray):
-                file[field.name] = value
-            else:
-                file.attrs[field.name] = json.dumps(value, ensure_ascii=False)
-    os.replace(part, path)
+def save_mesh(mesh: SplitMesh, path: Path) -> str:
+    """Write every part of a mesh with its seal, and give the root of that."""
+    parts = {field.name: getattr(mesh, field.name) for field in fields(mesh)}
+    arrays = {name: value for name, value in parts.items() if isinstance(value, np.ndarray)}
+    texts = {name: json.dumps(value, ensure_ascii=False) for name, value in parts.items() if name not in arrays}
+    return write_sealed(path, arrays, texts)
 
 
-def load_mesh(path: Path) -> SplitMesh:
-    """Read a mesh that was saved. Raises InputError where there is none."""
+def load_mesh(path: Path, root: str = "") -> SplitMesh:
+    """Read a mesh that was saved, with the ``root`` of its seal where that is known. Raises InputError where there is none."""
+    found = read_sealed(path, _NO_MESH, ours=root)
     try:
-        with h5py.File(path, "r") as file:
-            return SplitMesh(**{field.name: _part(file, field.name) for field in fields(SplitMesh)})
-    except (OSError, KeyError) as error:
-        raise InputError(f"{path}: is no saved mesh ({error}); start the run again with fracflow run") from error
+        mesh = SplitMesh(**{field.name: _part(found.arrays, found.notes, field.name) for field in fields(SplitMesh)})
+        _check(mesh)
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{path}: {_NO_MESH} ({error}); {AGAIN}") from None
+    return mesh
 
 
-def _part(file: h5py.File, name: str) -> Any:
-    if name in file:
-        return file[name][()]
-    value = json.loads(file.attrs[name])
+def mesh_root(path: Path) -> str:
+    """The root of a mesh's seal, empty where it has none. Raises InputError as ``load_mesh`` does."""
+    return read_sealed(path, _NO_MESH, names=()).root
+
+
+def _part(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, Any], name: str) -> Any:
+    if name in arrays:
+        return arrays[name]
+    value = json.loads(str(texts[name]))
     return tuple(value) if isinstance(value, list) else value
+
+
+def _check(mesh: SplitMesh) -> None:
+    """Raise ValueError for parts that point to what there is not; others may have made the file."""
+    if np.ndim(mesh.points) != 2 or mesh.points.shape[1] not in (2, 3):
+        raise ValueError("points are no points")
+    for name in _TEXTS:
+        if not isinstance(value := getattr(mesh, name), tuple) or not all(isinstance(each, str) for each in value):
+            raise ValueError(f"{name} are no names")
+    nodes, dim = mesh.points.shape
+    cells, joints, flows, facets = (
+        len(np.atleast_1d(each)) for each in (mesh.cells, mesh.joint_bottom, mesh.flow_origin, mesh.side_facets)
+    )
+    columns = mesh.cells.shape[1] if np.ndim(mesh.cells) == 2 else 0
+    shapes: dict[str, tuple[tuple[int, ...], int]] = {  # shape, and what each number is below
+        "origin": ((nodes,), nodes),
+        "cells": ((cells, columns), nodes),
+        "cell_rock": ((cells,), len(mesh.rocks)),
+        "joint_bottom": ((joints, dim), nodes),
+        "joint_top": ((joints, dim), nodes),
+        "joint_cells": ((joints, 2), cells),
+        "joint_flow": ((joints, dim), flows),
+        "joint_fracture": ((joints,), len(mesh.fractures)),
+        "joint_along": ((joints, dim), 0),
+        "flow_origin": ((flows,), nodes),
+        "side_facets": ((facets, dim), nodes),
+        "side_cell": ((facets,), cells),
+        "side_of": ((facets,), len(mesh.sides)),
+    }
+    for name, (shape, below) in shapes.items():
+        values = getattr(mesh, name)
+        if not isinstance(values, np.ndarray) or values.shape != shape:
+            raise ValueError(f"{name} has the shape {np.shape(values)}, not {shape}")
+        least = -1 if name == "cells" else 0  # which -1 pads
+        if name not in _REALS and (
+            values.dtype.kind != "i" or (values.size and not least <= values.min() <= values.max() < below)
+        ):
+            raise ValueError(f"{name} has numbers that are not from {least} to {below - 1}")
+    for name in _REALS:
+        if getattr(mesh, name).dtype.kind != "f" or not np.isfinite(getattr(mesh, name)).all():
+            raise ValueError(f"{name} has values that are no numbers")
+    points = mesh.named_points
+    if not isinstance(points, dict) or not all(type(at) is int and 0 <= at < nodes for at in points.values()):
+        raise ValueError("named_points has numbers of no nodes")

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import NonNegativeInt, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import MPI, PETSc
 from fracflow.assembly.operators import Operators
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
+from fracflow.sealed import AGAIN, read_sealed, write_sealed
 from fracflow.state import Forces, Memory, Motion, Past, Sections, State
 
 Arrays = dict[str, NDArray[Any]]
@@ -44,41 +46,83 @@ NOTES = (
     "log_bytes",
     "events",
 )
+_NO_CHECKPOINT = "is no checkpoint"
 MEMORY = "mean_velocity"
 SIDES = ("absorbed", "anchor", "damped")  # of absorbing sides, and of damping at faults, where they act
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
+DIMENSIONS = {"strain": 1, "traction": 1, "tangent": 2, "inelastic": 1, "blur": 1}  # of each section's value
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
+class Notes(TypedDict, total=False):
+    """What a checkpoint says beside its arrays; what NOTES names must be there.
+
+    seals  digests of what it belongs to: the roots of "mesh", the last row of "history", the text of "scene"
+    """
+
+    time: float
+    controls: dict[str, float]
+    energy: dict[str, float]
+    limited: list[str]
+    last_step: float
+    drive: float
+    power: float
+    stage: NonNegativeInt
+    progress: dict[str, float]
+    totals: dict[str, Any]
+    finished: bool
+    ranks: NonNegativeInt
+    log_bytes: NonNegativeInt
+    events: dict[str, Any]
+    injected: float
+    around: tuple[float, float]
+    incident: float
+    through: dict[str, float]
+    seals: dict[str, str]
+
+
 def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
-    """Write a checkpoint aside, bring it to disk, and put it in the place of the last one. Rank 0 only."""
-    part = path.with_name(path.name + ".part")
-    with h5py.File(part, "w") as file:
-        for name, values in arrays.items():
-            file[name] = values
-        file.attrs["notes"] = json.dumps(notes, ensure_ascii=False)
-    with part.open("rb") as written:
-        os.fsync(written.fileno())
-    os.replace(part, path)
+    """Write a checkpoint and its seal aside, bring it to disk, and put it in the place of the last one. Rank 0 only."""
+    write_sealed(path, arrays, {"notes": json.dumps(notes, ensure_ascii=False)})
 
 
 def read_notes(path: Path) -> dict[str, Any]:
-    """What a checkpoint says beside its arrays. Raises InputError where it cannot be read."""
+    """What a checkpoint says beside its arrays, ``seals`` empty where it has none. Raises InputError as ``read_arrays``."""
+    found = read_sealed(path, _NO_CHECKPOINT, names=())
     try:
-        with h5py.File(path, "r") as file:
-            notes: dict[str, Any] = json.loads(file.attrs["notes"])
-            for key in NOTES:
-                notes[key]
-            return notes
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: is no checkpoint ({error}); start the run again with fracflow run") from error
+        notes: dict[str, Any] = json.loads(str(found.notes["notes"]))
+        for key in NOTES:
+            notes[key]
+        TypeAdapter(Notes).validate_python({key: value for key, value in notes.items() if key in Notes.__annotations__})
+    except ValidationError as error:
+        where = ".".join(map(str, error.errors()[0]["loc"]))
+        raise InputError(f"{path}: {_NO_CHECKPOINT} ({where}: {error.errors()[0]['msg']}); {AGAIN}") from None
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        raise InputError(f"{path}: {_NO_CHECKPOINT} ({error}); {AGAIN}") from error
+    return {**notes, "seals": notes.get("seals", {}) if found.root else {}}
 
 
 def read_arrays(path: Path) -> Arrays:
-    """All arrays of a checkpoint, by their names."""
-    found: Arrays = {}
-    with h5py.File(path, "r") as file:
-        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+    """All arrays of a checkpoint, by their names. Raises InputError where they are not as they were sealed."""
+    return read_sealed(path, _NO_CHECKPOINT).arrays
+
+
+@contextmanager
+def restoring(path: Path) -> Iterator[None]:
+    """Let what does not fit in a checkpoint, with seal or without, be an InputError that names it."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: {_NO_CHECKPOINT} of this version ({what}); {AGAIN}") from error
+
+
+def spread(comm: MPI.Comm, arrays: Arrays | None) -> Arrays:
+    """The arrays of rank 0 on every rank. Collective."""
+    shapes = comm.bcast(None if arrays is None else [(k, v.dtype.str, v.shape) for k, v in arrays.items()], root=0)
+    found = {name: np.empty(shape, kind) for name, kind, shape in shapes} if arrays is None else arrays
+    for name, _, _ in shapes:
+        comm.Bcast(found[name], root=0)
     return found
 
 
@@ -123,7 +167,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
     """The state that was saved, spread over the ranks of now. Raises InputError for that of another mesh. Collective."""
     blocks, layout = operators.blocks, operators.layout
     places, total = _solid_places(blocks)
-    _check_lengths(arrays, operators, total, notes["last_step"] > 0.0)
+    _check_shapes(arrays, operators, total, notes["last_step"] > 0.0)
 
     def solid(name: str) -> PETSc.Vec:
         vector = layout.solid_vector()
@@ -181,24 +225,30 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
     )
 
 
-def _check_lengths(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
-    sizes = operators.blocks.sizes
-    lengths = dict.fromkeys(SOLID, unknowns) | dict.fromkeys(
-        FLOW if operators.flow is not None else (), sizes.flow_nodes
-    )
-    lengths |= {MEMORY: unknowns} if remembers else {}
-    lengths |= {name: sizes.flow_nodes for name in RATES if name in arrays}
-    lengths |= {name: unknowns for name in SIDES if name in arrays}
-    lengths |= {f"sections/{field.name}": sizes.joints for field in fields(Sections) if field.name != "past"}
+def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
+    sizes, joint = operators.blocks.sizes, (operators.blocks.sizes.joints, operators.joints.points)
+    flow = FLOW if operators.flow is not None else ()
+    shapes: dict[str, tuple[int, ...]] = {name: (unknowns,) for name in SOLID}
+    shapes |= {name: (sizes.flow_nodes,) for name in flow}
+    shapes |= {MEMORY: (unknowns,)} if remembers else {}
+    shapes |= {name: (sizes.flow_nodes,) for name in RATES if name in arrays}
+    shapes |= {name: (unknowns,) for name in SIDES if name in arrays}
+    parts = {f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "past"}
+    shapes |= {f"sections/{name}": shape for name, shape in parts.items()} | {"friction": joint}
     for number, group in enumerate(operators.joints.laws):
-        lengths |= {f"past/{number}/{name}": sizes.joints for name in group.law.history}
-    for name, length in lengths.items():
-        found = len(arrays[name]) if name in arrays else 0
-        if found != length:
+        past = group.law.rest(1, sizes.dim)
+        shapes |= {f"past/{number}/{name}": (*joint, *past[name].shape[1:]) for name in group.law.history}
+    for name, shape in shapes.items():
+        found = arrays[name].shape if name in arrays else (0,)
+        if found != shape:
+            rows = f"{found[0] if found else 0} rows, not {shape[0]}"
             raise InputError(
-                f"checkpoint.h5: is no checkpoint of this mesh ({name} has {found} rows, not {length});"
-                " start the run again with fracflow run"
+                f"checkpoint.h5: is no checkpoint of this mesh ({name} has"
+                f" {rows if found[:1] != shape[:1] else f'the shape {found}, not {shape}'}); {AGAIN}"
             )
+        wanted = "b" if name in ("sections/is_sliding", "sections/is_open") else "f"
+        if name in arrays and arrays[name].dtype.kind != wanted:
+            raise InputError(f"checkpoint.h5: is no checkpoint ({name} is of type {arrays[name].dtype}); {AGAIN}")
 
 
 def _solid_places(blocks: Blocks) -> tuple[Ints, int]:

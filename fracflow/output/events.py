@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
+from fracflow.files import read_text
 from fracflow.output.folder import write_atomic
 
 OF_EVENTS = (
@@ -23,6 +24,7 @@ OF_EVENTS = (
 _NUMBERS = ("x", "y", "start", "end", "slip", "peak_slip_rate")
 COLUMNS = ("kind", "fracture", "node", "probe", *_NUMBERS, *OF_EVENTS)
 _KINDS = ("open", "slip")
+LARGEST = 1 << 30  # bytes of a file
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -171,19 +173,21 @@ class EventLog:
 def read_events(path: str | Path) -> list[dict[str, Any]]:
     """Read events.csv: one dict an event, numbers as numbers, None for ``end`` while it is under way and where there is none.
 
-    Raises InputError if the file is missing or has other columns.
+    Raises InputError if the file is missing, has other columns, or a row that no run writes.
     """
+    table = csv.reader(io.StringIO(read_text(Path(path), "name an events.csv of a run", LARGEST), newline=""))
+    rows: list[dict[str, Any]] = []
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
-            table = csv.DictReader(file)
-            rows = list(table)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; name an events.csv of a run") from error
-    if tuple(table.fieldnames or ()) != COLUMNS:
-        raise InputError(f"{path}: columns are {table.fieldnames}, should be {', '.join(COLUMNS)}")
-    return [_typed(row) for row in rows]
+        if (heads := tuple(next(table, ()))) != COLUMNS:
+            raise InputError(f"{path}: columns are {', '.join(heads)[:200]}, should be {', '.join(COLUMNS)}")
+        rows.extend(_typed(row) for row in table if row)
+    except (ValueError, csv.Error) as error:
+        raise InputError(f"{path}: row {len(rows) + 1} is no event ({error}); put back a copy of the file") from None
+    return rows
 
 
-def _typed(row: dict[str, str]) -> dict[str, Any]:
-    numbers = {key: float(row[key]) if row[key] else None for key in (*_NUMBERS, *OF_EVENTS)}
-    return {**row, **numbers, "node": int(row["node"])}
+def _typed(row: list[str]) -> dict[str, Any]:
+    may_lack = ("end", *OF_EVENTS)
+    texts = dict(zip(COLUMNS, [*row, *[""] * (len(COLUMNS) - len(row))], strict=True))
+    numbers = {k: None if k in may_lack and not texts[k] else float(texts[k]) for k in (*_NUMBERS, *OF_EVENTS)}
+    return {**texts, **numbers, "node": int(texts["node"])}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import write_atomic
-from fracflow.output.history import read_attributes, read_history
+from fracflow.output.history import read_history, read_units
 
 Columns = dict[str, NDArray[Any]]
 
@@ -57,8 +56,7 @@ def unit_of(key: str, units: Mapping[str, str]) -> str:
 
 def units_of_run(folder: Path) -> dict[str, str]:
     """Names of length, force and time, as ``unit_of`` takes them; none where the scene has none."""
-    found: dict[str, str] = json.loads(read_attributes(folder / "history.h5").get("units", "{}"))
-    return found
+    return read_units(folder / "history.h5")
 
 
 def tables(folder: str | Path) -> dict[str, Columns]:

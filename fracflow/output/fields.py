@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
-import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import to_json, write_atomic
+from fracflow.sealed import Sealed, read_sealed, write_sealed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,6 +20,7 @@ Data = dict[str, NDArray[Any]]
 
 # XDMF: name and code of the topology of cells with 2, 3 and 4 nodes
 _SHAPES = {2: ("Polyline", 2), 3: ("Triangle", 4), 4: ("Quadrilateral", 5)}
+_NO_FIELDS, _REMEDY = "is no readable field file", "name a run with fields"
 _CENTRES = {"point": "Node", "cell": "Cell"}
 
 
@@ -52,7 +52,7 @@ class FieldWriter:
         self._mesh = (kind, topology, _padded(points, 3))
         arrays = {"points": self._mesh[2], "cells": np.asarray(cells, np.int64), "topology": topology}
         _write(self.folder / "fields" / f"{name}_mesh.h5", arrays, attrs or {})
-        self._grids = {index: self._grid(path) for index, path in list_steps(self.folder, name)}
+        self._grids = {index: self._grid(path, *_read_flat(path)) for index, path in list_steps(self.folder, name)}
         self._write_index()
 
     def write(
@@ -76,7 +76,7 @@ class FieldWriter:
                     raise ValueError(f"field {key} of {self.name}: {got} rows, should be {count} {place}s")
         path = self.folder / "fields" / f"{self.name}_{index:06d}.h5"
         _write(path, arrays, {"time": float(time)})
-        self._grids[index] = self._grid(path)
+        self._grids[index] = self._grid(path, float(time), *_by_place(arrays))
         self._write_index()
         return path
 
@@ -86,8 +86,7 @@ class FieldWriter:
             self._write_index()
             (self.folder / "fields" / f"{self.name}_{index:06d}.h5").unlink(missing_ok=True)
 
-    def _grid(self, path: Path) -> str:
-        time, *data = _read_flat(path)
+    def _grid(self, path: Path, time: float, *data: Data) -> str:
         places = zip(_CENTRES, data, strict=True)
         fields = [(place, key, value) for place, values in places for key, value in values.items()]
         attributes = [
@@ -121,39 +120,53 @@ def list_steps(folder: str | Path, name: str) -> list[tuple[int, Path]]:
 
 
 def read_mesh(folder: str | Path, name: str) -> tuple[Floats, Ints, dict[str, Any]]:
-    """Points (n, 3), cells (m, k) with -1 padding, and the mesh's metadata (JSON is left as text)."""
-    with _opened(Path(folder) / "fields" / f"{name}_mesh.h5") as file:
-        return file["points"][:], file["cells"][:], dict(file.attrs)
+    """Points (n, 3), cells (m, k) with -1 padding, and the mesh's metadata (JSON is left as text). Raises InputError."""
+    path = Path(folder) / "fields" / f"{name}_mesh.h5"
+    found = read_sealed(path, _NO_FIELDS, remedy=_REMEDY)
+    points, cells = (found.arrays.get(key, np.zeros(0)) for key in ("points", "cells"))
+    if points.ndim != 2 or points.shape[1] != 3 or cells.ndim != 2 or cells.dtype.kind != "i":
+        raise InputError(f"{path}: {_NO_FIELDS} (it has no points or no cells); {_REMEDY}")
+    if cells.size and not -1 <= cells.min() <= cells.max() < len(points):
+        raise InputError(f"{path}: {_NO_FIELDS} (cells have nodes that are not there); {_REMEDY}")
+    return points, cells, dict(found.notes)
 
 
 def read_step(path: str | Path) -> tuple[float, Data, Data]:
-    """Time, point data and cell data of one step, as stored: vectors have 3 components, tensors 3 x 3."""
+    """Time, point data and cell data of one step, as stored: vectors have 3 components, tensors 3 x 3. Raises InputError."""
     time, *data = _read_flat(Path(path))
     point, cell = ({key: _unflattened(value) for key, value in values.items()} for values in data)
     return time, point, cell
 
 
+def read_time(path: str | Path) -> float:
+    """Time of one step. Raises InputError."""
+    return _time_of(Path(path), read_sealed(Path(path), _NO_FIELDS, names=(), remedy=_REMEDY))
+
+
 def _read_flat(path: Path) -> tuple[float, Data, Data]:
-    with _opened(path) as file:
-        data = [{key: item[()] for key, item in file.get(place, {}).items()} for place in _CENTRES]
-        return float(file.attrs["time"]), data[0], data[1]
+    found = read_sealed(path, _NO_FIELDS, remedy=_REMEDY)
+    return _time_of(path, found), *_by_place(found.arrays)
 
 
-def _opened(path: Path) -> h5py.File:
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        raise InputError(f"{path}: is no readable field file ({error}); name a run with fields") from error
+def _time_of(path: Path, found: Sealed) -> float:
+    time = found.notes.get("time")
+    if not isinstance(time, float):
+        raise InputError(f"{path}: {_NO_FIELDS} (it has no time); {_REMEDY}")
+    return time
+
+
+def _by_place(arrays: Mapping[str, NDArray[Any]]) -> tuple[Data, Data]:
+    """Point data and cell data by the names of the fields, in the order of these."""
+    point, cell = (
+        {key.partition("/")[2]: arrays[key] for key in sorted(arrays) if key.startswith(f"{place}/")}
+        for place in _CENTRES
+    )
+    return point, cell
 
 
 def _write(path: Path, arrays: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> None:
-    part = path.with_name(path.name + ".part")
-    with h5py.File(part, "w") as file:
-        for key, array in arrays.items():
-            file[key] = array
-        for key, value in attrs.items():
-            file.attrs[key] = value if isinstance(value, str | int | float) else to_json(value)
-    os.replace(part, path)
+    notes = {key: value if isinstance(value, str | int | float) else to_json(value) for key, value in attrs.items()}
+    write_sealed(path, arrays, notes, durable=False)
 
 
 def _topology(cells: Ints) -> tuple[Ints, str]:

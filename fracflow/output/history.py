@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
+from fracflow.h5_reader import Found, read_h5
 from fracflow.output.folder import to_json
+from fracflow.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
 
 _ROWS_A_CHUNK = 256
+_NO_HISTORY, _REMEDY = "is no readable history", "name a run's history.h5"
 
 
 class HistoryFile:
@@ -24,7 +28,7 @@ class HistoryFile:
     attrs  metadata of the run (units, versions, ...); all but strings and numbers are stored as JSON
 
     ``time`` is the last dataset that a record is written to: a step that has its time is complete. Until the first
-    record the file is PATH.part, for HDF5 could not read it after a kill.
+    record the file is PATH.part, for HDF5 could not read it after a kill. Records are sealed one by one, in a chain.
     """
 
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
@@ -32,24 +36,32 @@ class HistoryFile:
         self._part = self.path.with_name(self.path.name + ".part")
         self._file = h5py.File(self._part, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
-        self._rows = 0
-        for name, value in (attrs or {}).items():
-            self._file.attrs[name] = value if isinstance(value, str | int | float) else to_json(value)
+        self._rows, self._last, self._goes_on = 0, b"", False
+        self._notes = {k: v if isinstance(v, str | int | float) else to_json(v) for k, v in (attrs or {}).items()}
+        for name, value in self._notes.items():
+            self._file.attrs[name] = value
         self._file.flush()
 
     @classmethod
-    def resume(cls, path: str | Path, rows: int) -> HistoryFile:
-        """Go on after the first ``rows`` records of the history at ``path``; what follows them is dropped."""
-        old = read_history(path)
-        found = len(old.get("time", ()))
-        if rows > found:
-            raise InputError(f"{path}: has {found} steps, not {rows}; resume from an earlier one")
-        history = cls(path, read_attributes(path))
+    def resume(cls, path: str | Path, rows: int, seal: str = "") -> HistoryFile:
+        """Go on after the first ``rows`` records of the history at ``path``, as ``read_rows``; what follows is dropped."""
+        return cls.after(path, *read_rows(path, rows, seal))
+
+    @classmethod
+    def after(cls, path: str | Path, old: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> HistoryFile:
+        """Go on after these records, with these attributes."""
+        history = cls(path, attrs)
         if old:
             history._create(old)
-            history._extend({key: values[:rows] for key, values in old.items()})
+            history._extend(old)
             history._show()
+            history._goes_on = True
         return history
+
+    @property
+    def seal(self) -> str:
+        """Digest of the last record, in hexadecimal digits; empty before the first."""
+        return self._last.hex()
 
     def append(self, record: Mapping[str, ArrayLike]) -> None:
         """Add one step.
@@ -62,6 +74,11 @@ class HistoryFile:
             self._create(row)
         elif row.keys() != self._sets.keys():
             odd = sorted(row.keys() ^ self._sets.keys())
+            if self._goes_on:
+                raise InputError(
+                    f"{self.path}: {odd[0]} is not both there and in the steps that follow: probes or controls of the scene"
+                    f" were changed; put them back, or {AGAIN}"
+                )
             raise ValueError(f"history record: keys {odd} are not in every record; all must be in the first")
         self._extend(row)
         self._show()
@@ -82,14 +99,18 @@ class HistoryFile:
             os.replace(self._part, self.path)
 
     def _create(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        if "time" not in columns:
-            raise ValueError('history record: the key "time" is missing')
+        if "time" not in columns or SEAL in columns:
+            raise ValueError(f'history record: the key "time" is missing, or "{SEAL}" is a key')
         for key, values in columns.items():
             shape = values.shape[1:]
             chunk = (max(1, _ROWS_A_CHUNK // max(1, int(np.prod(shape)))), *(max(1, n) for n in shape))
             self._sets[key] = self._file.create_dataset(
                 key, shape=(0, *shape), maxshape=(None, *shape), dtype=values.dtype, chunks=chunk
             )
+        rows = (_ROWS_A_CHUNK, WIDTH)
+        self._seals = self._file.create_dataset(SEAL, shape=(0, WIDTH), maxshape=(None, WIDTH), dtype="u1", chunks=rows)
+        self._last = chain_start(layout_of(columns), self._notes)
+        self._file.attrs[SEAL] = self._last.hex()
         self._file.flush()
         self._file.swmr_mode = True
 
@@ -99,12 +120,15 @@ class HistoryFile:
             if columns[key].shape[1:] != self._sets[key].shape[1:]:
                 wrong, right = columns[key].shape[1:], self._sets[key].shape[1:]
                 raise ValueError(f"history record: key {key} has shape {wrong}, the first record had {right}")
+        seals = chain(self._last, columns)
         for key in [*(name for name in columns if name != "time"), "time"]:
             if key == "time":
+                _append(self._seals.id, self._rows, seals)
                 self._file.flush()
             _append(self._sets[key].id, self._rows, np.ascontiguousarray(columns[key]))
         self._sets["time"].flush()
         self._rows += count
+        self._last = seals[-1].tobytes() if count else self._last
 
 
 def _append(dataset: h5py.h5d.DatasetID, row: int, values: NDArray[Any]) -> None:
@@ -118,36 +142,95 @@ def _append(dataset: h5py.h5d.DatasetID, row: int, values: NDArray[Any]) -> None
 def read_history(path: str | Path) -> dict[str, NDArray[Any]]:
     """Read all complete steps: key -> (steps, ...); works beside a live writer and after a kill.
 
-    Raises InputError if ``path`` is no history.
+    Raises InputError if ``path`` is no history, or a step in it is not as it was written.
     """
-    with _opened(path) as file:
-        found = dict(_datasets(file))
-        rows = min((dataset.shape[0] for dataset in found.values()), default=0)
-        return {key: dataset[:rows] for key, dataset in found.items()}
+    return _read(path)[0]
+
+
+def read_rows(path: str | Path, rows: int, seal: str = "") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The first ``rows`` records and the attributes; the last of them must have the digest ``seal`` where there is one.
+
+    Raises InputError where there are fewer, or one of them is not as it was written; later ones may be anything.
+    """
+    old, attrs, last = _read(path, rows, must=bool(seal))
+    found = len(old.get("time", ()))
+    if rows > found:
+        raise InputError(f"{path}: has {found} steps, not {rows} as checkpoint.h5 says; {AGAIN}")
+    if seal and last != seal:
+        raise InputError(f"{path}: step {rows - 1} is not that of checkpoint.h5; {AGAIN}")
+    return old, attrs
 
 
 def read_attributes(path: str | Path) -> dict[str, Any]:
     """Metadata that the history was made with; JSON is left as text. Raises InputError like read_history."""
-    with _opened(path) as file:
-        return dict(file.attrs)
+    found = _found(path, ())
+    _check_start(path, found)
+    return {name: value for name, value in found.attributes.items() if name != SEAL}
 
 
-def _opened(path: str | Path) -> h5py.File:
+def read_table(path: str | Path, key: str, attrs: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """A mapping that the attributes keep as JSON: units, probes, wells; empty without it. Raises InputError for any other."""
+    try:
+        found = json.loads((read_attributes(path) if attrs is None else attrs).get(key, "{}"))
+        if isinstance(found, dict):
+            return found
+    except (ValueError, TypeError, RecursionError):
+        pass
+    raise InputError(f"{path}: its attribute {key} is no table; {_REMEDY}")
+
+
+def read_units(path: str | Path, attrs: Mapping[str, Any] | None = None) -> dict[str, str]:
+    """Names of the units of length, force and time, as a history has them; empty without. Raises InputError."""
+    return {name: str(unit) for name, unit in read_table(path, "units", attrs).items()}
+
+
+def _read(
+    path: str | Path, rows: int | None = None, must: bool = False
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str]:
+    """Records, all or the first ``rows``, attributes, and the digest of the last record, empty where there are no seals."""
+    found = _found(path)
+    columns = {name: values[:rows] for name, values in found.arrays.items()}
+    start, seals = _check_start(path, found), columns.pop(SEAL, None)
+    attrs = {name: value for name, value in found.attributes.items() if name != SEAL}
+    if columns and ("time" not in columns or columns["time"].dtype.kind != "f"):
+        raise InputError(f"{path}: {_NO_HISTORY} (it has no time); {_REMEDY}")
+    for name, values in columns.items():
+        if values.ndim != 1 and (name == "time" or name.startswith(("step/", "energy/"))):
+            raise InputError(f"{path}: {_NO_HISTORY} ({name} has {values.ndim} dimensions); {_REMEDY}")
+    if seals is None or not start:
+        if must:
+            raise InputError(f"{path}: its seal is missing; {AGAIN}")
+        return columns, attrs, ""
+    if seals.dtype != np.uint8 or seals.shape[1:] != (WIDTH,):
+        raise InputError(f"{path}: its seal is damaged; {_REMEDY}")
+    mine = chain(start, columns)
+    wrong = np.flatnonzero((mine != seals).any(axis=1))
+    if len(wrong):
+        raise InputError(
+            f"{path}: step {wrong[0]} is not as it was written, those before it are; put back a copy of the file, or {AGAIN}"
+        )
+    return columns, attrs, (mine[-1].tobytes() if len(mine) else start).hex()
+
+
+def _check_start(path: str | Path, found: Found) -> bytes:
+    """What the chain begins from, empty where there are no seals. Raises InputError where attributes or names were changed."""
+    layout = {name: about for name, about in found.layout.items() if name != SEAL}
+    notes = {name: value for name, value in found.attributes.items() if name != SEAL}
+    if SEAL not in found.attributes and SEAL not in found.layout:
+        return b""
+    start = chain_start(layout, notes)
+    if SEAL not in found.layout or found.attributes.get(SEAL) != start.hex():
+        raise InputError(f"{path}: its attributes or names are not as they were written; {AGAIN}")
+    return start
+
+
+def _found(path: str | Path, names: tuple[str, ...] | None = None) -> Found:
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; name the folder of a run")
-    try:
-        # After a kill the file is still marked as being written: only a SWMR reader is let in.
-        return h5py.File(path, "r", libver="latest", swmr=True)
-    except OSError as error:
-        raise InputError(f"{path}: is no readable history ({error}); name a run's history.h5") from error
-
-
-def _datasets(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Dataset]]:
-    for name, item in group.items():
-        if isinstance(item, h5py.Group):
-            yield from _datasets(item, f"{prefix}{name}/")
-        else:
-            yield prefix + name, item
+    found = read_h5(path, _NO_HISTORY, _REMEDY, names, live=True)
+    if any(not shape for _, shape in found.layout.values()):
+        raise InputError(f"{path}: {_NO_HISTORY} (not all it holds has rows); {_REMEDY}")
+    return found
 
 
 def _stored(value: ArrayLike) -> NDArray[Any]:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.events import read_events
-from fracflow.output.fields import list_steps, read_mesh, read_step
-from fracflow.output.history import read_attributes, read_history
+from fracflow.output.fields import list_steps, read_mesh, read_step, read_time
+from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
 
 Floats = NDArray[np.float64]
@@ -236,10 +236,10 @@ def load_run_data(folder: str | Path) -> RunData:
     seen = {event["probe"]: (event["x"], event["y"]) for event in events if event["probe"]}
     return RunData(
         title=str(attrs.get("title") or folder.resolve().name),
-        units=json.loads(attrs.get("units", "{}")),
+        units=read_units(folder / "history.h5", attrs),
         history=history,
-        probes=_places(attrs, "probes") or seen,
-        wells=_places(attrs, "wells"),
+        probes=_places(folder, attrs, "probes") or seen,
+        wells=_places(folder, attrs, "wells"),
         events=events,
         rock=_rock(folder),
         fractures=_fractures(folder, float(history["time"][start])),
@@ -249,8 +249,12 @@ def load_run_data(folder: str | Path) -> RunData:
     )
 
 
-def _places(attrs: dict[str, Any], key: str) -> dict[str, tuple[float, float]]:
-    return {name: (float(at[0]), float(at[1])) for name, at in json.loads(attrs.get(key, "{}")).items()}
+def _places(folder: Path, attrs: dict[str, Any], key: str) -> dict[str, tuple[float, float]]:
+    try:
+        found = read_table(folder / "history.h5", key, attrs)
+        return {name: (float(at[0]), float(at[1])) for name, at in found.items()}
+    except (TypeError, ValueError, LookupError):
+        raise InputError(f"{folder / 'history.h5'}: its attribute {key} holds no places; name the folder of a run") from None
 
 
 def _rock(folder: Path) -> list[Floats] | None:
@@ -267,7 +271,7 @@ def _fractures(folder: Path, start: float) -> FractureFields | None:
     if not steps or not (folder / "fields" / "fractures_mesh.h5").exists():
         return None
     points, cells, attrs = read_mesh(folder, "fractures")
-    times = np.array([read_step(path)[0] for _, path in steps])
+    times = np.array([read_time(path) for _, path in steps])
     # The steps of a steady stage may share their time: the last of them is where the dynamics begin.
     first = max(0, int(np.searchsorted(times, start, side="right")) - 1)
     time, after, cell_data = read_step(steps[-1][1])

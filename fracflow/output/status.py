@@ -7,6 +7,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from fracflow.errors import InputError
+from fracflow.files import read_text
 from fracflow.output.folder import MARKER, RunFolder
 
 RUNNING, ENDED, STOPPED, FAILED, CUT_OFF = "running", "ended", "stopped", "failed", "cut off"
@@ -32,9 +34,9 @@ def write_status(folder: RunFolder, status: Status) -> None:
 def read_status(folder: str | Path) -> Status:
     """How the run of a folder stands now; a run that says it is under way and holds its folder no more was cut off."""
     try:
-        found = json.loads((Path(folder) / FILE).read_text(encoding="utf-8"))
+        found = json.loads(read_text(Path(folder) / FILE, "name the folder of a run"))
         word, line = str(found["status"]), str(found["line"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (InputError, ValueError, KeyError, TypeError, RecursionError):
         return Status()
     return Status(CUT_OFF if word == RUNNING and not _is_held(Path(folder)) else word, line)
 

@@ -16,7 +16,7 @@ from fracflow.mesh.store import load_mesh
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.handed import told_handed
-from fracflow.output.history import read_attributes, read_history
+from fracflow.output.history import read_history, read_units
 
 BOOKS = (
     "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "damping",
@@ -50,17 +50,17 @@ def _nearest(folder: Path) -> str:
 def tell(folder: Path, console: Console, failed: bool = False) -> None:
     """Print books and events of a run folder; of a run that ``failed`` without what more steps might bring."""
     history = read_history(folder / "history.h5")
-    units = read_attributes(folder / "history.h5")["units"]
-    units = json.loads(units) if isinstance(units, str) else units
-    length, time, force = (units[key] for key in ("length", "time", "force"))
+    units = read_units(folder / "history.h5")
+    length, time, force = (units.get(key, "") for key in ("length", "time", "force"))
     title = "Energy books" + (f" [{force} {length} per {length} of thickness]" if length else "")
     table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
-    for name in BOOKS:
+    books = [name for name in BOOKS if f"energy/{name}" in history]  # earlier versions had fewer
+    for name in books:
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)
     left, closed, most = (
-        max(np.abs(history[f"energy/{name}"]).max() for name in names)
+        max((np.abs(history[f"energy/{name}"]).max() for name in books if name in names), default=0.0)
         for names in (("residual",), ("residual_closed",), BOOKS)
     )
     if left > OPEN * most:

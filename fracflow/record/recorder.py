@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -21,13 +22,13 @@ from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.chatter import Chatter
-from fracflow.output.checkpoint import Arrays, gather_state, write_checkpoint
-from fracflow.output.history import read_attributes
+from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
 from fracflow.output.probes import probe_record
 from fracflow.output.rock import rock_fields
 from fracflow.output.status import RUNNING, Status, write_status
 from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
+from fracflow.record.before import Before, scene_seal
 from fracflow.record.catalogue import catalogue_of, instant
 from fracflow.record.totals import Totals
 from fracflow.scene import Scene
@@ -58,7 +59,7 @@ class Recorder:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
-        self.totals = Totals(**notes["totals"]) if notes else Totals()
+        self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
 
     def log(self, line: str) -> None:
@@ -69,13 +70,11 @@ class Recorder:
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
         snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
-        if self.files is not None and snapshot is not None:
-            margin = float(snapshot.column("margin").min(initial=np.inf))
-            if margin < self.totals.narrowest:
-                self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
-            self.files.append(step, snapshot, margin)
-            self.totals.least = max(self.totals.least, snapshot.least[0])
-            self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
+        if self._goes_on:  # the first step may show that the history was made with another scene
+            on_root(self.comm, lambda: self._append(step, snapshot))
+            self._goes_on = False
+        else:
+            self._append(step, snapshot)
         self._watch_spurious(step)
         self._watch_pressure(step)
         self._watch_widening(step)
@@ -83,6 +82,16 @@ class Recorder:
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
         self._tell_coupling(step)
+
+    def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
+        if self.files is None or snapshot is None:
+            return
+        margin = float(snapshot.column("margin").min(initial=np.inf))
+        if margin < self.totals.narrowest:
+            self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
+        self.files.append(step, snapshot, margin)
+        self.totals.least = max(self.totals.least, snapshot.least[0])
+        self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
 
     def _tell_coupling(self, step: Step) -> None:
         """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
@@ -210,14 +219,16 @@ class Files:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
-        if notes is not None:
-            read_attributes(folder / "history.h5")  # nothing is cut back where there is none to go on with
+        before = None if notes is None else Before(folder, notes)  # before anything is cut back
         self.folder = RunFolder(folder, resume=notes is not None)
         write_status(self.folder, Status(RUNNING))
         self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
+        if before is None or not before.mesh:
+            self.mesh_seal = save_mesh(model.stated_mesh, self.folder / "mesh.h5")
+        else:
+            self.mesh_seal = before.mesh
         if notes is None:
-            save_mesh(model.stated_mesh, self.folder / "mesh.h5")
             self.folder.write_text("scene.toml", model.stated.dump_toml(folder.resolve()))
             self.write_plan(self.decisions)
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
@@ -229,7 +240,12 @@ class Files:
         units = {part: str(getattr(system, part)) for part in ("length", "force", "time")}
         about = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells, "fracflow": __version__}
         path = self.folder / "history.h5"
-        self.history = HistoryFile(path, about) if notes is None else HistoryFile.resume(path, notes["totals"]["steps"])
+        old = (before.rows, before.attrs) if before is not None else None
+        self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
+        self.scene_seal = scene_seal(self.folder.path)
+        for line in before.told if before is not None else ():
+            self.folder.log(f"note: {line}")
+            warnings.warn(line, stacklevel=2)
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
         points = self.mesh.points[self.mesh.flow_origin[flow]]
         on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
@@ -247,9 +263,11 @@ class Files:
             ),
         )
         self.chatter = Chatter(self.events.nodes.fracture)
-        self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
+        with restoring(folder / "checkpoint.h5"):
+            self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
         if notes is not None:
-            self.events.remember(notes["events"])
+            with restoring(folder / "checkpoint.h5"):
+                self.events.remember(notes["events"])
         self.count = len(flow)
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
@@ -278,7 +296,8 @@ class Files:
         notes |= {"incident": state.forces.incident, "around": list(state.around)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
-        write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about})
+        seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
+        write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
 
     def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
         """One row of history and the events up to it."""

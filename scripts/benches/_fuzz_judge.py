@@ -22,7 +22,9 @@ PACKAGE = str(Path(__file__).parents[2] / "fracflow")
 HANGS = 30.0  # [s]
 MEMORY = 1 << 30  # bytes above what the program itself takes
 LONGEST = 1600  # characters of a message
-REMEDY = re.compile(r";|\bmust\b|\ballowed\b|did you mean|needs? |\bgive |\bchoose |\bsuch as\b|\blower\b|\braise\b|\bshould be\b")
+REMEDY = re.compile(
+    r";|\bmust\b|\ballowed\b|did you mean|needs? |\bgive |\bchoose |\bsuch as\b|\blower\b|\braise\b|\bshould be\b"
+)
 NUMPY = re.compile(
     r"encountered in|Warning\b|deprecated|divide by zero|casting|overflow|HDF5-DIAG|Traceback|\[\d+\]PETSC ERROR"
 )
@@ -196,7 +198,7 @@ def of_command(code: int, out: str, err: str) -> list[Found]:
     odd = [line for line in lines if NUMPY.search(line)]
     found = []
     if code not in (0, 2, 3):
-        last = re.sub(r"[\d.e+-]+", "#", said[-1])[:80] if said else ""
+        last = re.sub(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", "#", said[-1])[:80] if said else ""
         own = [line for line in lines if "fracflow/" in line and "line" in line]
         place = re.sub(r'.*fracflow/([\w/]+\.py)", line (\d+).*', r"\1:\2", own[-1]) if own else ""
         found.append(Found(f"exit code {code}: {last} at {place}", err[-3000:]))

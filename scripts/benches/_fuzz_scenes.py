@@ -179,7 +179,7 @@ def changed(r: random.Random, data: dict[str, Any], ways: tuple[Any, ...] = WILD
             break
         try:
             way(r, data, r.choice(found))
-        except (KeyError, IndexError, TypeError, AttributeError, OverflowError, MemoryError):
+        except (KeyError, IndexError, TypeError, AttributeError, OverflowError, ValueError, MemoryError):
             continue  # what it wanted to change is not there any more
         names.append(way.__name__.strip("_"))
     return "+".join(names)

@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import _fuzz_cases as cases
 import _fuzz_commands as commands
 from _fuzz_cases import COMMAND, FRESH, GMSH, PROCESS, SHARES, Bases, Case, kind_and_way
-from _fuzz_judge import HANGS, Box, Found, bounded, peak
+from _fuzz_judge import HANGS, Box, Found, bounded, of_error, peak
 
 SILENT = 2.0 * HANGS  # seconds without a word from a worker: it hangs where no signal reaches it
 MOST_KEPT = 3  # cases of one failure
@@ -99,8 +99,14 @@ def work(numbers: list[int], seed: int, root: Path, kept: Path, bases: Bases, wr
     for number in numbers:
         os.write(write, f"{number}\n".encode())
         began = time.process_time() + sum(os.times()[2:4])
-        case = cases.draw(seed, number, bases, box)
-        found = perform(case, box, bases)
+        try:
+            case = cases.draw(seed, number, bases, box)
+            found = perform(case, box, bases)
+        except Exception as error:  # no fault of the program; the other cases go on
+            found = []
+            told = {"n": number, "key": f"the bench itself failed: {of_error(error).key}", "kept": ""}
+            os.write(write, (json.dumps(told) + "\n").encode())
+            os.write(write, b"!" + of_error(error).detail.replace("\n", "\r").encode() + b"\n")
         for ending, fault in {each.key: (ending, each) for ending, each in found}.values():
             seen[fault.key] += 1
             where = keep(case, fault.key, f"{ending}\n{fault.detail}", kept, bases, box) if seen[fault.key] == 1 else ""

@@ -1,0 +1,494 @@
+"""Run folders that were damaged or forged: one line and exit code 2, soon; what is whole is the same to the bit."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from resealed import changed_notes, resealed
+
+import fracflow
+from fracflow import h5_reader
+from fracflow.cli import main
+from fracflow.errors import InputError, Interrupted
+from fracflow.mesh.store import load_mesh
+from fracflow.output.checkpoint import read_arrays, read_notes
+from fracflow.output.fields import read_step
+from fracflow.output.history import HistoryFile, read_attributes, read_history
+from fracflow.run import resume, run
+from fracflow.scene import load
+from fracflow.sealed import PIECE, SEAL, layout_of, pieces, root_of
+
+pytestmark = pytest.mark.serial
+ROOT = Path(__file__).parents[2]
+AGAIN = "start the run again with fracflow run"
+SCENE = """
+rock.rock = {youngs_modulus = "50 GPa", poissons_ratio = 0.25, density = "2700 kg/m^3"}
+fluid = {viscosity = "1e-3 Pa s", specific_weight = "9.81 kN/m^3", initial_pressure = "5 MPa", flow_depth = "100 m"}
+initial_stress = {xx = "-13 MPa", yy = "-25 MPa", zz = "-15 MPa"}
+support = [{on = ["west", "east", "south", "north"]}]
+stage = [{kind = "quasi-static", time_step = "6 h", end = "60 h"}]
+probe = [{name = "middle", at = [500, 400], on = "Bruno"}]
+geometry = {domain = [0, 0, 1000, 800], size = 400, size_at_fractures = 200, fracture = [
+  {name = "Bruno", points = [[400, 600], [600, 200]]}]}
+output = {fields_every = 2, checkpoint_every = 3, pictures = false}
+[fracture.default]
+normal_stiffness = "50 GPa/m"
+shear_stiffness = "20 GPa/m"
+aperture = "0.2 mm"
+friction_coefficient = 0.6
+pressure = [[0, "5 MPa"], ["60 h", "12 MPa"]]
+"""
+STOP = 6  # steps taken before the stop; slip begins at the fourth
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """The folder of a run that was stopped half way."""
+    home = tmp_path_factory.mktemp("stopped")
+    (home / "scene.toml").write_text(SCENE)
+    count = [0]
+
+    def progress(_):
+        count[0] += 1
+        if count[0] == STOP:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(Interrupted):
+        run(load(home / "scene.toml"), home / "out", progress=progress)
+    return home / "out"
+
+
+@pytest.fixture(scope="module")
+def whole(stopped, tmp_path_factory):
+    """The history of the run when it goes on."""
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    shutil.copytree(stopped, folder)
+    resume(folder)
+    return read_history(folder / "history.h5")
+
+
+@pytest.fixture
+def folder(stopped, tmp_path):
+    """A copy of the folder, to be damaged."""
+    shutil.copytree(stopped, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file() and path.name[0] != "."}
+
+
+def spoken(words, monkeypatch, capfd):
+    """Exit code and the line of a command."""
+    monkeypatch.setattr(sys, "argv", ["fracflow", *map(str, words)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    lines = [line for line in capfd.readouterr().err.splitlines() if not line.startswith("note:")]
+    return end.value.code or 0, "\n".join(lines)
+
+
+def refused(folder, monkeypatch, capfd, *, command="resume"):
+    """The one line of a command that leaves the folder as it is."""
+    before = contents(folder)
+    code, said = spoken([command, folder, *(["--csv"] if command == "export" else [])], monkeypatch, capfd)
+    assert code == 2 and len(said.splitlines()) == 1 and said.startswith("fracflow: "), said
+    assert contents(folder) == before
+    return said
+
+
+def same(one, other):
+    """Whether two histories are the same; the first step after a resume makes a factorisation more."""
+    keys = one.keys() - {"step/factorisations"}
+    return one.keys() == other.keys() and all(np.array_equal(one[k], other[k], equal_nan=True) for k in keys)
+
+
+def flip(path, name, at=0, bit=0):
+    """Flip a bit of an array in a file, which stays whole for HDF5."""
+    with h5py.File(path, "r+") as file:
+        values = file[name][()]
+        values.reshape(-1).view(np.uint8)[at] ^= 1 << bit
+        file[name][...] = values
+
+
+def names_of(path):
+    found = []
+    with h5py.File(path, "r") as file:
+        file.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) and item.size else None)
+    return [name for name in found if name != SEAL]
+
+
+# what is sealed
+
+
+@pytest.mark.parametrize(("file", "read"), [("checkpoint.h5", read_arrays), ("mesh.h5", load_mesh)])
+def test_a_bit_of_any_array_is_named(folder, file, read):
+    names = names_of(folder / file)
+    assert len(names) > 10
+    for name in names:
+        flip(folder / file, name, at=-1)
+        with pytest.raises(InputError, match=f"{file}: {name}, rows 0 to .*{AGAIN}"):
+            read(folder / file)
+        flip(folder / file, name, at=-1)
+    read(folder / file)
+
+
+def test_a_flipped_bit_ends_a_resume_before_it_begins(folder, monkeypatch, capfd):
+    flip(folder / "checkpoint.h5", "velocity", at=6)
+    assert "checkpoint.h5: velocity, rows 0 to" in refused(folder, monkeypatch, capfd)
+
+
+def test_notes_are_sealed(folder, monkeypatch, capfd):
+    with h5py.File(folder / "checkpoint.h5", "r+") as file:
+        file.attrs["notes"] = file.attrs["notes"].replace('"stage": 0', '"stage": 1', 1)
+    assert "its notes, names or shapes are not as they were sealed" in refused(folder, monkeypatch, capfd)
+
+
+def test_pieces_are_the_same_whoever_holds_them():
+    """Slabs that end where pieces do have the digests of the whole; the root is of names, types, shapes and notes too."""
+    values = np.random.default_rng(1).random((PIECE // 16 + 40_000, 3))
+    rows = PIECE // 24
+    whole = pieces(values)
+    assert len(whole) == -(-len(values) // rows) > 2
+    assert np.array_equal(whole, np.concatenate([pieces(values[: 2 * rows]), pieces(values[2 * rows :])]))
+    roots = {
+        root_of(layout, notes, whole)
+        for layout in (layout_of({"a": values}), layout_of({"b": values}), layout_of({"a": values.T}))
+        for notes in ({}, {"time": 1.0}, {"time": 1})
+    }
+    assert len(roots) == 9
+
+
+def test_a_step_of_a_history_is_named(folder, monkeypatch, capfd):
+    path = folder / "history.h5"
+    for name in ("energy/friction", "probe/middle/displacement", SEAL, "time"):
+        with h5py.File(path, "r+") as file:
+            kept = file[name][...]
+            changed = kept.copy()
+            changed.reshape(-1).view(np.uint8)[3 * changed.nbytes // len(changed)] ^= 1
+            file[name][...] = changed
+        with pytest.raises(InputError, match=r"history.h5: step 3 is not as it was written, those before it are"):
+            read_history(path)
+        assert "history.h5: step 3 " in refused(folder, monkeypatch, capfd)
+        with h5py.File(path, "r+") as file:
+            file[name][...] = kept
+    with h5py.File(path, "r+") as file:
+        file.attrs["units"] = file.attrs["units"].replace("m", "n")
+    for read in (read_history, read_attributes):
+        with pytest.raises(InputError, match="its attributes or names are not as they were written"):
+            read(path)
+
+
+def test_what_follows_the_checkpoint_may_be_damaged(folder, whole, tmp_path):
+    """A run that was killed goes on from its checkpoint, whatever became of the rows after it."""
+    path = folder / "history.h5"
+    rows, attrs = read_history(path), read_attributes(path)
+    with HistoryFile.resume(path, len(rows["time"])) as longer:
+        for _ in range(2):
+            longer.append({name: values[-1] for name, values in rows.items()})
+    flip(path, "energy/friction", at=8 * (len(rows["time"]) + 1))
+    with pytest.raises(InputError, match=f"step {len(rows['time']) + 1} "):
+        read_history(path)
+    resume(folder)
+    assert same(read_history(path), whole) and read_attributes(path) == attrs
+
+
+def test_a_history_of_another_run_is_refused(folder, monkeypatch, capfd):
+    path = folder / "history.h5"
+    rows, attrs = read_history(path), read_attributes(path)
+    rows["energy/friction"] = rows["energy/friction"] + 1.0
+    HistoryFile.after(path, rows, attrs).close()
+    read_history(path)
+    assert "history.h5: step 6 is not that of checkpoint.h5" in refused(folder, monkeypatch, capfd)
+    HistoryFile.after(path, {name: values[:3] for name, values in rows.items()}, attrs).close()
+    assert "history.h5: has 3 steps, not 7 as checkpoint.h5 says" in refused(folder, monkeypatch, capfd)
+
+
+def test_a_mesh_of_another_run_is_refused(folder, monkeypatch, capfd):
+    with resealed(folder / "mesh.h5") as (arrays, _):
+        arrays["points"] = arrays["points"] + 1.0
+    assert "mesh.h5: is not of this run" in refused(folder, monkeypatch, capfd)
+
+
+def test_a_checkpoint_that_was_taken_away_costs_no_history(folder, monkeypatch, capfd):
+    (folder / "checkpoint.h5").unlink()
+    assert "checkpoint.h5: no such file, although history.h5 has steps" in refused(folder, monkeypatch, capfd)
+
+
+def test_a_changed_scene_is_told_and_goes_on(folder, recwarn):
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text + "# a note of mine\n")
+    resume(folder)
+    assert [str(each.message) for each in recwarn if "scene.toml is not as it was" in str(each.message)]
+    assert "note: " in (folder / "log.txt").read_text()
+
+
+def test_a_scene_with_other_probes_cannot_go_on(folder, monkeypatch, capfd):
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text + '[[probe]]\nname = "new"\nat = [450.0, 500.0]\non = "Bruno"\n')
+    code, said = spoken(["resume", folder], monkeypatch, capfd)
+    assert code == 2 and len(said.splitlines()) == 1 and "history.h5: probe/new/" in said
+    assert "probes or controls of the scene were changed" in said
+
+
+def test_a_folder_without_seals_goes_on_with_a_line(folder, whole, recwarn):
+    """As earlier versions left them: the same to the bit, and sealed from then on."""
+    with changed_notes(folder / "checkpoint.h5") as notes:
+        del notes["seals"]
+    for name in ("checkpoint.h5", "mesh.h5", "history.h5", "fields/rock_mesh.h5"):
+        with h5py.File(folder / name, "r+") as file:
+            del file[SEAL], file.attrs[SEAL]
+    resume(folder)
+    assert len([each for each in recwarn if "left no seals here" in str(each.message)]) == 1
+    assert same(read_history(folder / "history.h5"), whole)
+    assert read_notes(folder / "checkpoint.h5")["seals"].keys() == {"mesh", "history", "scene"}
+    for name in ("checkpoint.h5", "mesh.h5", "history.h5"):
+        with h5py.File(folder / name, "r") as file:
+            assert SEAL in file and SEAL in file.attrs
+
+
+# damage of any kind
+
+
+def read_fields(path):
+    return read_step(path)
+
+
+def flat(found):
+    """What was read, as a text that is the same for the same bits."""
+    if isinstance(found, np.ndarray):
+        return f"{found.dtype}{found.shape}{found.tobytes().hex()}"
+    if isinstance(found, dict):
+        return str({key: flat(found[key]) for key in sorted(found)})
+    return str([flat(each) for each in found]) if isinstance(found, list | tuple) else str(found)
+
+
+READERS = {
+    "checkpoint.h5": lambda path: (read_notes(path), read_arrays(path)),
+    "mesh.h5": lambda path: vars(load_mesh(path)),
+    "history.h5": lambda path: (read_history(path), read_attributes(path)),
+    "fields/fractures_000002.h5": read_step,
+    "fields/rock_mesh.h5": lambda path: fracflow.output.read_mesh(path.parents[1], "rock"),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_any_damage_is_seen_or_changes_nothing(name, stopped, tmp_path, monkeypatch):
+    """Bits, bytes and pages. HDF5 by itself may crash, go round, or wait for ever where it reads a live file."""
+    monkeypatch.setattr(h5_reader, "PATIENCE", 4.0)
+    dice, path = random.Random(name), tmp_path / "fields" / Path(name).name
+    path.parent.mkdir()
+    if name == "history.h5":  # as a kill leaves it
+        old = (read_history(stopped / name), read_attributes(stopped / name))
+        with HistoryFile.after(tmp_path / "live.h5", *old):
+            good = (tmp_path / "live.h5").read_bytes()
+    else:
+        good = (stopped / name).read_bytes()
+    path.write_bytes(good)
+    right, seen, longest = flat(READERS[name](path)), 0, 0.0
+    for _ in range(80):
+        bad = bytearray(good)
+        # structure is in the first pages and between the arrays; most of a small file is that
+        at = dice.randrange(len(bad)) if dice.random() < 0.5 else dice.randrange(min(4096, len(bad)))
+        how = dice.choice(("bit", "bit", "bytes", "zeros", "cut"))
+        if how == "bit":
+            bad[at] ^= 1 << dice.randrange(8)
+        elif how == "bytes":
+            bad[at : at + 8] = dice.randbytes(8)
+        elif how == "zeros":
+            bad[at : at + dice.choice((8, 64, 512))] = bytes(dice.choice((8, 64, 512)))
+        else:
+            del bad[at:]
+        path.write_bytes(bad)
+        began = time.monotonic()
+        try:
+            assert flat(READERS[name](path)) == right, (how, at)
+        except InputError as error:
+            assert str(path) in str(error)
+            seen += 1
+        longest = max(longest, time.monotonic() - began)
+    assert seen > 20 and longest < 20.0
+
+
+REPLACED = {
+    "empty": lambda path: path.write_bytes(b""),
+    "a text": lambda path: path.write_text("time,slip\n0,1\n"),
+    "half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "a pipe": lambda path: (path.unlink(), os.mkfifo(path)),
+    "a folder": lambda path: (path.unlink(), path.mkdir()),
+}
+
+
+@pytest.mark.parametrize("how", REPLACED)
+@pytest.mark.parametrize("name", ["checkpoint.h5", "mesh.h5", "history.h5"])
+def test_a_file_that_is_another_is_refused(name, how, folder, monkeypatch, capfd):
+    REPLACED[how](folder / name)
+    assert name in refused(folder, monkeypatch, capfd)
+
+
+@pytest.mark.parametrize("command", ["picture", "export"])
+def test_commands_that_only_read_refuse_it_too(command, folder, monkeypatch, capfd):
+    flip(folder / "history.h5", "energy/friction", at=8)
+    said = refused(folder, monkeypatch, capfd, command=command)
+    assert "history.h5: step 1 is not as it was written" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("events.csv", "kind,fracture\nslip,Bruno\n"),
+        ("events.csv", None),
+        ("fields/rock_mesh.h5", "no mesh"),
+        ("fields/fractures_000006.h5", "no fields"),
+    ],
+)
+def test_pictures_need_whole_files(name, text, folder, monkeypatch, capfd):
+    path = folder / name
+    path.write_text(path.read_text().replace("slip,", "slip,,", 1) if text is None else text)
+    assert path.name in refused(folder, monkeypatch, capfd, command="picture")
+
+
+# what a stranger may put there, with a seal that fits
+
+
+def group_in_itself(file):
+    file["loop"] = file["/"]
+
+
+def gzipped(file):
+    file.create_dataset("bomb", shape=(1 << 28,), dtype="f8", chunks=(1 << 20,), compression="gzip", fillvalue=0.0)
+
+
+def stored_outside(file):
+    file.create_dataset("outside", shape=(4,), dtype="u1", external=[("/etc/passwd", 0, 4)])
+
+
+def virtual(file):
+    layout = h5py.VirtualLayout(shape=(4,), dtype="f8")
+    layout[:] = h5py.VirtualSource("/etc/hostname", "data", shape=(4,))
+    file.create_virtual_dataset("virtual", layout)
+
+
+HOSTILE = {
+    "a soft link": lambda file: file.__setitem__("other", h5py.SoftLink("/displacement")),
+    "a link to a file": lambda file: file.__setitem__("other", h5py.ExternalLink("/etc/passwd", "/")),
+    "stored in another file": stored_outside,
+    "virtual": virtual,
+    "a shape without end": lambda file: file.create_dataset("huge", shape=(10**12,), dtype="f8"),
+    "chunks without end": lambda file: file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(10**6,)),
+    "compressed": gzipped,
+    "a group in itself": group_in_itself,
+    "texts": lambda file: file.create_dataset("texts", data=["a", "b"], dtype=h5py.string_dtype()),
+    "references": lambda file: file.create_dataset("to", data=[file.ref], dtype=h5py.ref_dtype),
+    "records": lambda file: file.create_dataset("rows", data=np.zeros(3, dtype=[("a", "f8"), ("b", "i4")])),
+    "arrays as attributes": lambda file: file.attrs.__setitem__("many", np.zeros(1000)),
+    "a type by a name": lambda file: file.__setitem__("kind", np.dtype("f8")),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_no_run_writes_is_not_read(name, folder, monkeypatch, capfd):
+    for file, read in (("checkpoint.h5", read_notes), ("history.h5", read_history), ("mesh.h5", load_mesh)):
+        with h5py.File(folder / file, "r+") as opened:
+            HOSTILE[name](opened)
+        began = time.monotonic()
+        with pytest.raises(InputError, match=file):
+            read(folder / file)
+        assert time.monotonic() - began < h5_reader.PATIENCE
+    refused(folder, monkeypatch, capfd)
+
+
+def outgrown(arrays, _):
+    arrays["sections/traction"] = np.zeros((*arrays["sections/traction"].shape[:2], 7))
+
+
+def of_integers(arrays, _):
+    arrays["displacement"] = arrays["displacement"].astype(int)
+
+
+NONSENSE = {
+    "tractions of seven components": outgrown,
+    "displacements of integers": of_integers,
+    "without friction": lambda arrays, _: arrays.pop("friction"),
+}
+NOTES = {
+    "a time that is a text": ("time", "noon"),
+    "a stage that is not there": ("stage", 3),
+    "a stage below none": ("stage", -1),
+    "progress in a list": ("progress", [1, 2]),
+    "totals of another kind": ("totals", {"steps": 7, "undone": {}, "colour": 3}),
+    "events of another kind": ("events", {"rows": 3}),
+    "no numbers in the books": ("energy", {"kinetic": None}),
+}
+
+
+@pytest.mark.parametrize("name", [*NONSENSE, *NOTES])
+def test_a_checkpoint_that_fits_its_seal_alone(name, folder, monkeypatch, capfd):
+    path = folder / "checkpoint.h5"
+    if name in NONSENSE:
+        with resealed(path) as (arrays, notes):
+            NONSENSE[name](arrays, notes)
+    else:
+        with changed_notes(path) as notes:
+            notes[NOTES[name][0]] = NOTES[name][1]
+    code, said = spoken(["resume", folder], monkeypatch, capfd)
+    assert code == 2 and len(said.splitlines()) == 1 and "checkpoint.h5: is no checkpoint" in said
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("cells", 10**9),
+        ("joint_top", -5),
+        ("flow_origin", 10**6),
+        ("side_cell", 99_999),
+        ("points", np.nan),
+        ("joint_fracture", 4),
+    ],
+)
+def test_a_mesh_that_fits_its_seal_alone(part, value, folder):
+    with resealed(folder / "mesh.h5") as (arrays, _):
+        arrays[part] = arrays[part].copy()
+        arrays[part].flat[0] = value
+    with pytest.raises(InputError, match=f"mesh.h5: is no saved mesh .{part} has"):
+        load_mesh(folder / "mesh.h5")
+
+
+# the process that reads
+
+
+def test_a_process_that_hangs_or_dies_is_replaced(folder, monkeypatch):
+    path = folder / "checkpoint.h5"
+    right = flat(read_arrays(path))
+    monkeypatch.setattr(h5_reader, "PATIENCE", 0.3)
+    os.kill(h5_reader._reader._process.pid, signal.SIGSTOP)
+    with pytest.raises(InputError, match="takes longer to read"):
+        read_arrays(path)
+    monkeypatch.setattr(h5_reader, "PATIENCE", 10.0)
+    assert flat(read_arrays(path)) == right
+    monkeypatch.setattr(h5_reader.Reader, "_started", lambda self: self._process)
+    os.kill(h5_reader._reader._process.pid, signal.SIGSEGV)
+    with pytest.raises(InputError, match="ended"):
+        read_arrays(path)
+    monkeypatch.undo()
+    assert flat(read_arrays(path)) == right
+
+
+@pytest.mark.starts_ranks
+def test_ranks_refuse_it_together(folder):
+    flip(folder / "checkpoint.h5", "displacement")
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    words = ["mpirun", "-n", "2", sys.executable, "-m", "fracflow", "resume", str(folder)]
+    done = subprocess.run(words, env={**kept, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2, done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("fracflow: ")]
+    assert len(lines) == 1 and "checkpoint.h5: displacement, rows 0 to" in lines[0]
