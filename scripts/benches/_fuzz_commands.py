@@ -31,6 +31,8 @@ from fracflow.scene import load
 SLEEPS = 3.0 * HANGS  # seconds of wall clock: beyond it a process waits for what never comes
 WAIT = 0.002  # [s]
 MOST_STEPS, MOST_CELLS = 12, 2000.0
+UNKNOWN = ("step/predicted", "step/measured")  # of a history: nan where nothing was foretold
+BOUNDLESS = ("strength", "slip_margin")  # inf where a law knows no slip
 
 
 def forked(action: Callable[[], object], out: Path | None = None, err: Path | None = None) -> tuple[int, int]:
@@ -232,7 +234,11 @@ def _unreadable(folder: Path) -> Iterator[Found]:
         yield Found(f"left a run folder that cannot be read: {type(error).__name__}", str(error))
         return
     odd = [key for key, values in history.items() if values.dtype.kind == "f" and not np.isfinite(values).all()]
-    odd = [key for key in odd if not key.startswith(("step/predicted", "step/measured"))]
+    odd = [
+        key
+        for key in odd
+        if not (key.startswith(UNKNOWN) or key.endswith(BOUNDLESS) and not np.isnan(history[key]).any())
+    ]
     if odd:
         yield Found(f"history holds what is no number: {odd[0]}", ", ".join(odd))
     if parts := list(folder.rglob("*.part")):
