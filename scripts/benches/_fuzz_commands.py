@@ -237,7 +237,7 @@ def _unreadable(folder: Path) -> Iterator[Found]:
     odd = [
         key
         for key in odd
-        if not (key.startswith(UNKNOWN) or key.endswith(BOUNDLESS) and not np.isnan(history[key]).any())
+        if not (key.startswith(UNKNOWN) or (key.endswith(BOUNDLESS) and not np.isnan(history[key]).any()))
     ]
     if odd:
         yield Found(f"history holds what is no number: {odd[0]}", ", ".join(odd))
