@@ -30,6 +30,7 @@ from fracflow.scene import load
 
 SLEEPS = 3.0 * HANGS  # seconds of wall clock: beyond it a process waits for what never comes
 WAIT = 0.002  # [s]
+CRASHES = (signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL)
 MOST_STEPS, MOST_CELLS = 12, 2000.0
 UNKNOWN = ("step/predicted", "step/measured")  # of a history: nan where nothing was foretold
 BOUNDLESS = ("strength", "slip_margin")  # inf where a law knows no slip
@@ -95,6 +96,8 @@ def _fork_of_gmsh(folder: Path, allowed: gmsh_side.Limits) -> tuple[int | None, 
     said = folder / "said.txt"
 
     def work() -> None:
+        for number in CRASHES:  # Open MPI's handlers, which that process has not, would wait for a broken heap
+            signal.signal(number, signal.SIG_DFL)
         os.chdir(folder)
         job = json.loads((folder / "job.json").read_text())
         (folder / "job.json").write_text(json.dumps({**job, "parent": os.getppid()}))
