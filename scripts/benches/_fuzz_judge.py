@@ -23,7 +23,7 @@ HANGS = 30.0  # [s]
 MEMORY = 1 << 30  # bytes above what the program itself takes
 LONGEST = 1600  # characters of a message
 REMEDY = re.compile(
-    r";|\bmust\b|\ballowed\b|did you mean|needs? |\bgive |\bchoose |\bsuch as\b|\blower\b|\braise\b|\bshould be\b"
+    r";|\bmust\b|\ballowed\b|did you mean|needs? |\bgive |\bchoose |\bsuch as\b|\blower\b|\braise\b|\bshould be\b|there are: "
 )
 NUMPY = re.compile(
     r"encountered in|Warning\b|deprecated|divide by zero|casting|overflow|HDF5-DIAG|Traceback|\[\d+\]PETSC ERROR"
