@@ -429,10 +429,10 @@ MESHES = {
         scene(GEOMETRY, '[mesh]\nfile = "a.msh"\n'),
         "a.msh: no such file; mesh.file names it from the scene's folder",
     ),
-    "a folder": (mesh(None), "square.msh: no such file; mesh.file names it"),
+    "a folder": (mesh(None), "square.msh: is no regular file (a folder, pipe or device); mesh.file names it"),
     "name too long": (
         scene(GEOMETRY, f'[mesh]\nfile = "{"a" * 300}.msh"\n'),
-        "a.msh: no such file; mesh.file names it",
+        "a.msh: cannot be read: File name too long; mesh.file names it",
     ),
     "another kind": (mesh("x", name="square.vtk"), 'square.vtk: unknown kind of file ".vtk"; give a Gmsh .geo or .msh'),
     "empty": (mesh(""), VERSION),
@@ -505,16 +505,19 @@ MESHES = {
         geo("Point(1) = {0, 0, 0;\n"),
         "square.geo: Gmsh: … line 1: syntax error (;); correct the file",
     ),
-    "a geometry of rubbish": (geo(RUBBISH + b"\n"), "square.geo: Gmsh: … line 1: syntax error"),
+    "a geometry of rubbish": (
+        geo(RUBBISH + b"\n"),
+        "square.geo: line 2: a line end that is neither Unix's nor … --trust",
+    ),
     "a geometry without its last line end": (
         geo("Point(1) = {0, 0, 0};"),
         "square.geo: Gmsh would ignore the last line",
     ),
     "a geometry that includes nothing": (
         geo('Include "a.geo";\n'),
-        "square.geo: Gmsh: Unable to open file … correct the file",
+        'square.geo: line 1: Include "a.geo";: no such file; correct the name',
     ),
-    "a geometry that ends Gmsh": (geo("Exit;\n"), "square.geo: Gmsh failed: it ended without a mesh; correct the file"),
+    "a geometry that ends Gmsh": (geo("Exit;\n"), "square.geo: line 1: Exit;: … --trust"),
     "a solid body": (
         geo('SetFactory("OpenCASCADE");\nBox(1) = {0, 0, 0, 1, 1, 1};\nPhysical Surface("rock") = {1:6};\n'),
         "square.geo: the mesh is not in a plane z = constant (z varies by 1)",

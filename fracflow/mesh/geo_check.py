@@ -14,11 +14,11 @@ from pathlib import Path
 from fracflow.errors import InputError
 from fracflow.files import read_bytes
 from fracflow.mesh import geo_words as words
+from fracflow.mesh.geo_depth import DEEPEST, REMEDY, Unit, check_depths
 from fracflow.mesh.geo_tokens import Token, Unclear, cut
 
 LARGEST = 16 << 20  # bytes of a file
 MOST_FILES = 100
-DEEPEST = 40  # blocks, macros and included files in each other; Gmsh has room for 100
 MOST_TILDES = 8
 MOST_NAMES = 200  # in a list of groups
 MOST_ENTRIES = 1e7  # of a list
@@ -29,15 +29,6 @@ FORMAT = re.compile(r"(?:[^%]|%[-+ 0]?\d{0,2}(?:\.\d{1,2})?[eEfFgG])*")
 LONGEST_FORMAT, LONGEST_STEM = 120, 60
 HAVE_FIELD = ("Delete", "Background", "BoundaryLayer")
 END = Token("end", "", 0, 0, "")
-REMEDY = "remove it, or give --trust (trust=True in Python) if you trust whoever wrote the file"
-
-
-@dataclass
-class Unit:
-    """A file or a macro: how deep its blocks lie in each other, and what it goes on to at which depth."""
-
-    deepest: int = 0
-    goes_to: list[tuple[int, str]] = field(default_factory=list)
 
 
 @dataclass
@@ -55,10 +46,8 @@ def check_geo(path: Path, root: Path | None = None) -> Checked:
     Raises InputError that names file, line and statement for whatever is not on the list.
     """
     found = Checked()
-    _add(found, path, (root or path.parent).resolve(), ())
-    known: dict[str, int] = {}
-    for name in found.units:
-        _depth(found, name, path, (), known)
+    _add(found, path, _real(root or path.parent), ())
+    check_depths(found.units, path)
     return found
 
 
@@ -85,8 +74,7 @@ def _add(found: Checked, path: Path, root: Path, above: tuple[Path, ...]) -> str
 
 
 def _real(path: Path) -> Path:
-    """Where a path leads; of links in a circle too, which cannot be read."""
-    return Path(os.path.realpath(path))
+    return Path(os.path.realpath(path))  # links that go round are an error of who opens the file
 
 
 def _written(tokens: list[Token]) -> str:
@@ -97,22 +85,6 @@ def _written(tokens: list[Token]) -> str:
         parts.append(token.shown)
         line, end = token.line, token.at + len(token.value)
     return "".join(parts) + "\n"
-
-
-def _depth(found: Checked, name: str, path: Path, above: tuple[str, ...], known: dict[str, int]) -> int:
-    """How deep blocks lie in each other where a unit is gone through. Raises InputError for too deep, or without end."""
-    if name in known:
-        return known[name]
-    where = f"{path}: {name.replace(':', ' ')}"
-    if name in above:
-        raise InputError(f"{where}: calls itself, so that it may never end; {REMEDY}")
-    unit = found.units.get(name, Unit())  # Gmsh reports a macro that there is not
-    known[name] = max(
-        [unit.deepest, *(at + 1 + _depth(found, to, path, (*above, name), known) for at, to in unit.goes_to)]
-    )
-    if known[name] > DEEPEST:
-        raise InputError(f"{where}: more than {DEEPEST} blocks in each other; {REMEDY}")
-    return known[name]
 
 
 class _File:
@@ -220,6 +192,8 @@ class _File:
         path = self.path.parent / name
         if self.root not in _real(path).parents:
             raise self._refusal(first, last, f"the file lies outside of the folder {self.root}")
+        if not path.exists():
+            raise InputError(f"{self.path}: line {token.line}: {self._shown(first, last)}: no such file; correct the name")
         if _real(path) in self.above or len(self.above) > DEEPEST:
             raise self._refusal(first, last, "the file includes itself")
         given = _add(self.found, path, self.root, self.above)

@@ -108,12 +108,22 @@ def run_worker(
 ) -> Elements:
     """Let the worker do ``job`` beside files of ``texts``, whose names in its errors become those of their ``sources``.
 
-    Raises InputError, naming ``what``, if Gmsh reports an error, crashes or needs more than its limits.
+    Raises InputError, naming ``what``, if Gmsh reports an error, crashes or needs more than its limits, or if the folder
+    for temporary files is full.
     """
-    allowed = limits(job.get("bytes"))
+    try:
+        return _work(job, what, texts or {}, sources or {}, limits(job.get("bytes")))
+    except OSError as error:
+        where = error.filename or tempfile.gettempdir()
+        raise InputError(f"{what}: Gmsh cannot be run: {where}: {error.strerror}; make room, or set TMPDIR") from None
+
+
+def _work(
+    job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path], allowed: Limits
+) -> Elements:
     with tempfile.TemporaryDirectory(prefix="fracflow-gmsh-") as name:
         folder = Path(name)
-        for each, text in (texts or {}).items():
+        for each, text in texts.items():
             (folder / each).write_bytes(text)
         if "link" in job:
             (folder / "mesh.msh").symlink_to(job["link"])
@@ -128,7 +138,7 @@ def run_worker(
         report = folder / "error.txt"
         if report.exists():
             line = report.read_text(encoding="utf-8", errors="replace")[:LONGEST_REPORT]
-            for each, source in (sources or {}).items():
+            for each, source in sources.items():
                 line = line.replace(str(folder / each), str(source)).replace(f"'{each}'", f"'{source}'")
             raise InputError(f"{what}: {line}; {_remedy(what, line, allowed)}")
         if code or not (folder / "mesh.npz").exists():
@@ -179,7 +189,7 @@ def _remedy(what: str, said: str, allowed: Limits) -> str:
     if any(word in said for word in OUT_OF_MEMORY):
         return f"it may use {allowed.memory / 2**30:.3g} GiB; let it make fewer cells, or set {MEMORY[0]} to more GiB"
     if what.endswith(".msh"):
-        return "save the mesh again"
+        return "save it again from Gmsh"
     return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
 
 

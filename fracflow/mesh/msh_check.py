@@ -22,10 +22,17 @@ Order = Literal["little", "big"]
 def check_msh(path: Path) -> int:
     """The version of a .msh, 2 or 4. Raises InputError for a file that Gmsh would take for something else."""
     check_regular(path, "mesh.file names a Gmsh mesh", LARGEST)
+    try:
+        return _check(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; mesh.file names a Gmsh mesh") from None
+
+
+def _check(path: Path) -> int:
     with path.open("rb") as file:
         # Gmsh takes a file with another first line for a program, whatever its name is.
         if file.readline(64).rstrip(b"\r\n") != b"$MeshFormat":
-            raise InputError(f"{path}: is no Gmsh mesh of version 2 or 4: its first line is not $MeshFormat; {SAVE}")
+            raise InputError(f"{path}: is no Gmsh mesh of version 2 or 4; {SAVE}, $MeshFormat in its first line")
         found = re.fullmatch(rb"([24])(?:\.\d+)?[ \t]+([01])[ \t]+(\d+)[ \t]*\r?\n", file.readline(64))
         if found is None:
             raise InputError(f"{path}: is no Gmsh mesh of version 2 or 4; {SAVE}")

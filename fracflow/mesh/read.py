@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,7 +80,7 @@ def read_mesh(
         if read_bytes(path, "mesh.file names it from the scene's folder").rpartition(b"\n")[2].strip():
             # Gmsh says nothing and leaves the line out.
             raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
-        is_inside = folder is not None and folder.resolve() in path.resolve().parents
+        is_inside = folder is not None and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
         elements = open_in_gmsh(path) if trust else open_checked(path, check_geo(path, folder if is_inside else None))
     return interpret(elements, fractures, str(path))
 

@@ -29,7 +29,7 @@ import _network as network
 SIZES = (10_000, 100_000, 1_000_000)
 SOLVE = "PETSc's solve"
 PARTS = {
-    "read": ["mesh.read:open_in_gmsh"],
+    "read": ["mesh.read:open_msh"],
     "interpret": ["mesh.read:interpret"],
     "split": ["begin.setup:split"],
     "place": ["begin.setup:place"],

@@ -9,7 +9,8 @@ from meshing import MESHES
 
 from fracflow.errors import InputError
 from fracflow.mesh import geo_tokens
-from fracflow.mesh.geo_check import DEEPEST, check_geo
+from fracflow.mesh.geo_check import check_geo
+from fracflow.mesh.geo_depth import DEEPEST
 from fracflow.mesh.read import read_mesh
 
 pytestmark = pytest.mark.serial
@@ -192,6 +193,7 @@ REFUSED = [
     "EndFor", "EndIf", "Else", "Return", "If (1)\nx = 1;", "For i In {0:1}\nIf (1)\nEndFor\nEndIf",
     "For i In {0:1} x = 1; EndFor", "For i In {0:9}\nEndFor x = 1;", "Macro M x = 1;\nReturn", "Macro M\nx = 1; Return x = 2;",
     "If (1)\nMacro M\nReturn\nEndIf", "Macro M\nReturn\nMacro M\nReturn", "Macro M\nCall M;\nReturn",
+    "".join(f"Macro M{i}\nCall M{i + 1};\nReturn\n" for i in range(3000)),
     "Macro M\nCall N;\nReturn\nMacro N\nIf (1)\nCall M;\nEndIf\nReturn", 'Macro "M"\nReturn', "Call M; x = 1;",
     "If (1)\nElse\nElse\nEndIf", "x = 1 Else 2;", "x1If = 1;", "x = y2EndIf;", "If (1)\n" * 60 + "EndIf\n" * 60,
     'Physical Curve("EndIf SystemCall") = {1};', "x = 1e5SystemCall;", "x = 1.2.3;", "x = 0x10;", f"{'a' * 70} = 1;",

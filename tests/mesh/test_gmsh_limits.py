@@ -151,6 +151,12 @@ def test_a_list_larger_than_memory_ends_with_one_line(tmp_path, monkeypatch):
     refused(write(tmp_path / "a.geo", "x[] = LinSpace(0, 1, 1e9);\n" + SQUARE), r"a\.geo: .*1 GiB.*FRACFLOW_GMSH_GIB")
 
 
+def test_no_room_for_temporary_files_is_one_line(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.geo", SQUARE)
+    monkeypatch.setattr(gmsh.tempfile, "tempdir", str(tmp_path / "gone"))
+    refused(path, r"a\.geo: Gmsh cannot be run: .*gone.*: No such file or directory; make room, or set TMPDIR")
+
+
 @pytest.mark.parametrize(("name", "value"), [("SECONDS", "soon"), ("GIB", "0"), ("GIB", "-1")])
 def test_a_limit_that_is_no_number(tmp_path, monkeypatch, name, value):
     monkeypatch.setenv(f"FRACFLOW_GMSH_{name}", value)
