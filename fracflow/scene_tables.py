@@ -27,7 +27,7 @@ from fracflow.units import (
 )
 
 Points = tuple[tuple[float, float], ...]
-Count = Annotated[int, Field(strict=True, ge=1)]
+Count = Annotated[int, Field(strict=True, ge=1, le=10**12)]  # of steps: less than floats count exactly
 PLAIN_TEXT = r"[^\x00-\x1f\x7f]+"  # line ends and NUL have no place in names, of files least of all
 Name = Annotated[str, Field(min_length=1, pattern=f"^{PLAIN_TEXT}$")]
 Line = Annotated[str, Field(pattern=f"^({PLAIN_TEXT})?$")]

@@ -207,6 +207,7 @@ SUPPORT = 'support = [{on = ["west", "east", "south", "north"]'
         (TABLE, TRACES.replace("Anna,340,320", "Anna,340"), "; give as many"),
         (TABLE, TRACES.replace("name,x,y", "name,x,y," + "y" * 50000), "unknown column"),
         (TABLE, "name,x1,y1,x2,y2\nA,0,0,1,1\nA,2,2,3,3\n", "; join them"),
+        (TABLE.replace("steps = 120", "steps = " + "9" * 400), TRACES, "must be at most 1000000000000"),
         (TABLE + 'x = "\x01"\n', TRACES, "; correct the line"),
         (
             TABLE.replace(SUPPORT, SUPPORT + ', components = ["y"], displacement = {x = 1, y = 1}'),
