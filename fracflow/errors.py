@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import sys
 
+LONGEST = 1500  # letters of a message
+
 
 class InputError(Exception):
-    """The scene, the mesh or the command line is wrong: exit code 2."""
+    """The scene, the mesh or the command line is wrong: exit code 2.
+
+    Its message is one line, whatever names and values of the input stand in it; of one too long the middle is left out.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        """Say what is wrong, and what would be right."""
+        line = " ".join(message.splitlines())
+        super().__init__(line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}")
 
 
 class SolveError(Exception):

@@ -15,6 +15,7 @@ _CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069"
 PLAIN_TEXT = f"[^{_CONTROLS}]+"
 _STEERS = re.compile(f"[{_CONTROLS}]")
 LARGEST = 64 << 20  # bytes of a text: a scene, a table, a list of traces
+CHUNK = 1 << 20
 
 
 def read_bytes(path: Path, remedy: str, largest: int = LARGEST) -> bytes:
@@ -23,14 +24,16 @@ def read_bytes(path: Path, remedy: str, largest: int = LARGEST) -> bytes:
         # a pipe without a writer would hold an open for ever
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
             _check(path, os.fstat(file.fileno()), remedy, largest)
-            found = file.read(largest + 1)
+            found = bytearray()  # grown with what is read: a limit is no size to make room for
+            while len(found) <= largest and (part := file.read(min(CHUNK, largest + 1 - len(found)))):
+                found += part
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {remedy}") from None
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}; {remedy}") from None
     if len(found) > largest:  # it grew since
         raise InputError(_too_large(path, largest, remedy))
-    return found
+    return bytes(found)
 
 
 def read_text(path: Path, remedy: str, largest: int = LARGEST) -> str:

@@ -57,9 +57,9 @@ class Support(Part):
         moved = set(self.displacement or {})
         if not moved <= set(self.components):
             extra = ", ".join(sorted(moved - set(self.components)))
-            raise fault(f"contradicts displacement, which prescribes {extra} too", key="components")
+            raise fault(f"contradicts displacement, which prescribes {extra} too; leave it out", key="components")
         if self.displacement_gradient is not None and not {"x", "y"} <= set(self.components):
-            raise fault("contradicts displacement_gradient, which prescribes x and y", key="components")
+            raise fault("contradicts displacement_gradient, which prescribes x and y; leave it out", key="components")
         return self
 
 
@@ -102,7 +102,7 @@ class Load(Part):
         if len(given) > 1:
             raise fault(f"contradicts {given[1]}; give one of them", key=given[0])
         if self.control is not None and self.traction == "initial-stress":
-            raise fault('contradicts traction = "initial-stress", which has no factor', key="control")
+            raise fault('contradicts traction = "initial-stress", which has no factor; remove one', key="control")
         return self
 
 
@@ -221,7 +221,7 @@ class Stage(Part):
             if self.control is None:
                 raise fault(f"missing; {key} needs the name of a [control]", key="control")
         if self.until is not None and self.increment_per_step is not None:
-            raise fault("contradicts until, which finds its own increments", key="increment_per_step")
+            raise fault("contradicts until, which finds its own increments; leave it out", key="increment_per_step")
         if self.then is not None and self.increment_per_step is None:
             raise fault("needs increment_per_step: there is nothing to hold", key="then")
         self._check_time()
@@ -231,17 +231,21 @@ class Stage(Part):
         if self.kind == "equilibrate":
             for key in ("time_step", "end", "until", "control", "increment_per_step"):
                 if getattr(self, key) is not None:
-                    raise fault('contradicts kind = "equilibrate", which takes no time and only steps', key=key)
+                    raise fault(
+                        'contradicts kind = "equilibrate", which takes no time and only steps; leave it out', key=key
+                    )
             return
         if self.takes_no_time:
             for key in ("time_step", "end", "steps"):
                 if getattr(self, key) is not None:
-                    raise fault("contradicts a steady stage until incipient, which takes no time", key=key)
+                    raise fault(
+                        "contradicts a steady stage until incipient, which takes no time; leave it out", key=key
+                    )
             return
         if self.kind == "auto":
             for key in ("steps", "until", "control", "increment_per_step"):
                 if getattr(self, key) is not None:
-                    raise fault('contradicts kind = "auto", which chooses its steps until end', key=key)
+                    raise fault('contradicts kind = "auto", which chooses its steps until end; leave it out', key=key)
         elif self.dynamic_time_step is not None:
             raise fault(f'contradicts kind = "{self.kind}"; it belongs to kind = "auto"', key="dynamic_time_step")
         if self.kind == "dynamic" and self.until is not None:

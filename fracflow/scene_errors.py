@@ -90,6 +90,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         "string_pattern_mismatch": "must be one line without control characters",
         "too_long": f"must have at most {context.get('max_length')} entries",
         "greater_than_equal": f"out of range; must be at least {context.get('ge')}",
+        "less_than_equal": f"out of range; must be at most {context.get('le')}",
     }
     if kind == "tuple_type":
         tables = _model_at(model, path) is not BaseModel

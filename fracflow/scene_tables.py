@@ -28,7 +28,7 @@ from fracflow.units import (
 )
 
 Points = tuple[tuple[float, float], ...]
-Count = Annotated[int, Field(strict=True, ge=1)]
+Count = Annotated[int, Field(strict=True, ge=1, le=10**12)]  # of steps: less than floats count exactly
 LONGEST_NAME, LONGEST_PATH = 250, 4000
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=f"^{PLAIN_TEXT}$")]
 FileName = Annotated[str, Field(min_length=1, max_length=LONGEST_PATH, pattern=f"^{PLAIN_TEXT}$")]

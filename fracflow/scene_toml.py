@@ -72,7 +72,7 @@ def _at_key(text: str, error: str) -> str:
     elif value[:1].isdecimal() and "Expected newline" in error:
         how = 'a number with its unit stands in quotes, such as "2 kPa"'
     else:
-        return ""
+        return "; correct the line"
     return f" in {_one_line(begun[-1])}: {how}"
 
 
@@ -90,7 +90,9 @@ def override(data: dict[str, Any], setting: str) -> None:
     elif isinstance(here, dict):
         here[keys[-1]] = parse_value(text)
     else:
-        raise InputError(f"--set {_one_line(setting)}: {'.'.join(keys[:-1])} is a value, not a table")
+        raise InputError(
+            f"--set {_one_line(setting)}: {'.'.join(keys[:-1])} is a value, not a table; name a key of a table"
+        )
 
 
 def parse_value(text: str) -> Any:
@@ -107,7 +109,9 @@ def _entry(here: Any, key: str, path: str, setting: str) -> Any:
         return here[_index(here, key, path, setting)]
     if isinstance(here, dict):
         return here.setdefault(key, {})
-    raise InputError(f"--set {_one_line(setting)}: {path.rpartition('.')[0]} is a value, not a table")
+    raise InputError(
+        f"--set {_one_line(setting)}: {path.rpartition('.')[0]} is a value, not a table; name a key of a table"
+    )
 
 
 def _index(entries: list[Any], key: str, path: str, setting: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -61,7 +62,9 @@ def read_traces_csv(path: str | Path) -> list[TraceRow]:
     for number, words in rows[1:]:
         where = f"{path}: line {number}"
         if len(words) != len(columns):
-            raise InputError(f"{where}: has {len(words)} fields, the first line names {len(columns)} columns")
+            raise InputError(
+                f"{where}: has {len(words)} fields, the first line names {len(columns)} columns; give as many"
+            )
         row = dict(zip(columns, words, strict=True))
         name, values = row["name"], [_number(row[key], key, where) for key in layout]
         if not name:
@@ -95,7 +98,7 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
     name = geometry.get("fractures_csv") if isinstance(geometry, Mapping) else None
     if not isinstance(geometry, Mapping) or not isinstance(name, str) or not re.fullmatch(PLAIN_TEXT, name):
         return dict(data)  # the scene tells what is wrong with it, if anything
-    path = (file.absolute().parent / name).resolve()
+    path = Path(os.path.realpath(file.absolute().parent / name))  # of links in a circle too
     rows = read_traces_csv(path)
     inside = {key: value for key, value in geometry.items() if key != "fractures_csv"}
     drawn = inside.get("fracture", [])
@@ -194,7 +197,7 @@ def _extend(points: list[list[float]], values: list[float], what: str) -> None:
     """Add a point to a trace, or a segment that must begin where the last one ended."""
     if len(values) == 4:
         if points[-1] != values[:2]:
-            raise InputError(f"{what} goes on at {values[:2]}, but its last segment ended at {points[-1]}")
+            raise InputError(f"{what} goes on at {values[:2]}, but its last segment ended at {points[-1]}; join them")
         values = values[2:]
     if values:
         if points[-1] == values:

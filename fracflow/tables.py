@@ -243,7 +243,7 @@ class Polyline(_Annotation):
             raise fault("must be at least two points [x, y]")
         points = read_points(value, info)
         if any(here == there for here, there in pairwise(points)):
-            raise fault("two points in a row are the same")
+            raise fault("two points in a row are the same; remove one")
         return points
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from fracflow.mesh.orient import orient
 
 EVERY = "default"  # [fracture.default] makes fractures of all named curves inside the mesh
 CURVE = 1
+FARTHEST = 1e100  # coordinate, whose square is still a number [length]
 
 
 def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawMesh:
@@ -62,13 +63,15 @@ def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawM
 
 
 def _plane(points: Floats, what: str) -> Floats:
-    if np.any(is_bad := ~np.all(np.isfinite(points), axis=1)):
-        where = points[np.argmax(is_bad)].tolist()
-        raise InputError(f"{what}: a node has the coordinates {where}, which are not finite; save the mesh again")
+    if np.any(is_bad := ~np.all(np.abs(points) <= FARTHEST, axis=1)):
+        where, fault = points[np.argmax(is_bad)].tolist(), f"not finite, or beyond {FARTHEST:g}"
+        raise InputError(f"{what}: a node has the coordinates {where}, which are {fault}; save the mesh again")
     if points.shape[1] == 3 and len(points):
         height = np.ptp(points[:, 2])
         if height > 1e-9 * np.ptp(points, axis=0).max():
-            raise InputError(f"{what}: the mesh is not in a plane z = constant (z varies by {height:.3g})")
+            raise InputError(
+                f"{what}: the mesh is not in a plane z = constant (z varies by {height:.3g}); give nodes one z"
+            )
     return points[:, :2]
 
 

@@ -48,7 +48,7 @@ def read_msh2(path: Path) -> dict[str, Any]:
             rows = first + np.flatnonzero(tag == value)
             members[kind].append(np.stack([rows, np.full(len(rows), number[key])], axis=1))
     return {
-        "points": np.asarray(mesh.points, dtype=float),
+        "points": np.asarray(mesh.points, dtype=float).reshape(-1, 3),
         **{kind: np.concatenate(rows) for kind, rows in nodes.items()},
         **{f"{kind}_member": np.concatenate(rows) for kind, rows in members.items()},
         "other": np.array(others, dtype=np.str_),

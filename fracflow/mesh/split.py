@@ -147,7 +147,7 @@ def _sides(raw: RawMesh, cells: Ints) -> tuple[Ints, Ints]:
     half = half_facets(raw.cells[rows], raw.points.shape[1])
     matches = match(half, raw.side_facets)
     for is_bad, what in (
-        (matches.count == 0, "no edge of the mesh"),
+        (matches.count == 0, "no edge of the mesh; give edges of cells that name"),
         (matches.count > 1, "inside the mesh; name it as a fracture, or leave it without a name"),
     ):
         if np.any(is_bad):
@@ -164,10 +164,10 @@ def _check_fractures(raw: RawMesh, half: HalfFacets, matches: Matches) -> None:
     if len(matches.crowded):
         place = spot(raw.points, half.nodes[matches.crowded[0]])
         raise InputError(f"mesh: more than two cells share the edge at {place}; cells must not overlap")
-    one_sided = "has a cell on one side only: it lies on the outer boundary, or the mesh does not conform there"
+    one_sided = "has a cell on one side only: on the outer boundary, or where the mesh does not conform; mesh it anew"
     twice = "stands twice; fractures must not overlap"
     for is_bad, what in (
-        (matches.count == 0, "is no edge of the mesh"),
+        (matches.count == 0, "is no edge of the mesh; embed it in its surface"),
         (matches.count == 1, one_sided),
         (matches.count > 2, "has more than two cells; cells must not overlap"),
         (_is_repeated(raw.fracture_facets), twice),
