@@ -149,8 +149,14 @@ method = {stepper = "explicit", fault_damping = 0.1}
 rock.rock = {youngs_modulus = 2.5, poissons_ratio = 0.25, density = 4}
 mesh = {file = "squares.geo"}
 stage = [{kind = "dynamic", time_step = 0.1, end = 1}]
-fracture.main = {law = "slip-weakening", normal_stiffness = 10, shear_stiffness = 10, aperture = 1, friction_coefficient = 0.6, \
-dynamic_friction_coefficient = 0.5, slip_weakening_distance = 1}
+[fracture.main]
+law = "slip-weakening"
+normal_stiffness = 10
+shear_stiffness = 10
+aperture = 1
+friction_coefficient = 0.6
+dynamic_friction_coefficient = 0.5
+slip_weakening_distance = 1
 """
 SQUARES_GEO = """
 h = 0.5; n = 8;
