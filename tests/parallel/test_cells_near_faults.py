@@ -45,7 +45,9 @@ def scene_and_mesh(shared_tmp):
 
 def in_stripes(mesh):
     """Rank of each cell (m,) by its place along the fault, on rank 0."""
-    return None if mesh is None else (mesh.points[mesh.cells[:, :3]].mean(axis=1)[:, 0] // STRIPE).astype(int) % COMM.size
+    return (
+        None if mesh is None else (mesh.points[mesh.cells[:, :3]].mean(axis=1)[:, 0] // STRIPE).astype(int) % COMM.size
+    )
 
 
 def power(model, scene):
