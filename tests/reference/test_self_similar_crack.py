@@ -84,7 +84,7 @@ def errors(folder, size, **method):
 
 
 def test_slip_converges_behind_an_imposed_front(tmp_path):
-    """Cells of 0.5, 0.25, 0.125: slip off by 3.1, 1.7, 0.9 %, its increase by 7.1, 4.1, 2.0 %; undamped by 18, 19, and 29, 28 %."""
+    """Cells of 0.5, 0.25, 0.125: slip off by 3.1, 1.7, 0.9 %, its increase 7.1, 4.1, 2.0 %; undamped 18, 19 and 29, 28 %."""
     coarse, fine = (errors(tmp_path / f"{size:g}", size) for size in (0.5, 0.25))
     assert fine[0] < 0.02 and fine[0] < coarse[0] / 1.6
     assert fine[1] < 0.05 and fine[1] < coarse[1] / 1.6
