@@ -6,8 +6,8 @@ fault, at 100 m; --keep-growth keeps it at all sizes, and is no uniform refineme
 Prints, for each size, the error of the final slip at seven places, its order, how far the normal traction is off from 0.3 s
 after the front on, how well the books close, and CPU seconds. Exit code 1 where a bar is missed: slip within 2 % of 100 m, and
 as the size; normal traction within 1 % rms and 3 % at worst; order 1.4 in the last refinement; books 1e-10. Scenes, and runs
-that can be looked at, stay in the folder; runs that are there are read, and not repeated. Quadrilaterals of 25 m are off themselves (by 0.09 % from those of 50 m),
-so that the error and order at triangles of 25 m are rough. All four sizes take 8 CPU minutes.
+that can be looked at, stay in the folder; runs that are there are read, and not repeated. Quadrilaterals of 25 m are off too,
+and those of 50 m from them by 0.09 %, so that error and order at triangles of 25 m are rough. All sizes take 8 CPU minutes.
 """
 
 from __future__ import annotations
