@@ -17,9 +17,9 @@ Order       In TPV205-2D slip is too small by 1.8, 0.79, 0.40 % (rms of seven pl
             0.3 of the distance from the fault: order 1. For a growth of 0.1: 1.75, 0.71, 0.27 and, at 25 m, 0.10 %, order 1.3
             to 1.4. Meshes are refined evenly only where growth falls with the cells: from 0.3 at 200 m on 1.8, 0.79, 0.27,
             0.08 %, orders 1.2, 1.5, 1.7 (``scripts/bench rupture_triangles``). A ratio of 0.2 is of order 1.4 at a growth of
-            0.1, but leaves slip 3.5 % too large at one place of cells of 50 m that grow by 0.3, where it creeps on. There so
-            do 0.1 on six layers, and, by 0.7 to 4.8 %, damping of strains less their means over patches of cells; damping
-            slip along the fault by 0.15 of what is across leaves it 5 % too large there at 100 m.
+            0.1, but leaves slip 3.5 % too large at one place of cells of 50 m that grow by 0.3, where it creeps on; 0.1 on
+            six layers 2.6 %. Damping of strains less their means over patches of cells leaves it 0.7 to 4.8 % too large there
+            at a growth of 0.1, damping slip along the fault by 0.15 of what is across 5 % at 100 m.
 """
 
 from __future__ import annotations
