@@ -13,10 +13,13 @@ Remedy      F = sum of eta_e K_e v over LAYERS of cells (Day et al. 2005; Kelvin
             cell's fastest vibration omega_e: xi of the critical damping there, xi omega/omega_e of a wave of omega. One layer
             leaves twice the ringing of three, and xi below 0.2 leaves slip too large. A strip some cells wide takes off a wave
             what is of the order of the square of their size.
-Order       In TPV205-2D slip is too small by 1.8, 0.79 and 0.40 % (rms of seven places) at cells of 200, 100 and 50 m that
-            grow by 0.3 of the distance from the fault: order 1. For a growth of 0.1 these are 1.75, 0.71 and 0.27 %, order
-            1.3 to 1.4; with xi = 0.15 besides 1.5, 0.56 and 0.20 %, order 1.4 to 1.5. Damping slip along the fault by 0.15 of
-            what is across leaves it 5 % too large at one place of cells of 100 m, where it creeps on after its arrest.
+Order       In TPV205-2D slip is too small by 1.8, 0.79, 0.40 % (rms of seven places) at cells of 200, 100, 50 m that grow by
+            0.3 of the distance from the fault: order 1. For a growth of 0.1: 1.75, 0.71, 0.27 and, at 25 m, 0.10 %, order 1.3
+            to 1.4. Meshes are refined evenly only where growth falls with the cells: from 0.3 at 200 m on 1.8, 0.79, 0.27,
+            0.08 %, orders 1.2, 1.5, 1.7 (``scripts/bench rupture_triangles``). A ratio of 0.2 is of order 1.4 at a growth of
+            0.1, but leaves slip 3.5 % too large at one place of cells of 50 m that grow by 0.3, where it creeps on; 0.1 on
+            six layers 2.6 %. Damping of strains less their means over patches of cells leaves it 0.7 to 4.8 % too large there
+            at a growth of 0.1, damping slip along the fault by 0.15 of what is across 5 % at 100 m.
 """
 
 from __future__ import annotations

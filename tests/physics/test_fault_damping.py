@@ -125,7 +125,8 @@ def test_only_walls_that_are_no_mirror_images_are_damped(tmp_path, above, is_dam
     made = model(tmp_path, FAULT + QUADRILATERALS)
     ops = made.operators
     assert (asymmetry(ops.blocks, made.scene).max() > 1e-3) == is_damped
-    assert (fault_damping(ops, made.scene) is not None) == is_damped
+    found = fault_damping(ops, made.scene)
+    assert (None if found is None else found.ratio) == (0.25 if is_damped else None)
     given = model(tmp_path, FAULT + QUADRILATERALS, "method.fault_damping=0.1")
     found = fault_damping(given.operators, given.scene)
     assert found.ratio == 0.1
@@ -140,6 +141,52 @@ def test_none_where_none_is_wanted(tmp_path, override):
         text = "\n".join(line for line in text.splitlines() if not line.startswith(ONLY_OF_SLIP))
     made = model(tmp_path, text, override, "method.storage=lumped")
     assert fault_damping(made.operators, made.scene) is None
+
+
+SQUARES = """
+units = "none"
+method = {stepper = "explicit", fault_damping = 0.1}
+rock.rock = {youngs_modulus = 2.5, poissons_ratio = 0.25, density = 4}
+mesh = {file = "squares.geo"}
+stage = [{kind = "dynamic", time_step = 0.1, end = 1}]
+[fracture.main]
+law = "slip-weakening"
+normal_stiffness = 10
+shear_stiffness = 10
+aperture = 1
+friction_coefficient = 0.6
+dynamic_friction_coefficient = 0.5
+slip_weakening_distance = 1
+"""
+SQUARES_GEO = """
+h = 0.5; n = 8;
+For j In {0:2}
+  Point(2*j + 1) = {0, 3*(j - 1)*h, 0}; Point(2*j + 2) = {n*h, 3*(j - 1)*h, 0};
+  Line(10 + j) = {2*j + 1, 2*j + 2}; Transfinite Curve{10 + j} = n + 1;
+EndFor
+For j In {0:1}
+  Line(20 + j) = {2*j + 1, 2*j + 3}; Line(30 + j) = {2*j + 2, 2*j + 4}; Transfinite Curve{20 + j, 30 + j} = 3 + 1;
+  Curve Loop(j + 1) = {10 + j, 30 + j, -(11 + j), -(20 + j)}; Plane Surface(j + 1) = {j + 1};
+EndFor
+Transfinite Surface "*";
+Recombine Surface "*";
+Physical Surface("rock") = {1, 2};
+Physical Curve("main") = {11};
+"""
+
+
+@pytest.mark.serial
+def test_squares_that_expand_lose_what_the_ratio_says(tmp_path):
+    """Power per area of v = a (x, y), all cells damped: 4 a^2 (lambda + mu) 2 xi/omega, omega^2 = 8 (lambda + mu)/(rho h^2)."""
+    (tmp_path / "squares.geo").write_text(SQUARES_GEO)
+    made = model(tmp_path, SQUARES)
+    damping, block = fault_damping(made.operators, made.scene), made.operators.blocks.solid
+    speed, force = (made.operators.layout.solid_vector() for _ in range(2))
+    rate, ratio, side, density, lame = 3.0, 0.1, 0.5, 4.0, 2.0  # of E = 2.5, nu = 1/4: lambda = mu = 1
+    speed.getArray()[block.unknown] = rate * block.points
+    damping.matrix.mult(speed, force)
+    fastest = np.sqrt(8.0 * lame / density) / side
+    assert speed.dot(force) == pytest.approx(48 * side**2 * 4.0 * rate**2 * lame * 2.0 * ratio / fastest, rel=1e-12)
 
 
 @pytest.mark.serial
