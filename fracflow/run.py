@@ -24,7 +24,8 @@ from fracflow.output.folder import check_own
 from fracflow.output.handed import told_handed
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
-from fracflow.record.recorder import Recorder, watches_spurious
+from fracflow.record.notices import watches_spurious
+from fracflow.record.recorder import Recorder
 from fracflow.record.totals import Totals
 from fracflow.record.watch import Watch, Wish
 from fracflow.scene import Scene, load

@@ -14,8 +14,7 @@ import numpy as np
 
 from fracflow import __version__
 from fracflow._petsc import MPI
-from fracflow.assembly.energy import ENTRIES, spurious_share
-from fracflow.assembly.flow import is_transposed
+from fracflow.assembly.energy import ENTRIES
 from fracflow.begin.setup import Model, on_root
 from fracflow.card import as_lines, scene_card
 from fracflow.card import as_records as card_records
@@ -33,27 +32,12 @@ from fracflow.plan import Decision, Facts, as_records, decide, factorisations
 from fracflow.plan import as_lines as plan_lines
 from fracflow.record.before import Before, scene_seal
 from fracflow.record.catalogue import catalogue_of, instant
-from fracflow.record.suction import told_suction
+from fracflow.record.notices import Notices, watches_spurious
 from fracflow.record.totals import Totals
-from fracflow.scene import Scene
 from fracflow.state import State
 from fracflow.steps.step import Step
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
-TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
-TOLD_FROM = 0.1  # smaller factors are all the same
-
-FOLD = 1.5
-"""Growth of an aperture by what flows in through it, in a step of backward Euler, d - d0 = c d^3: none is greater. For
-more, c d0^2 > 4/27, walls are only stopped by their own stiffness, at a solution far away; for less there are both."""
-WIDENS = 2.0  # and again where an aperture grew by as much more
-STRAINED = 0.1  # p/E: a tenth is no small strain
-SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
-
-
-def watches_spurious(scene: Scene) -> bool:
-    """Whether pressure force and film storage are not transposed, so that the books have a spurious entry."""
-    return scene.has_flow and not is_transposed(scene.method.storage)
 
 
 class Recorder:
@@ -67,6 +51,7 @@ class Recorder:
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved = self.totals.steps
         self._folder, self._tell_saved = folder, None
+        self._notices = Notices(model, self.totals, self.log)
         self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
 
     _tell_saved: Callable[[int], None] | None
@@ -104,14 +89,10 @@ class Recorder:
             self._goes_on = False
         else:
             self._write(lambda: self._append(step, snapshot))
-        self._watch_spurious(step)
-        self._watch_pressure(step)
-        self._watch_widening(step)
-        self._watch_suction(step)
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
-        self._tell_coupling(step)
+        self._notices.of(step)
 
     def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
         if self.files is None or snapshot is None:
@@ -132,82 +113,6 @@ class Recorder:
             kept = f"the last state on disk is that after {self.saved} steps"
             return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
         return "no state is on disk yet: make room, or look at the disk, then start the run again"
-
-    def _tell_coupling(self, step: Step) -> None:
-        """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
-        totals, report, scene = self.totals, step.report, self.model.scene
-        stage = f"stage {scene.stage[step.stage].title}"
-        if report.handed_over and not totals.handed_over:
-            self.log(f"{stage}: {report.handed_over}; handed over to the monolithic solver, as are later steps like it")
-        totals.handed_over += bool(report.handed_over)
-        told, factor = totals.told_factor, report.predicted
-        if np.isnan(factor):
-            return
-        if np.isnan(told) or (max(factor, told) >= TOLD_FROM and not abs(factor - told) <= TOLD_AGAIN * told):
-            totals.told_factor = factor
-            time = f"time {step.state.time:.6g} {scene.unit_system.time}".rstrip()
-            measured = (
-                f"the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"
-                if np.isfinite(report.measured)
-                else "fewer than two cycles were made, so that none is measured"
-            )
-            self.log(
-                f"{stage}, {time}: a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted);"
-                f" {measured}"
-            )
-
-    def _watch_spurious(self, step: Step) -> None:
-        share, totals = spurious_share(step.state.energy), self.totals
-        if share > totals.spurious:
-            if totals.spurious <= SPURIOUS < share:
-                self.log(
-                    f'time {step.state.time:.6g}: spurious work of method.storage = "{self.model.scene.method.storage}" is'
-                    f" {share:.1e} of the largest entry of the energy books, above {SPURIOUS:g}: see energy/spurious;"
-                    ' method.storage = "lumped" has none'
-                )
-            totals.spurious, totals.spurious_time = share, step.state.time
-
-    def _watch_pressure(self, step: Step) -> None:
-        """A line, once, where a pressure would strain the rock by over ``STRAINED``: a rate through next to nothing."""
-        stiff = [rock.youngs_modulus for rock in self.model.scene.rock.values() if rock.youngs_modulus is not None]
-        drive, totals, wells = step.state.drive, self.totals, self.model.scene.well
-        if totals.strained or not stiff or drive <= STRAINED * min(stiff):
-            return
-        totals.strained = 1
-        rates = ", ".join(well.name for well in wells if well.flow_rate is not None)
-        self._doubt(
-            f"time {step.state.time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
-            f" over {STRAINED:g}, where neither strains nor joints are those of the model: what follows means nothing;"
-            + (
-                f" give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
-                if rates
-                else " lower the pressures that wells and fractures prescribe"
-            )
-        )
-
-    def _watch_widening(self, step: Step) -> None:
-        """A line where an aperture grew in a step by more than can be foretold, and again where by far more."""
-        grown, totals = step.report.widening, self.totals
-        if grown <= WIDENS * totals.widening:
-            return
-        totals.widening = grown
-        self._doubt(
-            f"time {step.state.time:.6g}: an aperture of {step.report.widest} grew {grown:.3g} times as wide in one step."
-            f" Above {FOLD:g} such a step has two solutions and may be at the wrong one: take smaller time_steps until nothing"
-            " changes, or give accuracy.tolerance"
-        )
-
-    def _watch_suction(self, step: Step) -> None:
-        """A line, once, where a pressure falls below zero: no fluid holds together there."""
-        if self.totals.sucked or not (line := told_suction(self.model, step.state)):
-            return
-        self.totals.sucked = 1
-        self._doubt(line)
-
-    def _doubt(self, line: str) -> None:
-        """A line of the log that the end of the run repeats."""
-        self.log(line)
-        self.totals.doubts.append(line)
 
     def last(self, step: Step, whole: bool = True) -> None:
         """Write the fields of the last state on record, unless they were; those of an earlier such state go. Collective.
