@@ -19,7 +19,7 @@ else:
     import tomli as tomllib
 
 LARGEST = 8 << 20  # bytes of a scene: a hundred thousand rows of tables
-MOST_DOTS = 2000  # in a value of --set, where a table may have as many numbers
+MOST_DOTS = 2000  # in a value of --set, but for those of plain numbers
 DEEPEST = 50  # tables and lists inside each other, or keys joined by dots
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _DOT = re.compile(r"(?<!\.)\.(?!\.)")
@@ -30,7 +30,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file; raises InputError where there is none, or where it is not TOML, or more than a scene can be."""
     text = read_text(path, "give the path of a TOML file", LARGEST)
     for number, line in enumerate(text.split("\n"), 1):
-        if line.count(".") > DEEPEST and len(_DOT.findall(_PLAIN_NUMBER.sub("", line))) > DEEPEST:
+        if _dots(line) > DEEPEST:
             raise InputError(f"{path.name}: line {number}: more than {DEEPEST} dots in a row of keys; shorten the line")
     try:
         data = tomllib.loads(text)
@@ -44,6 +44,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     if data is None or _is_deeper(data, DEEPEST):
         raise InputError(f"{path.name}: not valid TOML: brackets too deep inside each other; close them")
     return data
+
+
+def _dots(text: str) -> int:
+    """Dots of a text that are not those of plain numbers."""
+    return len(_DOT.findall(_PLAIN_NUMBER.sub("", text))) if text.count(".") > DEEPEST else 0
 
 
 def _is_deeper(value: Any, most: int) -> bool:
@@ -98,7 +103,7 @@ def override(data: dict[str, Any], setting: str) -> None:
 def parse_value(text: str) -> Any:
     """Read the value of ``--set`` as TOML; what is not TOML is a string."""
     try:
-        values = tomllib.loads(f"value = {text.strip()}") if text.count(".") < MOST_DOTS else {}
+        values = tomllib.loads(f"value = {text.strip()}") if _dots(text) < MOST_DOTS else {}
     except (ValueError, RecursionError):  # of no TOML, and of a whole number with thousands of digits
         return text.strip()
     return values["value"] if len(values) == 1 and not _is_deeper(values, DEEPEST) else text.strip()

@@ -18,11 +18,13 @@ def bench(folder, *arguments, **environment):
         capture_output=True, text=True, timeout=200, stdin=subprocess.DEVNULL,
         env=clean | {"PYTHONPATH": str(ROOT), **environment},
     )  # fmt: skip
+    assert (folder / "coupling.csv").exists(), done.stdout + done.stderr
     with (folder / "coupling.csv").open(encoding="utf-8", newline="") as file:
         return done, list(csv.DictReader(file))
 
 
 @pytest.mark.serial
+@pytest.mark.starts_ranks
 def test_small_bench_keeps_its_bars(tmp_path):
     done, rows = bench(tmp_path, "1000", "--ranks", "1", "--apertures", "1e-1", "1e-3", "1e-6")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -37,6 +39,7 @@ def test_small_bench_keeps_its_bars(tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.starts_ranks
 def test_missed_bar_is_exit_code_1(tmp_path):
     """The rock's block by Jacobi in place of a factorisation."""
     spoilt = "-monolithic_fieldsplit_solid_pc_type jacobi"

@@ -31,6 +31,7 @@ domain = [0, 0, 4, 4]
 size = 0.8
 size_at_fractures = 0.4
 snap = 0.02
+growth = 0.3
 fractures_csv = "traces.csv"
 cells = "CELLS"
 """
