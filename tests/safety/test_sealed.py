@@ -483,6 +483,44 @@ def test_a_process_that_hangs_or_dies_is_replaced(folder, monkeypatch):
     assert flat(read_arrays(path)) == right
 
 
+def test_a_process_that_starts_late_is_no_fault_of_the_file(folder, tmp_path, monkeypatch):
+    (tmp_path / "slow").mkdir()
+    (tmp_path / "slow" / "sitecustomize.py").write_text(
+        "import sys, time\nif 'h5_worker' in ' '.join(sys.orig_argv):\n    time.sleep(1.0)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "slow"), prepend=os.pathsep)
+    monkeypatch.setattr(h5_reader, "_reader", h5_reader.Reader())
+    monkeypatch.setattr(h5_reader, "PATIENCE", 0.5)
+    assert len(read_arrays(folder / "checkpoint.h5")) > 10
+    h5_reader._reader.close()
+    monkeypatch.setattr(h5_reader, "START", 0.3)
+    with pytest.raises(InputError, match=r"cannot be read: .* was not ready within 0\.3 s.*; try again later"):
+        read_arrays(folder / "checkpoint.h5")
+
+
+def test_files_that_were_read_are_closed(folder):
+    read_history(folder / "history.h5")
+    there = Path(f"/proc/{h5_reader._reader._process.pid}/fd")
+    before = len(list(there.iterdir()))
+    for _ in range(3):
+        read_history(folder / "history.h5")
+    assert len(list(there.iterdir())) == before
+
+
+def test_what_a_history_has_of_many_probes_is_read(tmp_path, monkeypatch):
+    """Memory goes with the size of the file, not with how many datasets it has."""
+    monkeypatch.setattr(h5_reader, "_reader", h5_reader.Reader())
+    most = []
+    for count in (10, 1500):
+        with HistoryFile(tmp_path / f"{count}.h5") as found:
+            found.append({"time": 0.0, **{f"probe/{i // 10}/{i % 10}": 1.0 for i in range(count)}})
+        assert len(read_history(tmp_path / f"{count}.h5")) == count + 1
+        status = Path(f"/proc/{h5_reader._reader._process.pid}/status").read_text()
+        most.append(1024 * int(status.partition("VmHWM:")[2].split()[0]))
+    assert most[1] - most[0] < 4 * (tmp_path / "1500.h5").stat().st_size
+    h5_reader._reader.close()
+
+
 def test_no_other_part_of_the_program_reads_such_files():
     """Only the process that may crash opens one that is not new."""
     calls = [
