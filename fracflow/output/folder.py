@@ -6,6 +6,7 @@ import errno
 import fcntl
 import json
 import os
+import re
 import secrets
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -70,6 +71,12 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float):
         return value
     return str(value)
+
+
+def step_of(file: Path, family: str = "") -> int | None:
+    """Number of the step that a file has fields of, by its name; None for a file of anything else, or of another family."""
+    found = re.fullmatch(rf"{re.escape(family) or '.+'}_([0-9]{{1,18}})", file.stem)
+    return int(found[1]) if found else None
 
 
 def check_own(path: Path, writes: bool = False) -> None:
@@ -228,9 +235,9 @@ class RunFolder:
         ``every`` is the number of steps from one file of fields to the next, 0 for the first step's alone: one that is
         out of turn was left where an earlier run ended.
         """
-        for file in (self.path / "fields").glob("*_[0-9]*.h5"):
-            number = int(file.stem.rpartition("_")[2])
-            if number >= steps or (number % every if every else number):
+        for file in (self.path / "fields").glob("*.h5"):
+            number = step_of(file)
+            if number is not None and (number >= steps or (number % every if every else number)):
                 file.unlink()
         if self.log_bytes() > log_bytes:
             number = open_own(self.path / "log.txt", os.O_WRONLY)
