@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import pytest
 from resealed import changed_notes, resealed
+from rich.console import Console
 
 import fracflow
 from fracflow import h5_reader
@@ -24,6 +25,8 @@ from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes
 from fracflow.output.fields import read_step
 from fracflow.output.history import HistoryFile, read_attributes, read_history
+from fracflow.output.rundata import load_run_data
+from fracflow.output.tell import tell
 from fracflow.run import resume, run
 from fracflow.scene import load
 from fracflow.sealed import PIECE, SEAL, layout_of, pieces, root_of
@@ -358,6 +361,59 @@ def test_pictures_need_whole_files(name, text, folder, monkeypatch, capfd):
 
 
 # what a stranger may put there, with a seal that fits
+
+
+def rows_of(name, change):
+    def forge(folder):
+        with resealed(folder / "fields/fractures_000006.h5") as (arrays, _):
+            arrays[name] = change(arrays[name])
+
+    return forge
+
+
+def names_of_fractures(text):
+    def forge(folder):
+        with resealed(folder / "fields/fractures_mesh.h5") as (_, notes):
+            notes["fractures"] = text
+
+    return forge
+
+
+def probe_without_numbers(folder):
+    old, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
+    old["probe/middle/slip"] = np.zeros((len(old["time"]), 0))
+    (folder / "history.h5").unlink()
+    with h5py.File(folder / "history.h5", "w") as file:
+        for name, values in old.items():
+            file[name] = values
+        file.attrs.update(attrs)
+
+
+UNFIT = {
+    "a word for a list": (names_of_fractures("{"), "are no names"),
+    "a number for a list": (names_of_fractures("5"), "are no names"),
+    "numbers for names": (names_of_fractures("[1, 2]"), "are no names"),
+    "a name that steers": (names_of_fractures('["\\u001b[2J"]'), "are no names"),
+    "points too few": (rows_of("point/plastic_slip", lambda v: v[:1]), "plastic_slip has the shape"),
+    "cells too few": (rows_of("cell/fracture", lambda v: v[:1]), "fracture has the shape"),
+    "rows of nothing": (rows_of("point/pressure", lambda v: np.zeros((len(v), 0))), "pressure has the shape"),
+    "steps of nothing": (probe_without_numbers, "has steps without a number"),
+}
+
+
+@pytest.mark.parametrize("name", UNFIT)
+def test_pictures_need_fields_that_fit(name, folder):
+    forge, why = UNFIT[name]
+    forge(folder)
+    with pytest.raises(InputError, match=why):
+        load_run_data(folder)
+
+
+def test_books_need_numbers(folder):
+    old, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
+    HistoryFile.after(folder / "history.h5", old, attrs | {"energy_noise": "x"}).close()
+    with pytest.raises(InputError, match="energy_noise is no number"):
+        tell(folder, Console(quiet=True))
 
 
 def group_in_itself(file):
