@@ -17,7 +17,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.files import fresh, no_plain_file, open_own
+from fracflow.files import fresh, no_plain_file, open_own, read_text
 
 MARKER = ".fracflow"
 _OWN_FILES = (
@@ -130,6 +130,14 @@ def check_folder(path: Path, resume: bool = False) -> None:
         raise InputError(f"{path}: {error.strerror}; name a folder to write to") from error
 
 
+def holds(path: Path, scene: str) -> bool:
+    """Whether the scene.toml of a run folder has the text of a ``scene``."""
+    try:
+        return read_text(path / "scene.toml", "name a run folder") == scene
+    except InputError:
+        return False
+
+
 def _taken(path: Path) -> TextIO:
     """The marker of a run folder, made and locked until it is closed. Raises InputError where another run holds it."""
     marker = open(open_own(path / MARKER, os.O_RDWR | os.O_APPEND | os.O_CREAT), "a+", encoding="utf-8")
@@ -174,7 +182,7 @@ class RunFolder:
         self._mark = f"run folder of fracflow, run {secrets.token_hex(4)}, last written to by process {os.getpid()}\n"
         self._marker.write(self._mark)
         self._marker.flush()
-        is_same = scene is not None and self._holds(scene)
+        is_same = scene is not None and holds(self.path, scene)
         own = [name for name in _OWN_FILES if not (is_same and name in ("scene.toml", "mesh.h5"))]
         for pattern in _UNFINISHED if keep else (*_UNFINISHED, *own):
             for file in self.path.glob(pattern):
@@ -184,12 +192,6 @@ class RunFolder:
                 folder = self.path / name
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()
-
-    def _holds(self, scene: str) -> bool:
-        try:
-            return (self.path / "scene.toml").read_text(encoding="utf-8") == scene
-        except (OSError, UnicodeDecodeError):
-            return False
 
     def check(self, is_thorough: bool = False) -> None:
         """Raise OSError where the folder is no more the one that the run began in.

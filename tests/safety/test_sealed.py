@@ -18,7 +18,7 @@ from resealed import changed_notes, resealed
 from rich.console import Console
 
 import fracflow
-from fracflow import h5_reader
+from fracflow import h5_reader, refinement
 from fracflow.cli import main
 from fracflow.errors import InputError, Interrupted
 from fracflow.mesh.store import load_mesh
@@ -407,6 +407,13 @@ def test_pictures_need_fields_that_fit(name, folder):
     forge(folder)
     with pytest.raises(InputError, match=why):
         load_run_data(folder)
+
+
+def test_a_level_with_a_scene_that_is_no_text_is_run_anew(folder):
+    scene = load(folder / "scene.toml")
+    assert refinement._found(scene, folder) == "a part"
+    (folder / "scene.toml").write_bytes(b"\xff\xfe")
+    assert refinement._found(scene, folder) == "nothing"
 
 
 def test_books_need_numbers(folder):
