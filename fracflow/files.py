@@ -14,7 +14,7 @@ from fracflow.errors import InputError
 _CONTROLS = r"\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069"
 PLAIN_TEXT = f"[^{_CONTROLS}]+"
 _STEERS = re.compile(f"[{_CONTROLS}]")
-LARGEST = 64 << 20  # bytes of a text: a scene, a table, a list of traces
+LARGEST = 64 << 20  # bytes of a text, where whoever reads it states no less
 CHUNK = 1 << 20
 
 
@@ -66,9 +66,14 @@ def shown_plain(text: str) -> str:
 
 def fresh(path: Path) -> Path:
     """An empty file in the place of whatever has its name: a link there is taken away and not followed. Raises OSError."""
-    path.unlink(missing_ok=True)
-    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666))
+    os.close(open_fresh(path))
     return path
+
+
+def open_fresh(path: Path) -> int:
+    """A descriptor, to read and write, of such an empty file. Raises OSError."""
+    path.unlink(missing_ok=True)
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
 
 
 def open_own(path: Path, flags: int) -> int:

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import h5py
 
+from fracflow.files import open_fresh
+
 Pieces = list[tuple[int, bytes]]  # offset and bytes, in the order in which they were written
 _MAGIC = b"FRACREDO"
 _HEAD, _PIECE = struct.Struct("<8sIQ"), struct.Struct("<QQ")  # magic, checksum, length; offset, length
@@ -30,7 +32,7 @@ class Backing:
     def __init__(self, path: Path) -> None:
         """Make the file, empty. Raises OSError."""
         self._begin(path, [])
-        self.file = _new(path)
+        self.file = open_fresh(path)
 
     def _begin(self, path: Path, pieces: Pieces) -> None:
         self.path, self.size, self._at, self._pieces = path, 0, 0, pieces
@@ -110,12 +112,6 @@ class Backing:
             self.error = OSError(error.errno, error.strerror, str(self.path))
 
 
-def _new(path: Path) -> int:
-    """A descriptor of an empty file in the place of whatever has its name; a link there is not followed. Raises OSError."""
-    path.unlink(missing_ok=True)
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-
-
 def write_all(file: int, data: bytes, offset: int) -> None:
     """Write all bytes at an offset of an open file. Raises OSError."""
     left = memoryview(data)
@@ -169,7 +165,7 @@ class Committed(Backing):
         """From here on the file, now at ``path``, has PATH.redo. Raises OSError."""
         self.check()
         self.path = path
-        self._redo = _new(redo_of(path))
+        self._redo = open_fresh(redo_of(path))
 
     def commit(self) -> None:
         """Let what was written count. Raises OSError; then the file stays as it was."""

@@ -27,6 +27,7 @@ Layout = dict[str, tuple[str, tuple[int, ...]]]
 """Name of a dataset -> type, shape."""
 
 PATIENCE = 10.0  # seconds for a small file
+START = 120.0  # seconds until the process is ready: a cluster may fetch its libraries through a busy network
 SLOWEST = 5e6  # bytes a second of a large one
 _OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name would be taken for a rank
 
@@ -48,6 +49,10 @@ class _Broken(Exception):
     """The process that reads ended or hung."""
 
 
+class _NotStarted(Exception):
+    """There is no process that reads, which is no fault of the file."""
+
+
 class Reader:
     """A process that reads HDF5 files; it starts with the first, and again after one that broke it."""
 
@@ -63,10 +68,11 @@ class Reader:
         """Datasets of these names, all without any. Raises ValueError with the reason where they cannot be read."""
         size = os.stat(path).st_size
         with self._lock:
-            self._end = time.monotonic() + PATIENCE + size / SLOWEST
             asked = {"path": os.path.abspath(path), "names": None if names is None else list(names), "live": live}
             try:
-                return self._answer(asked, h5_worker.bound(size))
+                process = self._started()
+                self._end = time.monotonic() + PATIENCE + size / SLOWEST
+                return self._answer(process, asked, h5_worker.bound(size))
             except _Refused:
                 raise
             except _Broken as error:
@@ -86,8 +92,7 @@ class Reader:
                     pipe.close()
             process.wait()
 
-    def _answer(self, asked: Mapping[str, Any], most: int) -> Found:
-        process = self._started()
+    def _answer(self, process: subprocess.Popen[bytes], asked: Mapping[str, Any], most: int) -> Found:
         assert process.stdin is not None
         try:
             process.stdin.write(json.dumps(asked).encode() + b"\n")
@@ -134,8 +139,12 @@ class Reader:
                 bufsize=0,
             )
         except OSError as error:
-            raise _Broken(f"no process to read it could be started: {error.strerror}") from None
-        self._owner, self._left = os.getpid(), b""
+            raise _NotStarted(f"could not be started: {error.strerror}") from None
+        self._owner, self._left, self._end = os.getpid(), b"", time.monotonic() + START
+        try:
+            self._line()  # which says that it is ready
+        except _Broken:
+            raise _NotStarted(f"was not ready within {START:g} s, or ended before") from None
         return self._process
 
     def _more(self, into: memoryview | None = None) -> bytes | int:
@@ -178,7 +187,7 @@ def read_h5(path: str | Path, what: str, remedy: str, names: Sequence[str] | Non
     names   of the datasets to read, all of them without any
     live    whether a run may be writing to it, row by row: all datasets then have the rows that the shortest has
 
-    Raises InputError, with ``what``, the reason and the ``remedy``.
+    Raises InputError, with ``what``, the reason and the ``remedy``; or says that the machine reads no such file now.
     """
     path = Path(path)
     if not path.exists():
@@ -186,5 +195,9 @@ def read_h5(path: str | Path, what: str, remedy: str, names: Sequence[str] | Non
     check_regular(path, remedy, 1 << 62)
     try:
         return _reader.read(path, names, live)
+    except _NotStarted as error:
+        raise InputError(
+            f"{path}: cannot be read: the process that reads HDF5 files {error}; try again later"
+        ) from None
     except (ValueError, KeyError, TypeError, OSError, MemoryError) as error:
         raise InputError(f"{path}: {what} ({error}); {remedy}") from None

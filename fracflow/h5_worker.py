@@ -1,8 +1,9 @@
 """The process that reads HDF5 files: the library may crash, hang or ask for any memory over a damaged or forged one.
 
-It answers requests, a line of JSON each on standard input: ``path``, ``names`` of the datasets that are wanted (null for
-all), ``live`` for a file that may have a writer. An answer is a line of JSON with attributes and layout; for each dataset a
-line with its name, type and shape, and its bytes; and a line with ``end``. A line with ``error`` ends an answer too.
+It says that it is ready, then answers requests, a line of JSON each on standard input: ``path``, ``names`` of the datasets
+that are wanted (null for all), ``live`` for a file that may have a writer. An answer is a line of JSON with attributes and
+layout; for each dataset a line with its name, type and shape, and its bytes; and a line with ``end``. A line with ``error``
+ends an answer too.
 
 Read are numbers in datasets of the file itself: no link but hard ones, nothing stored elsewhere, no filters, not more
 than the file can hold.
@@ -18,6 +19,7 @@ import json
 import resource
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -66,14 +68,18 @@ def _read(path: Path, names: list[str] | None, live: bool) -> tuple[dict[str, An
     """Attributes and layout of a file, and the datasets of these names, all without any."""
     size = path.stat().st_size
     with _opened(path, live) as file:
-        found = dict(_datasets(file, "", 0, [0]))
-        layout = [(name, _type(name, dataset).str, [int(n) for n in dataset.shape]) for name, dataset in found.items()]
+        # no dataset stays open: one takes memory for tables of chunks, and there may be thousands
+        layout = [
+            (name, _type(name, dataset).str, [int(n) for n in dataset.shape])
+            for name, dataset in _datasets(file, "", 0, [0])
+        ]
         if sum(np.dtype(kind).itemsize * prod(shape) for _, kind, shape in layout) > bound(size):
             raise Refused(f"its datasets claim more than the {size} bytes of the file hold")
         rows = min((shape[0] for _, _, shape in layout if shape), default=0) if live else None
-        wanted = found if names is None else [name for name in names if name in found]
+        known = {name: shape for name, _, shape in layout}
+        wanted = known if names is None else [name for name in names if name in known]
         arrays = {
-            name: np.ascontiguousarray(found[name][()] if rows is None or not found[name].shape else found[name][:rows])
+            name: np.ascontiguousarray(file[name][()] if rows is None or not known[name] else file[name][:rows])
             for name in wanted
         }
         return {"attributes": _attributes(file), "layout": layout}, arrays
@@ -83,9 +89,16 @@ def _send(out: BinaryIO, line: dict[str, Any]) -> None:
     out.write(json.dumps(line).encode() + b"\n")
 
 
-def _opened(path: Path, live: bool) -> h5py.File:
+@contextmanager
+def _opened(path: Path, live: bool) -> Iterator[h5py.File]:
     # a file that may have a writer is read as one that was closed, with its last change laid over it
-    return h5py.File(files_hdf.Completed(path), "r") if live else h5py.File(path, "r")
+    backing = files_hdf.Completed(path) if live else None
+    try:
+        with h5py.File(path if backing is None else backing, "r") as file:
+            yield file
+    finally:
+        if backing is not None:
+            backing.close()  # HDF5 leaves it open
 
 
 def _datasets(group: h5py.Group, prefix: str, depth: int, seen: list[int]) -> Iterator[tuple[str, h5py.Dataset]]:
@@ -150,6 +163,8 @@ def main() -> None:
     requests, out = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb", 1 << 20)
     os.dup2(2, 1)  # nothing that a library prints gets into an answer
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _send(out, {"ready": True})
+    out.flush()
     for line in requests:
         try:
             answer(json.loads(line), out)

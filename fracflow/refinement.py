@@ -15,7 +15,7 @@ from fracflow.mesh.split import tip_count
 from fracflow.mesh.store import load_mesh
 from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_look import draw
-from fracflow.output.folder import MARKER, check_folder
+from fracflow.output.folder import MARKER, check_folder, holds
 from fracflow.plan.decision import Facts
 from fracflow.plan.inertia import asks_period
 from fracflow.plan.tied import LEAST, why_none
@@ -116,12 +116,7 @@ def _check(folder: Path) -> None:
 def _found(scene: Scene, folder: Path) -> str:
     """What there is of the run of a scene in its folder; a mesh file that has changed since leaves nothing."""
     check_folder(folder)
-    text, saved = folder / "scene.toml", folder / "checkpoint.h5"
-    if (
-        not text.is_file()
-        or not saved.is_file()
-        or text.read_text(encoding="utf-8") != scene.dump_toml(folder.resolve())
-    ):
+    if not (folder / "checkpoint.h5").is_file() or not holds(folder, scene.dump_toml(folder.resolve())):
         return "nothing"
     if scene.mesh_path is not None and scene.mesh_path.stat().st_mtime > (folder / "mesh.h5").stat().st_mtime:
         return "nothing"

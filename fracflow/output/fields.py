@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
-from fracflow.output.folder import to_json, write_atomic
+from fracflow.output.folder import step_of, to_json, write_atomic
 from fracflow.sealed import Sealed, read_sealed, write_sealed
 
 Floats = NDArray[np.float64]
@@ -114,9 +114,8 @@ class FieldWriter:
 
 def list_steps(folder: str | Path, name: str) -> list[tuple[int, Path]]:
     """Step index and file of each written step, in order."""
-    files = (Path(folder) / "fields").glob(f"{name}_[0-9]*.h5")
-    found = [(path.stem[len(name) + 1 :], path) for path in files]
-    return sorted((int(digits), path) for digits, path in found if digits.isdigit())
+    found = [(step_of(path, name), path) for path in (Path(folder) / "fields").glob("*.h5")]
+    return sorted((number, path) for number, path in found if number is not None)
 
 
 def read_mesh(folder: str | Path, name: str) -> tuple[Floats, Ints, dict[str, Any]]:

@@ -6,6 +6,7 @@ import errno
 import fcntl
 import json
 import os
+import re
 import secrets
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -16,7 +17,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.files import fresh, no_plain_file, open_own
+from fracflow.files import fresh, no_plain_file, open_own, read_text
 
 MARKER = ".fracflow"
 _OWN_FILES = (
@@ -72,6 +73,12 @@ def _plain(value: Any) -> Any:
     return str(value)
 
 
+def step_of(file: Path, family: str = "") -> int | None:
+    """Number of the step that a file has fields of, by its name; None for a file of anything else, or of another family."""
+    found = re.fullmatch(rf"{re.escape(family) or '.+'}_([0-9]{{1,18}})", file.stem)
+    return int(found[1]) if found else None
+
+
 def check_own(path: Path, writes: bool = False) -> None:
     """Look at what has our names in a run folder, changing nothing: files and folders that are no links.
 
@@ -123,6 +130,14 @@ def check_folder(path: Path, resume: bool = False) -> None:
         raise InputError(f"{path}: {error.strerror}; name a folder to write to") from error
 
 
+def holds(path: Path, scene: str) -> bool:
+    """Whether the scene.toml of a run folder has the text of a ``scene``."""
+    try:
+        return read_text(path / "scene.toml", "name a run folder") == scene
+    except InputError:
+        return False
+
+
 def _taken(path: Path) -> TextIO:
     """The marker of a run folder, made and locked until it is closed. Raises InputError where another run holds it."""
     marker = open(open_own(path / MARKER, os.O_RDWR | os.O_APPEND | os.O_CREAT), "a+", encoding="utf-8")
@@ -167,7 +182,7 @@ class RunFolder:
         self._mark = f"run folder of fracflow, run {secrets.token_hex(4)}, last written to by process {os.getpid()}\n"
         self._marker.write(self._mark)
         self._marker.flush()
-        is_same = scene is not None and self._holds(scene)
+        is_same = scene is not None and holds(self.path, scene)
         own = [name for name in _OWN_FILES if not (is_same and name in ("scene.toml", "mesh.h5"))]
         for pattern in _UNFINISHED if keep else (*_UNFINISHED, *own):
             for file in self.path.glob(pattern):
@@ -177,12 +192,6 @@ class RunFolder:
                 folder = self.path / name
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()
-
-    def _holds(self, scene: str) -> bool:
-        try:
-            return (self.path / "scene.toml").read_text(encoding="utf-8") == scene
-        except (OSError, UnicodeDecodeError):
-            return False
 
     def check(self, is_thorough: bool = False) -> None:
         """Raise OSError where the folder is no more the one that the run began in.
@@ -228,9 +237,9 @@ class RunFolder:
         ``every`` is the number of steps from one file of fields to the next, 0 for the first step's alone: one that is
         out of turn was left where an earlier run ended.
         """
-        for file in (self.path / "fields").glob("*_[0-9]*.h5"):
-            number = int(file.stem.rpartition("_")[2])
-            if number >= steps or (number % every if every else number):
+        for file in (self.path / "fields").glob("*.h5"):
+            number = step_of(file)
+            if number is not None and (number >= steps or (number % every if every else number)):
                 file.unlink()
         if self.log_bytes() > log_bytes:
             number = open_own(self.path / "log.txt", os.O_WRONLY)

@@ -220,6 +220,8 @@ def _read(
     for name, values in columns.items():
         if values.ndim != 1 and (name == "time" or name.startswith(("step/", "energy/"))):
             raise InputError(f"{path}: {_NO_HISTORY} ({name} has {values.ndim} dimensions); {_REMEDY}")
+        if 0 in values.shape[1:]:
+            raise InputError(f"{path}: {_NO_HISTORY} ({name} has steps without a number); {_REMEDY}")
     if seals is None or not start:
         if must:
             raise InputError(f"{path}: its seal is missing; {AGAIN}")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
+from fracflow.files import steers
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step, read_time
 from fracflow.output.folder import check_own
@@ -281,9 +282,37 @@ def _fractures(folder: Path, start: float) -> FractureFields | None:
     first = max(0, int(np.searchsorted(times, start, side="right")) - 1)
     time, after, cell_data = read_step(steps[-1][1])
     before = read_step(steps[first][1])[1] if first < len(steps) - 1 else {}
+    for path, data, rows in (
+        (steps[-1][1], after, len(points)),
+        (steps[-1][1], cell_data, len(cells)),
+        (steps[first][1], before, len(points)),
+    ):
+        _check_rows(path, data, rows)
     fracture = np.asarray(cell_data.get("fracture", np.zeros(len(cells))), dtype=np.int64)
-    stored = attrs.get("fractures", attrs.get("names"))
     highest = int(fracture.max(initial=-1)) + 1
-    names = json.loads(stored) if stored else [f"fracture {i + 1}" for i in range(highest)]
+    names = _names(folder, attrs) or [f"fracture {i + 1}" for i in range(highest)]
     begins, step = float(times[first]), steps[-1][0]
     return FractureFields(points[:, :2], cells[:, :2], fracture, names, before, after, begins, time, step)
+
+
+def _check_rows(path: Path, data: dict[str, NDArray[Any]], rows: int) -> None:
+    for name, values in data.items():
+        if values.shape[:1] != (rows,) or (rows and not values.size):
+            raise InputError(
+                f"{path}: {name} has the shape {values.shape}, not {rows} rows; put back a copy of the file"
+            )
+
+
+def _names(folder: Path, attrs: dict[str, Any]) -> list[str]:
+    """Names of fractures as the mesh of the fields has them; none where it has none. Raises InputError for what is no name."""
+    stored = attrs.get("fractures", attrs.get("names"))
+    if not stored:
+        return []
+    try:
+        found = json.loads(stored)
+    except (ValueError, TypeError, RecursionError):
+        found = None
+    if isinstance(found, list) and all(isinstance(name, str) and not steers(name) for name in found):
+        return found
+    path = folder / "fields" / "fractures_mesh.h5"
+    raise InputError(f"{path}: its fractures are no names; put back a copy of the file")

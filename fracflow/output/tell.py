@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from fracflow.errors import InputError
 from fracflow.files import shown_plain
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import LATEST, read_events
@@ -93,7 +94,10 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         max((np.abs(history[f"energy/{name}"]).max() for name in books if name in names), default=0.0)
         for names in (("residual",), ("residual_closed",), BOOKS)
     )
-    noise = float(about.get("energy_noise", 0.0)) * len(history["time"])
+    noise = about.get("energy_noise", 0.0)
+    if isinstance(noise, str):
+        raise InputError(f"{folder / 'history.h5'}: its energy_noise is no number; name the folder of a run")
+    noise *= len(history["time"])
     for line in _told_books(left, closed, most, noise):
         console.print(line, soft_wrap=True, markup=False)
     events = read_events(folder / "events.csv")

@@ -147,6 +147,8 @@ class Recorder:
             if self.lost is None:
                 self.saved = self.totals.steps
                 self.tell_saved(self._tell_saved)
+            elif finished:
+                self._tell_lost(files)
 
     def finish(self, seconds: float, status: Status) -> None:
         """Write plan.json, the last lines of the log, and how the run ended."""
@@ -156,12 +158,15 @@ class Recorder:
             done = factorisations(self.totals.newton, self.totals.factorisations)
             self._write(lambda: files.write_plan([*files.decisions, done]))
             self._write(lambda: write_status(files.folder, status))
-            if self.lost is not None:
-                with suppress(OSError):
-                    files.folder.check(is_thorough=True)
-                    write_status(files.folder, Status(FAILED, str(self.lost)))
+            self._tell_lost(files)
             if files.folder.unlogged:
                 self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
+
+    def _tell_lost(self, files: Files) -> None:
+        if self.lost is not None:
+            with suppress(OSError):
+                files.folder.check(is_thorough=True)
+                write_status(files.folder, Status(FAILED, str(self.lost)))
 
     def end(self) -> None:
         """Close what grows with the steps: from here on nothing is recorded."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fracflow.errors import InputError
+from fracflow.output.fields import list_steps
 from fracflow.output.folder import RunFolder
 
 pytestmark = pytest.mark.serial
@@ -75,3 +76,14 @@ def test_foreign_folders_are_left_alone(tmp_path):
     with pytest.raises(InputError, match="holds no run"):
         RunFolder(tmp_path / "new", resume=True)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_copy_of_a_field_file_is_left_alone(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    (folder / "fields").mkdir()
+    for name in ("rock_000002", "rock_000004", "rock_000004 (copy)", "rock_1\u00b2", "rock_mesh", "old_rock_000004"):
+        (folder / "fields" / f"{name}.h5").write_text("")
+    assert [number for number, _ in list_steps(tmp_path / "run", "rock")] == [2, 4]
+    folder.cut_back(3, 0, 2)
+    left = {path.stem for path in (folder / "fields").iterdir()}
+    assert left == {"rock_000002", "rock_000004 (copy)", "rock_1\u00b2", "rock_mesh"}

@@ -272,6 +272,22 @@ def test_the_end_counts_when_all_is_on_disk(scene, whole, shared_tmp, monkeypatc
     same(shared_tmp / "run", whole)
 
 
+def test_a_run_whose_last_state_cannot_be_written_has_failed(scene, shared_tmp, monkeypatch):
+    real = recorder_of.write_checkpoint
+
+    def full(path, arrays, notes):
+        if notes["finished"]:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        real(path, arrays, notes)
+
+    monkeypatch.setattr(recorder_of, "write_checkpoint", full)
+    with pytest.raises(DiskError, match=r"checkpoint\.h5: No space left on device"):
+        run(scene, shared_tmp / "run")
+    if COMM.rank == 0:
+        found = read_status(shared_tmp / "run")
+        assert found.word == "failed" and "No space left" in found.line
+
+
 def test_a_log_that_cannot_be_written_is_told_at_the_end(scene, whole, shared_tmp):
     def no_log():
         (shared_tmp / "run" / "log.txt").unlink()

@@ -5,9 +5,6 @@ from __future__ import annotations
 import os
 import random
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,57 +12,21 @@ import h5py
 import numpy as np
 import pytest
 from resealed import changed_notes, resealed
+from stopped_run import flat, flip, refused, spoken
 
 import fracflow
 from fracflow import h5_reader
-from fracflow.cli import main
-from fracflow.errors import InputError, Interrupted
+from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes
 from fracflow.output.fields import read_step
 from fracflow.output.history import HistoryFile, read_attributes, read_history
-from fracflow.run import resume, run
-from fracflow.scene import load
+from fracflow.run import resume
 from fracflow.sealed import PIECE, SEAL, layout_of, pieces, root_of
 
 pytestmark = pytest.mark.serial
 ROOT = Path(__file__).parents[2]
 AGAIN = "start the run again with fracflow run"
-SCENE = """
-rock.rock = {youngs_modulus = "50 GPa", poissons_ratio = 0.25, density = "2700 kg/m^3"}
-fluid = {viscosity = "1e-3 Pa s", specific_weight = "9.81 kN/m^3", initial_pressure = "5 MPa", flow_depth = "100 m"}
-initial_stress = {xx = "-13 MPa", yy = "-25 MPa", zz = "-15 MPa"}
-support = [{on = ["west", "east", "south", "north"]}]
-stage = [{kind = "quasi-static", time_step = "6 h", end = "60 h"}]
-probe = [{name = "middle", at = [500, 400], on = "Bruno"}]
-geometry = {domain = [0, 0, 1000, 800], size = 400, size_at_fractures = 200, fracture = [
-  {name = "Bruno", points = [[400, 600], [600, 200]]}]}
-output = {fields_every = 2, checkpoint_every = 3, pictures = false}
-[fracture.default]
-normal_stiffness = "50 GPa/m"
-shear_stiffness = "20 GPa/m"
-aperture = "0.2 mm"
-friction_coefficient = 0.6
-pressure = [[0, "5 MPa"], ["60 h", "12 MPa"]]
-"""
-STOP = 6  # steps taken before the stop; slip begins at the fourth
-
-
-@pytest.fixture(scope="module")
-def stopped(tmp_path_factory):
-    """The folder of a run that was stopped half way."""
-    home = tmp_path_factory.mktemp("stopped")
-    (home / "scene.toml").write_text(SCENE)
-    count = [0]
-
-    def progress(_):
-        count[0] += 1
-        if count[0] == STOP:
-            os.kill(os.getpid(), signal.SIGTERM)
-
-    with pytest.raises(Interrupted):
-        run(load(home / "scene.toml"), home / "out", progress=progress)
-    return home / "out"
 
 
 @pytest.fixture(scope="module")
@@ -77,47 +38,10 @@ def whole(stopped, tmp_path_factory):
     return read_history(folder / "history.h5")
 
 
-@pytest.fixture
-def folder(stopped, tmp_path):
-    """A copy of the folder, to be damaged."""
-    shutil.copytree(stopped, tmp_path / "out")
-    return tmp_path / "out"
-
-
-def contents(folder):
-    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file() and path.name[0] != "."}
-
-
-def spoken(words, monkeypatch, capfd):
-    """Exit code and the line of a command."""
-    monkeypatch.setattr(sys, "argv", ["fracflow", *map(str, words)])
-    with pytest.raises(SystemExit) as end:
-        main()
-    lines = [line for line in capfd.readouterr().err.splitlines() if not line.startswith("note:")]
-    return end.value.code or 0, "\n".join(lines)
-
-
-def refused(folder, monkeypatch, capfd, *, command="resume"):
-    """The one line of a command that leaves the folder as it is."""
-    before = contents(folder)
-    code, said = spoken([command, folder, *(["--csv"] if command == "export" else [])], monkeypatch, capfd)
-    assert code == 2 and len(said.splitlines()) == 1 and said.startswith("fracflow: "), said
-    assert contents(folder) == before
-    return said
-
-
 def same(one, other):
     """Whether two histories are the same; the first step after a resume makes a factorisation more."""
     keys = one.keys() - {"step/factorisations"}
     return one.keys() == other.keys() and all(np.array_equal(one[k], other[k], equal_nan=True) for k in keys)
-
-
-def flip(path, name, at=0, bit=0):
-    """Flip a bit of an array in a file, which stays whole for HDF5."""
-    with h5py.File(path, "r+") as file:
-        values = file[name][()]
-        values.reshape(-1).view(np.uint8)[at] ^= 1 << bit
-        file[name][...] = values
 
 
 def names_of(path):
@@ -263,15 +187,6 @@ def read_fields(path):
     return read_step(path)
 
 
-def flat(found):
-    """What was read, as a text that is the same for the same bits."""
-    if isinstance(found, np.ndarray):
-        return f"{found.dtype}{found.shape}{found.tobytes().hex()}"
-    if isinstance(found, dict):
-        return str({key: flat(found[key]) for key in sorted(found)})
-    return str([flat(each) for each in found]) if isinstance(found, list | tuple) else str(found)
-
-
 READERS = {
     "checkpoint.h5": lambda path: (read_notes(path), read_arrays(path)),
     "mesh.h5": lambda path: vars(load_mesh(path)),
@@ -355,151 +270,3 @@ def test_pictures_need_whole_files(name, text, folder, monkeypatch, capfd):
     path = folder / name
     path.write_text(path.read_text().replace("slip,", "slip,,", 1) if text is None else text)
     assert path.name in refused(folder, monkeypatch, capfd, command="picture")
-
-
-# what a stranger may put there, with a seal that fits
-
-
-def group_in_itself(file):
-    file["loop"] = file["/"]
-
-
-def gzipped(file):
-    file.create_dataset("bomb", shape=(1 << 28,), dtype="f8", chunks=(1 << 20,), compression="gzip", fillvalue=0.0)
-
-
-def stored_outside(file):
-    file.create_dataset("outside", shape=(4,), dtype="u1", external=[("/etc/passwd", 0, 4)])
-
-
-def virtual(file):
-    layout = h5py.VirtualLayout(shape=(4,), dtype="f8")
-    layout[:] = h5py.VirtualSource("/etc/hostname", "data", shape=(4,))
-    file.create_virtual_dataset("virtual", layout)
-
-
-HOSTILE = {
-    "a soft link": lambda file: file.__setitem__("other", h5py.SoftLink("/displacement")),
-    "a link to a file": lambda file: file.__setitem__("other", h5py.ExternalLink("/etc/passwd", "/")),
-    "stored in another file": stored_outside,
-    "virtual": virtual,
-    "a shape without end": lambda file: file.create_dataset("huge", shape=(10**12,), dtype="f8"),
-    "chunks without end": lambda file: file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(10**6,)),
-    "compressed": gzipped,
-    "a group in itself": group_in_itself,
-    "texts": lambda file: file.create_dataset("texts", data=["a", "b"], dtype=h5py.string_dtype()),
-    "references": lambda file: file.create_dataset("to", data=[file.ref], dtype=h5py.ref_dtype),
-    "records": lambda file: file.create_dataset("rows", data=np.zeros(3, dtype=[("a", "f8"), ("b", "i4")])),
-    "arrays as attributes": lambda file: file.attrs.__setitem__("many", np.zeros(1000)),
-    "a type by a name": lambda file: file.__setitem__("kind", np.dtype("f8")),
-}
-
-
-@pytest.mark.parametrize("name", HOSTILE)
-def test_what_no_run_writes_is_not_read(name, folder, monkeypatch, capfd):
-    for file, read in (("checkpoint.h5", read_notes), ("history.h5", read_history), ("mesh.h5", load_mesh)):
-        with h5py.File(folder / file, "r+") as opened:
-            HOSTILE[name](opened)
-        began = time.monotonic()
-        with pytest.raises(InputError, match=file):
-            read(folder / file)
-        assert time.monotonic() - began < h5_reader.PATIENCE
-    refused(folder, monkeypatch, capfd)
-
-
-def outgrown(arrays, _):
-    arrays["sections/traction"] = np.zeros((*arrays["sections/traction"].shape[:2], 7))
-
-
-def of_integers(arrays, _):
-    arrays["displacement"] = arrays["displacement"].astype(int)
-
-
-NONSENSE = {
-    "tractions of seven components": outgrown,
-    "displacements of integers": of_integers,
-    "without friction": lambda arrays, _: arrays.pop("friction"),
-}
-NOTES = {
-    "a time that is a text": ("time", "noon"),
-    "a stage that is not there": ("stage", 3),
-    "a stage below none": ("stage", -1),
-    "progress in a list": ("progress", [1, 2]),
-    "totals of another kind": ("totals", {"steps": 7, "undone": {}, "colour": 3}),
-    "events of another kind": ("events", {"rows": 3}),
-    "no numbers in the books": ("energy", {"kinetic": None}),
-}
-
-
-@pytest.mark.parametrize("name", [*NONSENSE, *NOTES])
-def test_a_checkpoint_that_fits_its_seal_alone(name, folder, monkeypatch, capfd):
-    path = folder / "checkpoint.h5"
-    if name in NONSENSE:
-        with resealed(path) as (arrays, notes):
-            NONSENSE[name](arrays, notes)
-    else:
-        with changed_notes(path) as notes:
-            notes[NOTES[name][0]] = NOTES[name][1]
-    code, said = spoken(["resume", folder], monkeypatch, capfd)
-    assert code == 2 and len(said.splitlines()) == 1 and "checkpoint.h5: is no checkpoint" in said
-
-
-@pytest.mark.parametrize(
-    ("part", "value"),
-    [
-        ("cells", 10**9),
-        ("joint_top", -5),
-        ("flow_origin", 10**6),
-        ("side_cell", 99_999),
-        ("points", np.nan),
-        ("joint_fracture", 4),
-    ],
-)
-def test_a_mesh_that_fits_its_seal_alone(part, value, folder):
-    with resealed(folder / "mesh.h5") as (arrays, _):
-        arrays[part] = arrays[part].copy()
-        arrays[part].flat[0] = value
-    with pytest.raises(InputError, match=f"mesh.h5: is no saved mesh .{part} has"):
-        load_mesh(folder / "mesh.h5")
-
-
-# the process that reads
-
-
-def test_a_process_that_hangs_or_dies_is_replaced(folder, monkeypatch):
-    path = folder / "checkpoint.h5"
-    right = flat(read_arrays(path))
-    monkeypatch.setattr(h5_reader, "PATIENCE", 0.3)
-    os.kill(h5_reader._reader._process.pid, signal.SIGSTOP)
-    with pytest.raises(InputError, match="takes longer to read"):
-        read_arrays(path)
-    monkeypatch.setattr(h5_reader, "PATIENCE", 10.0)
-    assert flat(read_arrays(path)) == right
-    monkeypatch.setattr(h5_reader.Reader, "_started", lambda self: self._process)
-    os.kill(h5_reader._reader._process.pid, signal.SIGSEGV)
-    with pytest.raises(InputError, match="ended"):
-        read_arrays(path)
-    monkeypatch.undo()
-    assert flat(read_arrays(path)) == right
-
-
-def test_no_other_part_of_the_program_reads_such_files():
-    """Only the process that may crash opens one that is not new."""
-    calls = [
-        (path.name, line.strip())
-        for path in (ROOT / "fracflow").rglob("*.py")
-        for line in path.read_text(encoding="utf-8").splitlines()
-        if "h5py.File(" in line and path.name != "h5_worker.py"
-    ]
-    assert calls and all('"w"' in line for _, line in calls), calls
-
-
-@pytest.mark.starts_ranks
-def test_ranks_refuse_it_together(folder):
-    flip(folder / "checkpoint.h5", "displacement")
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
-    words = ["mpirun", "-n", "2", sys.executable, "-m", "fracflow", "resume", str(folder)]
-    done = subprocess.run(words, env={**kept, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 2, done.stderr
-    lines = [line for line in done.stderr.splitlines() if line.startswith("fracflow: ")]
-    assert len(lines) == 1 and "checkpoint.h5: displacement, rows 0 to" in lines[0]

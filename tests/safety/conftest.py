@@ -1,0 +1,21 @@
+"""Folders of a run that was stopped half way."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from stopped_run import stop_half_way
+
+
+@pytest.fixture(scope="session")
+def stopped(tmp_path_factory):
+    """The folder of a run that was stopped half way; it stays as it is."""
+    return stop_half_way(tmp_path_factory.mktemp("stopped"))
+
+
+@pytest.fixture
+def folder(stopped, tmp_path):
+    """A copy of the folder, to be damaged."""
+    shutil.copytree(stopped, tmp_path / "out")
+    return tmp_path / "out"
