@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import zlib
 from pathlib import Path
 
 import h5py
@@ -17,7 +18,7 @@ import pytest
 from resealed import changed_notes, resealed
 
 import fracflow
-from fracflow import h5_reader
+from fracflow import files_hdf, h5_reader
 from fracflow.cli import main
 from fracflow.errors import InputError, Interrupted
 from fracflow.mesh.store import load_mesh
@@ -217,6 +218,21 @@ def test_a_mesh_of_another_run_is_refused(folder, monkeypatch, capfd):
     with resealed(folder / "mesh.h5") as (arrays, _):
         arrays["points"] = arrays["points"] + 1.0
     assert "mesh.h5: is not of this run" in refused(folder, monkeypatch, capfd)
+
+
+def test_a_history_of_two_names_is_not_completed(folder, tmp_path, monkeypatch, capfd):
+    """What lies beside a history may be all of it; put in its place, it would be written to the file of the other name."""
+    history, other = folder / "history.h5", tmp_path / "precious"
+    body = files_hdf._PIECE.pack(0, history.stat().st_size) + history.read_bytes()
+    head = files_hdf._HEAD.pack(files_hdf._MAGIC, zlib.crc32(body), len(body))
+    (folder / "history.h5.redo").write_bytes(head + body)
+    other.write_text("mine\n" * 1000)
+    history.unlink()
+    os.link(other, history)
+    assert "history.h5: is a link" in refused(folder, monkeypatch, capfd)
+    with pytest.raises(InputError, match=r"history.h5: is a link"):  # nor where the name comes later
+        files_hdf.complete(history)
+    assert other.read_text() == "mine\n" * 1000
 
 
 def test_a_checkpoint_that_was_taken_away_costs_no_history(folder, monkeypatch, capfd):
