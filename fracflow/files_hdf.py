@@ -14,7 +14,7 @@ from pathlib import Path
 
 import h5py
 
-from fracflow.files import open_fresh
+from fracflow.files import open_fresh, open_own
 
 Pieces = list[tuple[int, bytes]]  # offset and bytes, in the order in which they were written
 _MAGIC = b"FRACREDO"
@@ -267,9 +267,9 @@ def pieces_of(path: Path) -> Pieces:
 
 
 def complete(path: Path) -> None:
-    """Put what a file lacks in its place. Raises OSError."""
+    """Put what a file lacks in its place. Raises OSError, and InputError for a file that has another name too."""
     if pieces := pieces_of(path):
-        file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        file = open_own(path, os.O_RDWR)
         try:
             for offset, data in pieces:
                 write_all(file, data, offset)

@@ -31,6 +31,8 @@ class FieldWriter:
     cells   (m, k)       nodes, -1 pads; 2 nodes are a piece of a fracture, 3 a triangle, 4 a quadrilateral
     attrs   metadata stored with the mesh, e.g. names behind cell data; lists and mappings as JSON
     resume  keep the steps that are there; otherwise they are removed
+
+    ``left_out`` are lines on files of steps that cannot be read.
     """
 
     def __init__(
@@ -52,8 +54,18 @@ class FieldWriter:
         self._mesh = (kind, topology, _padded(points, 3))
         arrays = {"points": self._mesh[2], "cells": np.asarray(cells, np.int64), "topology": topology}
         _write(self.folder / "fields" / f"{name}_mesh.h5", arrays, attrs or {})
-        self._grids = {index: self._grid(path, *_read_flat(path)) for index, path in list_steps(self.folder, name)}
+        self._grids, self.left_out = self._known()
         self._write_index()
+
+    def _known(self) -> tuple[dict[int, str], list[str]]:
+        """Entries of the index for the steps that are there, and why others are not: no run goes on from fields."""
+        found, left_out = {}, []
+        for index, path in list_steps(self.folder, self.name):
+            try:
+                found[index] = self._grid(path, *_read_flat(path))
+            except InputError as error:
+                left_out.append(f"{str(error).partition(';')[0]}: left out of {self.name}.xdmf")
+        return found, left_out
 
     def write(
         self,

@@ -85,7 +85,8 @@ def check_own(path: Path, writes: bool = False) -> None:
     A folder may come from anybody: a link in it leads out of it, and a pipe or a device never ends. Raises InputError. Where
     something ``writes``, files that are changed in their place have no second name.
     """
-    for file in (path / MARKER, path / "log.txt") if writes else ():
+    completed = ["history.h5"] if (path / "history.h5.redo").exists() else []
+    for file in [path / name for name in (MARKER, "log.txt", *completed)] if writes else ():
         if not file.is_symlink() and file.is_file() and file.stat().st_nlink > 1:
             raise InputError(no_plain_file(file))
     _check_entries(path, [MARKER, *(pattern for pattern in (*_OWN_FILES, *_UNFINISHED) if "/" not in pattern)])

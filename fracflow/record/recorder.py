@@ -225,9 +225,7 @@ class Files:
         old = (before.rows, before.attrs) if before is not None else None
         self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
         self.scene_seal = scene_seal(self.folder.path)
-        for line in before.told if before is not None else ():
-            self.folder.log(f"note: {line}")
-            warnings.warn(line, stacklevel=2)
+        self._tell(before.told if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
         points = self.mesh.points[self.mesh.flow_origin[flow]]
         on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
@@ -261,6 +259,13 @@ class Files:
         self.fractures = FieldWriter(
             self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
         )
+        self._tell([*self.rock.left_out, *self.fractures.left_out])
+
+    def _tell(self, lines: list[str]) -> None:
+        """Lines on a folder that is gone on with, for log and terminal."""
+        for line in lines:
+            self.folder.log(f"note: {line}")
+            warnings.warn(line, stacklevel=2)
 
     def write_plan(self, decisions: list[Decision]) -> None:
         """Write plan.json: what is modelled and left out, and the scene card."""

@@ -6,6 +6,7 @@ import os
 import random
 import shutil
 import time
+import zlib
 from pathlib import Path
 
 import h5py
@@ -15,7 +16,7 @@ from resealed import changed_notes, resealed
 from stopped_run import flat, flip, refused, spoken
 
 import fracflow
-from fracflow import h5_reader
+from fracflow import files_hdf, h5_reader
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes
@@ -141,6 +142,21 @@ def test_a_mesh_of_another_run_is_refused(folder, monkeypatch, capfd):
     with resealed(folder / "mesh.h5") as (arrays, _):
         arrays["points"] = arrays["points"] + 1.0
     assert "mesh.h5: is not of this run" in refused(folder, monkeypatch, capfd)
+
+
+def test_a_history_of_two_names_is_not_completed(folder, tmp_path, monkeypatch, capfd):
+    """What lies beside a history may be all of it; put in its place, it would be written to the file of the other name."""
+    history, other = folder / "history.h5", tmp_path / "precious"
+    body = files_hdf._PIECE.pack(0, history.stat().st_size) + history.read_bytes()
+    head = files_hdf._HEAD.pack(files_hdf._MAGIC, zlib.crc32(body), len(body))
+    (folder / "history.h5.redo").write_bytes(head + body)
+    other.write_text("mine\n" * 1000)
+    history.unlink()
+    os.link(other, history)
+    assert "history.h5: is a link" in refused(folder, monkeypatch, capfd)
+    with pytest.raises(InputError, match=r"history.h5: is a link"):  # nor where the name comes later
+        files_hdf.complete(history)
+    assert other.read_text() == "mine\n" * 1000
 
 
 def test_a_checkpoint_that_was_taken_away_costs_no_history(folder, monkeypatch, capfd):
