@@ -63,6 +63,14 @@ class Pressures:
         share = min(max((time - self.times[after - 1]) / span, 0.0), 1.0)
         return np.asarray((1.0 - share) * np.interp(along, self.along, self.values[after - 1]) + share * late)
 
+    def fastest(self, along: Floats) -> Floats:
+        """Largest rate of change, up or down, at distances (n,) [stress/time]."""
+        rates = np.zeros(np.shape(along))
+        for (begin, end), (before, after) in zip(pairwise(self.times), pairwise(self.values), strict=True):
+            change = np.interp(along, self.along, after) - np.interp(along, self.along, before)
+            rates = np.maximum(rates, np.abs(change) / (end - begin))
+        return rates
+
 
 def write(value: Any) -> Any:
     """Turn a value back into what a scene file holds."""

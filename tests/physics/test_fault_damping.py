@@ -5,7 +5,8 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.assembly.fault_damping import asymmetry, fault_damping
+from fracflow.assembly.fault_damping import asymmetry, fault_damping, is_sudden
+from fracflow.assembly.inertia import cell_rates
 from fracflow.begin.setup import prepare
 from fracflow.cli import app
 from fracflow.scene import load
@@ -187,6 +188,22 @@ def test_squares_that_expand_lose_what_the_ratio_says(tmp_path):
     damping.matrix.mult(speed, force)
     fastest = np.sqrt(8.0 * lame / density) / side
     assert speed.dot(force) == pytest.approx(48 * side**2 * 4.0 * rate**2 * lame * 2.0 * ratio / fastest, rel=1e-12)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("over", "sudden"), [("[[0, 0], [1, 0.039]]", False), ("[[0, 0], [8, 0], [10, -0.082]]", True), ("9", False)]
+)
+def test_mirror_images_are_damped_where_pressure_changes_at_once(tmp_path, over, sudden):
+    """By more than 1e-3 of a traction of 10 in 1/omega = 0.25 of the squares."""
+    (tmp_path / "squares.geo").write_text(SQUARES_GEO)
+    text = f"fluid = {{viscosity = 1, specific_weight = 1}}\ninitial_stress = {{yy = -10}}{SQUARES}pressure = {over}\n"
+    made = model(tmp_path, text, "method.fault_damping=auto")
+    ops = made.operators
+    assert asymmetry(ops.blocks, made.scene).max() < 1e-9
+    assert np.array_equal(is_sudden(ops, made.scene, cell_rates(ops.blocks, made.scene)), np.full(8, sudden))
+    found = fault_damping(ops, made.scene)
+    assert (None if found is None else found.ratio) == (0.45 if sudden else None)
 
 
 @pytest.mark.serial
