@@ -16,6 +16,8 @@ from fracflow.units import LENGTH, TIME, Quantity, fault, number_schema
 
 Floats = NDArray[np.float64]
 
+QUICK = 0.01  # of all that a pressure changes by: more in a step is quick
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -62,6 +64,19 @@ class Pressures:
         span = self.times[after] - self.times[after - 1]
         share = min(max((time - self.times[after - 1]) / span, 0.0), 1.0)
         return np.asarray((1.0 - share) * np.interp(along, self.along, self.values[after - 1]) + share * late)
+
+    def fastest(self, along: Floats) -> Floats:
+        """Largest rate of change, up or down, at distances (n,) [stress/time]."""
+        rates = np.zeros(np.shape(along))
+        for (begin, end), (before, after) in zip(pairwise(self.times), pairwise(self.values), strict=True):
+            change = np.interp(along, self.along, after) - np.interp(along, self.along, before)
+            rates = np.maximum(rates, np.abs(change) / (end - begin))
+        return rates
+
+    def is_quick(self, time_step: float) -> bool:
+        """Whether a step may bring about more than a hundredth of its whole change, from lowest to highest."""
+        spread = max(map(max, self.values)) - min(map(min, self.values))
+        return bool(np.any(self.fastest(np.array(self.along)) * time_step > QUICK * spread))
 
 
 def write(value: Any) -> Any:

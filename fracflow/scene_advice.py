@@ -39,6 +39,7 @@ def advice(scene: Scene) -> list[str]:
         *_reflecting(scene),
         *_too_long(scene),
         *_ringing(scene),
+        *_let_go(scene),
         *_growing(scene),
         *_jagged(scene),
         *(_unusual(scene) if scene.units != "none" else ()),
@@ -116,6 +117,26 @@ def _ringing(scene: Scene) -> Iterator[str]:
             f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {remedy}, or a [mesh]"
             " that mirrors itself in the fault"
         )
+
+
+def _let_go(scene: Scene) -> Iterator[str]:
+    """Fractures that lose strength at once, by a rule that damps no cells at faults."""
+    method = scene.method
+    if scene.model == "report" or not scene.has_dynamics or not any(not rock.rigid for rock in scene.rock.values()):
+        return
+    if method.stepper == "explicit" and method.fault_damping != 0.0:
+        return
+    remedy = "" if method.stepper == "explicit" else 'method.stepper = "explicit" with '
+    steps = [(stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step) or 0.0 for stage in scene.stage]
+    for name, table in scene.fracture.items():
+        slides = "sliding" in JOINT_LAWS[table.law].status
+        pressure = table.pressure if scene.has_flow and slides else None
+        if pressure is not None and pressure.is_quick(max(steps)):
+            yield (
+                f"fracture.{name}.pressure changes within a step: where it takes strength away at once, walls come too far and"
+                " stick there, and slip comes out too large, by 20 % and more, whatever the mesh: use"
+                f' {remedy}method.fault_damping = "auto"'
+            )
 
 
 def _growing(scene: Scene) -> Iterator[str]:

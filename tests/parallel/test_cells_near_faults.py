@@ -31,6 +31,8 @@ friction_coefficient = 0.677
 dynamic_friction_coefficient = 0.525
 slip_weakening_distance = "0.4 m"
 """
+RISES = """fracture.main.pressure={along = ["0 km", "2 km", "3 km"], time = ["0 s", "1 s"], value = [[0, 0, 0],
+["0 MPa", "0 MPa", "90 MPa"]]}"""
 
 
 @pytest.fixture
@@ -75,8 +77,12 @@ def test_cells_near_a_fault_that_ranks_cut(scene_and_mesh):
     assert np.array_equal(found, expected)
 
 
-def test_damping_of_a_fault_that_ranks_cut(scene_and_mesh):
+@pytest.mark.parametrize("damps", ["by its walls", "by its pressure"])
+def test_damping_of_a_fault_that_ranks_cut(scene_and_mesh, shared_tmp, damps):
+    """Its walls call for 0.25 of the critical one; a pressure that rises at once in a part of it for 0.45 there."""
     scene, mesh = scene_and_mesh
+    if damps == "by its pressure":
+        scene = load(shared_tmp / "scene.toml", [RISES, "fluid={viscosity=1, specific_weight=1}"])
     cut = power(prepare(scene, COMM, mesh, in_stripes(mesh)), scene)
     alone = power(prepare(scene, MPI.COMM_SELF, COMM.bcast(mesh, root=0)), scene)
     assert cut == pytest.approx(alone, rel=1e-12) and alone > 0.0

@@ -5,7 +5,8 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.assembly.fault_damping import asymmetry, fault_damping
+from fracflow.assembly.fault_damping import asymmetry, fault_damping, is_sudden
+from fracflow.assembly.inertia import cell_rates
 from fracflow.begin.setup import prepare
 from fracflow.cli import app
 from fracflow.scene import load
@@ -190,6 +191,32 @@ def test_squares_that_expand_lose_what_the_ratio_says(tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize(
+    ("keys", "sudden"),
+    [
+        ({"pressure": [[0, 0], [1, 0.039]]}, False),
+        ({"pressure": [[0, 0], [8, 0], [10, -0.082]]}, True),
+        ({"pressure": 9}, False),
+        ({"stick_slip_ratio": 1}, False),
+        ({"stick_slip_ratio": 0.9}, True),
+    ],
+)
+def test_mirror_images_are_damped_where_strength_falls_at_once(tmp_path, keys, sudden):
+    """By its law, or by a pressure that changes by over 1e-3 of a traction of 10 in 1/omega = 0.25 of the squares."""
+    (tmp_path / "squares.geo").write_text(SQUARES_GEO)
+    text = f"fluid = {{viscosity = 1, specific_weight = 1}}\ninitial_stress = {{yy = -10}}{SQUARES}"
+    if "stick_slip_ratio" in keys:
+        text = "\n".join(line for line in text.splitlines() if not line.startswith(("law", "dynamic", "slip_w"))) + "\n"
+    text += "\n".join(f"{key} = {value}" for key, value in keys.items())
+    made = model(tmp_path, text, "method.fault_damping=auto")
+    ops = made.operators
+    assert asymmetry(ops.blocks, made.scene).max() < 1e-9
+    assert np.array_equal(is_sudden(ops, made.scene, cell_rates(ops.blocks, made.scene)), np.full(8, sudden))
+    found = fault_damping(ops, made.scene)
+    assert (None if found is None else found.ratio) == (0.45 if sudden else None)
+
+
+@pytest.mark.serial
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.25, 1.0])
 def test_the_critical_step_of_a_damped_vibration(ratio):
     """u_new - 2 u + u_old + dt^2 u + 2 ratio dt (u - u_old) = 0 stays bounded up to the step that damped_rate tells."""
@@ -274,3 +301,22 @@ def test_notes_of_a_run_name_tables_whole(tmp_path):
     words = ["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "taken"), "--set", "method.stepper=newmark"]
     said = " ".join(CliRunner().invoke(app, words).output.split())
     assert "or a [mesh] that mirrors itself" in said and "by the sizes of [geometry]" in said
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("over", "override", "warns"),
+    [
+        ("[[0, 0], [9, 1]]", "method.stepper=newmark", True),
+        ("[[0, 0], [9, 1]]", "method.fault_damping=0", True),
+        ("[[0, 0], [9, 1]]", "title=x", False),
+        ("[[0, 0], [11, 1]]", "method.stepper=newmark", False),
+        ("1", "method.stepper=newmark", False),
+    ],
+)
+def test_pressures_that_change_at_once_are_told_where_nothing_damps(tmp_path, over, override, warns):
+    """By more than a hundredth of what they change by in a step of 0.1."""
+    text = f"fluid = {{viscosity = 1, specific_weight = 1}}{SQUARES}pressure = {over}\n"
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    lines = advice(load(tmp_path / "scene.toml", [override]))
+    assert any("fracture.main.pressure changes within a step" in line for line in lines) == warns

@@ -34,7 +34,7 @@ def exact(place, time):
     return size * np.sqrt(np.maximum((SPEED * np.maximum(time, 0.0)) ** 2 - place**2, 0.0))
 
 
-def errors(folder, size, **method):
+def errors(folder, size, cells):
     """Of slip, and of its increase over a fixed time: root mean squares over places and times, over those of the exact ones."""
     count = round(SPEED * LASTS / size)
     at, times = size * np.arange(-count, count + 1), size / SPEED * np.arange(count + 2)
@@ -47,7 +47,7 @@ def errors(folder, size, **method):
     data = {
         "units": "none",
         "geometry": {
-            "domain": [-HALF[0], -HALF[1], *HALF], "size": size,
+            "domain": [-HALF[0], -HALF[1], *HALF], "size": size, "cells": cells,
             "fracture": [{"name": "fault", "points": [[-HALF[0], 0.0], [HALF[0], 0.0]]}],
         },
         "rock": {"rock": {"youngs_modulus": 2.5, "poissons_ratio": 0.25, "density": 1.0}},
@@ -59,7 +59,7 @@ def errors(folder, size, **method):
         },
         "absorbing": [{"on": ["west", "east", "south", "north"]}],
         "output": {"pictures": False},
-        "method": {"stepper": "explicit", **method},
+        "method": {"stepper": "explicit"},
         "probe": [{"name": f"{x:g}", "at": [x, 0.0], "on": "fault", "quantities": ["slip"]} for x in PLACES.tolist()],
         "stage": [{"kind": "dynamic", "time_step": size / 4.0, "end": LASTS}],
     }  # fmt: skip
@@ -83,8 +83,12 @@ def errors(folder, size, **method):
     return off(found, right), off(risen(found), risen(right))
 
 
-def test_slip_converges_behind_an_imposed_front(tmp_path):
-    """Cells of 0.5, 0.25, 0.125: slip off by 3.1, 1.7, 0.9 %, its increase 7.1, 4.1, 2.0 %; undamped 18, 19 and 29, 28 %."""
-    coarse, fine = (errors(tmp_path / f"{size:g}", size) for size in (0.5, 0.25))
+@pytest.mark.parametrize("cells", ["triangles", "quads"])
+def test_slip_converges_behind_an_imposed_front(tmp_path, cells):
+    """Cells of 0.5, 0.25, 0.125: slip of triangles off by 4.1, 1.9, 0.8 %, of quads, mirror images, by 3.2, 1.4, 0.6 %.
+
+    Undamped by 18 and 19, and by 26 and 19 %: nodes come too far when their strength goes, and stick there.
+    """
+    coarse, fine = (errors(tmp_path / f"{size:g}", size, cells) for size in (0.5, 0.25))
     assert fine[0] < 0.02 and fine[0] < coarse[0] / 1.6
     assert fine[1] < 0.05 and fine[1] < coarse[1] / 1.6
