@@ -72,6 +72,16 @@ def test_a_flipped_bit_ends_a_resume_before_it_begins(folder, monkeypatch, capfd
     assert "checkpoint.h5: velocity, rows 0 to" in refused(folder, monkeypatch, capfd)
 
 
+def test_a_damaged_file_of_fields_stops_no_resume(folder):
+    """No run goes on from fields: what cannot be read is told, and left out of the index."""
+    first = folder / "fields" / "rock_000000.h5"
+    first.write_bytes(first.read_bytes()[:-40])
+    with pytest.warns(UserWarning, match=r"rock_000000.h5: .*: left out of rock.xdmf"):
+        resume(folder)
+    index = (folder / "rock.xdmf").read_text()
+    assert "rock_000000" not in index and "rock_000002" in index
+
+
 def test_notes_are_sealed(folder, monkeypatch, capfd):
     with h5py.File(folder / "checkpoint.h5", "r+") as file:
         file.attrs["notes"] = file.attrs["notes"].replace('"stage": 0', '"stage": 1', 1)
