@@ -179,7 +179,11 @@ def picture(folder: Annotated[Path, typer.Argument(help="a run folder")]) -> Non
     """Draw the pictures of a run again."""
     from fracflow.output.pictures import draw
 
-    for path in draw(folder):
+    try:
+        paths = draw(folder)
+    except OSError as error:
+        raise DiskError.of(error, folder) from error
+    for path in paths:
         typer.echo(str(path))
 
 

@@ -252,9 +252,9 @@ class Stage(Part):
             raise fault('contradicts kind = "dynamic"; allowed kinds: "steady", "quasi-static"', key="until")
         stands_still = self.kind == "steady" and self.steps is not None and self.end is None
         if self.time_step is None and not stands_still:
-            raise fault(f"missing; a {self.kind} stage needs it", key="time_step")
+            raise fault(f"missing; a stage of kind {self.kind} needs it", key="time_step")
         if self.until is None and self.end is None and self.steps is None:
-            raise fault(f"missing; a {self.kind} stage needs end or steps", key="end")
+            raise fault(f"missing; a stage of kind {self.kind} needs end or steps", key="end")
         if self.end is not None and self.steps is not None:
             raise fault(f"contradicts end = {self.end:g}; give one of them", key="steps")
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 from fracflow.laws import JOINT_LAWS
 from fracflow.profiles import Profile
 from fracflow.scene import Scene
+from fracflow.scene_petsc import SOLVERS, reaches_a_solver
 from fracflow.tables import FractureEnd
 from fracflow.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
 
@@ -59,6 +60,9 @@ def _idle(scene: Scene) -> Iterator[str]:
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:
             yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture: it conducts by it from the start"
+    for option in scene.petsc:
+        if not reaches_a_solver(option):
+            yield f"petsc.{option} reaches no solver: begin it with the name of one and _: {', '.join(SOLVERS)}"
 
 
 def _reflecting(scene: Scene) -> Iterator[str]:
@@ -76,7 +80,7 @@ def _reflecting(scene: Scene) -> Iterator[str]:
     if not damps and any(stage.kind == "auto" for stage in scene.stage):
         yield (
             "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides,"
-            ' or method.stepper = "generalised-alpha" with a rho_infinity below 1'
+            ' or method.stepper = "generalised-alpha" with a rho_infinity below 1, for waves that the steps do not resolve'
         )
 
 

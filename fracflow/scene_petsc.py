@@ -17,7 +17,7 @@ Value = str | float | int | bool
 SOLVERS = (
     "monolithic", "whole-lu", "solid", "flow", "mass", "condensed", "period", "stability", "explicit",
 )  # fmt: skip
-"""Prefixes of the program's solvers; an option without one reaches a solver that has none."""
+"""Prefixes of the program's solvers; each has one, so that an option without one reaches none."""
 _SOLVER = re.compile(f"(?:{'|'.join(SOLVERS)})_")
 _INNER = re.compile(
     r"fieldsplit_(?:solid|flow|\d{1,2})_|mg_(?:coarse|levels|fine)_(?:\d{1,2}_)?|(?:sub|redundant|ksp|esteig|inner|upper)_"
@@ -136,6 +136,11 @@ def _expected() -> dict[str, str | Sequence[str]]:
 
 
 EXPECTED: Mapping[str, str | Sequence[str]] = _expected()
+
+
+def reaches_a_solver(option: str) -> bool:
+    """Whether an option begins with the prefix of one of the program's solvers."""
+    return _SOLVER.match(option) is not None
 
 
 def refusal(option: str, value: Value) -> str:

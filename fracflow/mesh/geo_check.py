@@ -336,9 +336,14 @@ class _File:
         if head in words.SAYING or head == "SetFactory":
             return at == first + 2 and before == "(" and (head == "SetFactory" or self._is_format(at))
         if head == "Field":
-            option = self._value(at - 2)
-            is_formula = words.FORMULAS.fullmatch(option) and words.FORMULA.fullmatch(text)
-            return bool(is_formula) and before == "=" and self._value(at - 3) == "." and at == last - 1
+            is_made = before == "(" and self._value(at - 2) == "Sprintf"
+            equals = at - 3 if is_made else at - 1
+            is_formula = words.FORMULAS.fullmatch(self._value(equals - 1)) and words.FORMULA.fullmatch(text.replace("%", ""))
+            if not is_formula or self._value(equals) != "=" or self._value(equals - 2) != ".":
+                return False
+            if is_made:
+                return self._is_format(at) and self._matching(at - 1, "(") == last - 1
+            return "%" not in text and at == last - 1
         if before in words.LABELS:
             return after in (",", "}", "]", ")")
         if before == "=" and self._token(at - 2).kind == "number":  # a choice of a constant

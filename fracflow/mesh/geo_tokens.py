@@ -80,6 +80,6 @@ def _token(kind: str, value: str, line: int, at: int, after: str) -> Token:
     if kind != "text":
         return Token(kind, value, line, at, value)
     inner = value[1:-1]
-    if len(inner) > LONGEST_TEXT or HIDDEN.search(inner) or re.search("[\\x00-\\x1f\\x7f\"'\\\\]", inner):
+    if len(inner) > LONGEST_TEXT or HIDDEN.search(inner) or re.search('[\\x00-\\x1f\\x7f"\\\\]', inner):
         raise Unclear(line, f"{value[:LONGEST_NAME]}: a text that Gmsh may misread")
     return Token(kind, inner, line, at, f' "{inner}" ')

@@ -20,7 +20,7 @@ from fracflow.output.folder import to_json
 from fracflow.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
 
 _ROWS_A_CHUNK = 256
-_NO_HISTORY, _REMEDY = "is no readable history", "name a run's history.h5"
+_NO_HISTORY, _REMEDY = "is no readable history", f"put back a copy of the file, or {AGAIN}"
 
 
 class HistoryFile:

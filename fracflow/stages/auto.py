@@ -45,6 +45,8 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
     goes_on = bool(progress) and "moving" not in progress
     course, place = (Course.of(progress), Place.of(progress)) if goes_on else (begin(model, state, stage), Place())
     regimes = _Regimes(stepping, number, log, course.least, course.period)
+    method = model.scene.method
+    damps = method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
     if not goes_on:
         log(
             f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
@@ -85,7 +87,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             before = state.time
             state, place = part.state, part.place.next_step() if part.is_last else part.place
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
-            if told := course.restless(before, state.time, bool(model.scene.absorbing)):
+            if told := course.restless(before, state.time, bool(model.scene.absorbing), damps):
                 log(f"time {state.time:.9g}: {told}")
             yield Step(state, number, dt, regimes.counted(part.report), course.as_progress(place), WAVES)
 

@@ -78,15 +78,20 @@ class Course:
         """Whether kinetic energy has been low for long enough."""
         return state.time - self.loud >= stage.rest_periods * self.period
 
-    def restless(self, before: float, now: float, absorbs: bool) -> str:
-        """What the log tells of an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing."""
+    def restless(self, before: float, now: float, absorbs: bool, damps: bool) -> str:
+        """What the log tells of an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing.
+
+        absorbs, damps  the scene has sides that absorb, or damps by its stepper already, which is then no remedy
+        """
         if not before < self.begun + LONG * self.period <= now:
             return ""
-        leave = "" if absorbs else "let waves leave by [[absorbing]] sides, "
+        leave = [] if absorbs else ["let waves leave by [[absorbing]] sides"]
+        stepper = 'set method.stepper = "generalised-alpha" with a rho_infinity below 1'
+        stepper += ", which damps what the steps do not resolve"
+        remedies = [*leave, *([] if damps else [stepper]), "raise at_rest"]
         return (
             f"the event that began at {self.begun:.9g} has lasted {LONG:g} longest periods and is not at rest; where nothing"
-            f' damps its waves it never is: {leave}set method.stepper = "generalised-alpha" with a rho_infinity below 1, which'
-            " damps what the steps do not resolve, or raise at_rest"
+            f" damps its waves it never is: {', or '.join(remedies)}"
         )
 
     def at_rest(self) -> Course:

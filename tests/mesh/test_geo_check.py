@@ -69,6 +69,7 @@ ORDINARY = {
         Field[2].DistMin = 0.1; Field[2].DistMax = 0.4;
         Field[3] = Box; Field[3].VIn = h/3; Field[3].VOut = h; Field[3].XMin = 0; Field[3].XMax = 0.5;
         Field[4] = MathEval; Field[4].F = "0.1 + 0.2*Sqrt(x^2 + y^2) + 0*F1";
+        Field[5] = MathEval; Field[5].F = Sprintf("F1^3 + %g", h / 30);
         f = newf; Field[f] = Min; Field[f].FieldsList = {2, 3, 4}; Background Field = f;
         Field[20] = Attractor; Field[20].NodesList = {1}; Field[21] = Max; Field[22] = Restrict;
         Mesh.MeshSizeExtendFromBoundary = 0; Mesh.MeshSizeFromPoints = 0; Mesh.Algorithm = 5;""",
@@ -103,6 +104,7 @@ ORDINARY = {
           Physical Curve(Sprintf("side %g", i)) = {i};
         EndFor
         Physical Curve("alle Seiten: Süd/Ost (1)") = {1, 2}; Physical Surface('quoted') = {1};
+        Physical Curve("L'Aquila") = {3}; Printf("New surfaces '%g' and '%g'", 1, 2);
         c() = Physical Curve{1, 2}; Physical Point("corner") += {1};""",
     "comments": '/* For a start: "If it is /* one, it ends" */\n'
     + SQUARE
@@ -177,6 +179,8 @@ REFUSED = [
     'Mesh = "a";', "Print.Format = 1;", "Mesh.Save;", "Mesh[1].Save = 1;",
     'Field[1] = Structured;', 'Field[1] = PostView;', 'Field[1] = ExternalProcess;', 'Field[1] = Octree;',
     'Field[1].FileName = "a";', 'Field[1].CommandLine = "id";', 'Field[1].F = "x; id";', "Field[1].TestLoad;",
+    'Field[1].F = Sprintf("x; %g", 1);', 'Field[1].F = Sprintf("%s", 1);', 'Field[1].F = Sprintf("%g");', 'Field[1].F = "%g";',
+    'Field[1].FileName = Sprintf("a%g", 1);', 'Field[1].F = Sprintf("%g", 1) + "x";', 'Field[1].F = a, Sprintf("%g", 1);',
     'Field[1].F = Str("x");', 'Field[1] = S2N["Structured"];', "Field[1] = MathEval; Field[2] = a~{1};",
     'S2N["SystemCall"] "id";', 'StringToName["Save"] "out";', 'N2S[a] "id";', 'x = GetEnv("HOME");', 'x = FileExists("a");',
     'x = GetValue("a", 1);', 'x = GetNumber("a");', 'x = GetString("a");', 'Physical Curve(GetEnv("HOME")) = {1};',

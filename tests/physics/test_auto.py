@@ -11,6 +11,7 @@ from fracflow.errors import InputError
 from fracflow.output import read_events, read_history
 from fracflow.run import resume, run
 from fracflow.scene import load
+from fracflow.stages.unrest import Course
 
 STIFF, SPRING, DAMPING, DROP, RATE = 50.0, 1.0, 1.0, 0.6, 1.0 / 4000.0
 TOLD = "20 longest periods"
@@ -194,6 +195,15 @@ def test_an_event_that_nothing_damps_is_told_of_once(shared_tmp):
     MPI.COMM_WORLD.barrier()
     (told,) = [line for line in (shared_tmp / "log.txt").read_text().splitlines() if TOLD in line]
     assert "[[absorbing]]" in told and "generalised-alpha" in told
+
+
+@pytest.mark.serial
+def test_the_line_on_a_long_event_names_no_remedy_that_the_scene_has():
+    course = Course(0.1, 1.0, 10.0)
+    assert course.restless(20.5, 21.0, absorbs=False, damps=False) == "" != course.restless(19.0, 20.5, False, False)
+    damped, both = course.restless(19.0, 20.5, False, True), course.restless(19.0, 20.5, True, True)
+    assert "[[absorbing]]" in damped and "generalised-alpha" not in damped
+    assert both.endswith("it never is: raise at_rest")
 
 
 def test_the_longest_period_is_that_of_two_masses_on_three_springs(comm):

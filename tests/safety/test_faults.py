@@ -18,6 +18,7 @@ from rich.console import Console
 
 from fracflow import cli_runs, files_hdf
 from fracflow._petsc import MPI
+from fracflow.cli import main
 from fracflow.errors import DiskError, InputError
 from fracflow.files_hdf import Committed, redo_of, whole_file
 from fracflow.mesh import gmsh
@@ -310,6 +311,19 @@ def test_a_picture_that_cannot_be_drawn_is_a_line(scene, tmp_path, monkeypatch):
     with Console(record=True, width=200, file=open(os.devnull, "w")) as console:
         cli_runs.show(tmp_path / "run", console, True, False)
     assert "overview.png: No space left on device; again with: fracflow picture" in console.export_text()
+
+
+@pytest.mark.serial
+def test_pictures_without_room_name_their_folder(tmp_path, monkeypatch, capfd):
+    def full(folder):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("fracflow.output.pictures.draw", full)
+    monkeypatch.setattr(sys, "argv", ["fracflow", "picture", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 3
+    assert capfd.readouterr().err == f"fracflow: {tmp_path}: No space left on device; make room, or look at the disk\n"
 
 
 @pytest.mark.serial

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fracflow.scene import Scene, load
+from fracflow.scene_advice import advice
 from fracflow.scene_schema import rows
 from fracflow.scene_toml import write_float, write_value
 from fracflow.tables import FractureEnd, TimeTable
@@ -86,6 +87,12 @@ def test_overrides_by_name_index_and_new_tables(make):
     assert (scene.stage[0].tolerance, scene.stage[1].end) == (1e-4, 7)
     assert scene.petsc == {"ksp_rtol": 1e-9} and scene.control["a.b"].initial == 2
     assert scene.title == "two words" and scene.load[0].on == ("south", "east")
+
+
+def test_an_option_that_reaches_no_solver_is_told(make):
+    lines = advice(make("petsc.ksp_type=gmres", "petsc.whole-lu_mat_mumps_icntl_14=80", "petsc.solid_ksp_rtol=1e-9"))
+    (line,) = (line for line in lines if line.startswith("petsc."))
+    assert line.startswith("petsc.ksp_type reaches no solver: ") and "monolithic, whole-lu, solid, flow" in line
 
 
 def test_names_paths_and_flow(make, tmp_path):
