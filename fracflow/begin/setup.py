@@ -187,9 +187,17 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         tied_components(scene, mesh),
         (
             *(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
+            *(of_well(mesh, w.name, wells[w.name]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
             *meeting_supports(scene, mesh, points),
         ),
     )
+
+
+def of_well(mesh: SplitMesh, name: str, node: int) -> str:
+    """Say on which fractures the physical point of a well lies: Gmsh may have given its number to another point."""
+    on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[np.any(mesh.joint_flow == node, axis=1)])]
+    x, y = mesh.points[mesh.flow_origin[node]]
+    return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
 
 
 def is_moved(mesh: SplitMesh, asked: Place, spot: Floats) -> bool:
