@@ -159,11 +159,12 @@ def _bouncing(scene: Scene) -> Iterator[str]:
     for name, fracture in scene.fracture.items():
         if fracture.pressure is not None:
             given[f"fracture.{name}"] = fracture.pressure(np.array(fracture.pressure.along), 0.0).tolist()
+    unit = "" if scene.units == "none" else f" {scene.unit_system.unit(STRESS)}"
     for at, values in given.items():
         jump = max(values, key=lambda value: abs(value - start)) - start
         if abs(jump) > AT_ONCE * max(abs(start), abs(start + jump)):
             yield (
-                f"{at}.pressure jumps by {jump:.4g} {scene.unit_system.unit(STRESS)} in the first instant of a dynamic stage:"
+                f"{at}.pressure jumps by {jump:.4g}{unit} in the first instant of a dynamic stage:"
                 " walls bounce on their joints, whose normal traction swings by as much from step to step, long after: let it"
                 " rise from the pressure at the start over some steps"
             )
