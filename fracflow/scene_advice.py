@@ -6,14 +6,18 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
+import numpy as np
+
 from fracflow.laws import JOINT_LAWS
 from fracflow.profiles import Profile
 from fracflow.scene import Scene
 from fracflow.scene_petsc import SOLVERS, reaches_a_solver
 from fracflow.tables import FractureEnd
+from fracflow.tables_time import JUST_AFTER, TimeTable
 from fracflow.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
 
 GENTLE = 0.1  # growth of cells beside ruptures
+AT_ONCE = 1e-3  # of a pressure: less is no jump
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
@@ -41,6 +45,7 @@ def advice(scene: Scene) -> list[str]:
         *_too_long(scene),
         *_ringing(scene),
         *_let_go(scene),
+        *_bouncing(scene),
         *_growing(scene),
         *_jagged(scene),
         *(_unusual(scene) if scene.units != "none" else ()),
@@ -140,6 +145,32 @@ def _let_go(scene: Scene) -> Iterator[str]:
                 f"fracture.{name}.pressure changes within a step: where it takes strength away at once, walls come too far and"
                 " stick there, and slip comes out too large, by 20 % and more, whatever the mesh: use"
                 f' {remedy}method.fault_damping = "auto"'
+            )
+
+
+def _bouncing(scene: Scene) -> Iterator[str]:
+    """Pressures that jump in the first instant of a dynamic stage, by a rule that does not damp what this sets going."""
+    fluid, steppers = scene.fluid, ("explicit", "newmark", "generalised-alpha")
+    begins = bool(scene.stage) and scene.stage[0].kind == "dynamic" and scene.model != "report"
+    if fluid is None or fluid.pressure_gradient or not begins or scene.method.stepper not in steppers:
+        return
+    if not scene.has_flow or not any(not rock.rigid for rock in scene.rock.values()):
+        return
+    given_start = None if scene.initial is None else scene.initial.pressure
+    start = fluid.initial_pressure if given_start is None else given_start
+    kept = {f"well.{well.name}": well.pressure for well in scene.well}
+    given = {at: [table(0.0, JUST_AFTER)] for at, table in kept.items() if isinstance(table, TimeTable)}
+    for name, fracture in scene.fracture.items():
+        if fracture.pressure is not None:
+            given[f"fracture.{name}"] = fracture.pressure(np.array(fracture.pressure.along), 0.0).tolist()
+    unit = "" if scene.units == "none" else f" {scene.unit_system.unit(STRESS)}"
+    for at, values in given.items():
+        jump = max(values, key=lambda value: abs(value - start)) - start
+        if abs(jump) > AT_ONCE * max(abs(start), abs(start + jump)):
+            yield (
+                f"{at}.pressure jumps by {jump:.4g}{unit} in the first instant of a dynamic stage:"
+                " walls bounce on their joints, whose normal traction swings by as much from step to step, long after: let it"
+                " rise from the pressure at the start over some steps"
             )
 
 

@@ -320,3 +320,21 @@ def test_pressures_that_change_at_once_are_told_where_nothing_damps(tmp_path, ov
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
     lines = advice(load(tmp_path / "scene.toml", [override]))
     assert any("fracture.main.pressure changes within a step" in line for line in lines) == warns
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("over", "override", "warns"),
+    [
+        ("5", "title=x", True),
+        ("5", "method.stepper=implicit-euler", False),
+        ("5", "fluid.initial_pressure=5", False),
+        ("[[0, 0], [1, 5]]", "title=x", False),
+        ("[[0, 0], [1, 5]]", "fluid.initial_pressure=5", True),
+    ],
+)
+def test_pressures_that_jump_as_waves_begin_are_told(tmp_path, over, override, warns):
+    text = f"fluid = {{viscosity = 1, specific_weight = 1}}{SQUARES}pressure = {over}\n"
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    lines = advice(load(tmp_path / "scene.toml", [override]))
+    assert any("in the first instant" in line for line in lines) == warns
