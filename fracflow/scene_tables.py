@@ -110,9 +110,9 @@ class Method(StepperKeys):
     fault_damping: Literal["auto"] | Annotated[float, Quantity(at_least=0.0)] = Field(
         default="auto",
         description="damping of the fastest vibration of the cells at fractures that can slide, over the critical one, in"
-        " explicit steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where"
-        " strength falls at once, by stick_slip_ratio below 1 or by a prescribed pressure, else 0.25 where the walls are not"
-        ' meshed as mirror images; 0 is none, and the default of model = "report"; booked as damping [1]',
+        " explicit steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a"
+        " prescribed pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is"
+        ' none, and the default of model = "report"; booked as damping [1]',
     )
     coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
         default="auto",

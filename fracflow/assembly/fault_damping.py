@@ -5,9 +5,11 @@ Mechanism   Friction rectifies what shakes walls at the frequencies of a few cel
             normal traction rings. Nothing damps it, and cells that grow away from the fault keep it there. A section advances
             while it is pressed less, and stays while it is pressed more. Slip creeps on behind the front; finer cells ring more
             often, and make it worse.
-            Along: where strength falls at once, by a law without a slip length or by a prescribed pressure, each node let go
-            comes too far, as a spring does, on mirror images too. It sticks there, since friction does not push it back:
-            sections then carry less than their strength, and the stress falls by more than it should.
+            Along: where a prescribed pressure takes strength away at once, each node let go comes too far, as a spring does, on
+            mirror images too. It sticks there, since friction does not push it back: sections then carry less than their
+            strength, and the stress falls by more than it should. Laws without a slip length do the same; there the motion of
+            single cells may be that of the scene's blocks, and how far slip runs is a choice of the mesh (the card says so):
+            these are damped by a number alone.
 Predictor   Across: ``asymmetry`` of the walls, and the rms of the normal traction behind the front, which grows as its square:
             slip is too large by up to mu_d times that rms over the stress drop. k_n has no part in it, so that neither softer
             joints nor a dashpot in them help: the joint only passes on what the cells do.
@@ -16,8 +18,8 @@ Predictor   Across: ``asymmetry`` of the walls, and the rms of the normal tracti
             Pressures that diffuse from a well are smooth: damped and undamped slip approach each other with order 1.
 Threshold   Across: an asymmetry of ``ALIKE``, far below what counts. Triangles of [geometry] have 0.01 to 0.4, and ring by some
             hundredths of the traction.
-            Along: ``is_sudden``, a drop of strength at once, or a change of a prescribed pressure by ``QUICK`` of the normal
-            traction in 1/omega_e: below any stress drop that counts, and far above that of pumping.
+            Along: ``is_sudden``, a change of a prescribed pressure by ``QUICK`` of the normal traction in 1/omega_e: below any
+            stress drop that counts, and far above that of pumping.
 Remedy      F = sum of eta_e K_e v over LAYERS of cells (Day et al. 2005; Kelvin and Voigt), with eta_e = 2 xi/omega_e of a
             cell's fastest vibration omega_e: xi of the critical damping there, xi omega/omega_e of a wave of omega. One layer
             leaves twice the ringing of three, and xi below 0.2 leaves slip too large. A strip some cells wide takes off a wave
@@ -136,7 +138,7 @@ def can_slip(joints: Joints) -> Bools:
 
 
 def is_sudden(operators: Operators, scene: Scene, rates: Floats) -> Bools:
-    """Which of this rank's joints (j,) lose strength at once: by their law, or by a pressure, in 1/omega of the cells there.
+    """Which of this rank's joints (j,) lose strength at once, by a pressure that changes in 1/omega of the cells there.
 
     rates  (m,) omega^2 of the local cells, 0 where rigid [1/time^2]
     Collective.
@@ -156,10 +158,7 @@ def is_sudden(operators: Operators, scene: Scene, rates: Floats) -> Bools:
     mean = total / np.maximum(count, 1.0)
     brief = np.maximum(mean[joints.bottom], mean[joints.top]).max(axis=1, initial=0.0)
     pressed = np.abs(operators.joints.initial[:, -1]).reshape(-1, operators.joints.points).max(axis=1, initial=0.0)
-    at_once = np.zeros(len(operators.joints.weights), dtype=bool)
-    for law in operators.joints.laws:
-        at_once[law.sections] = law.law.slip_length(len(law.sections)) == 0.0
-    found: Bools = at_once.reshape(-1, operators.joints.points).any(axis=1) | (change * brief > QUICK * pressed)
+    found: Bools = change * brief > QUICK * pressed
     return found
 
 

@@ -197,12 +197,11 @@ def test_squares_that_expand_lose_what_the_ratio_says(tmp_path):
         ({"pressure": [[0, 0], [1, 0.039]]}, False),
         ({"pressure": [[0, 0], [8, 0], [10, -0.082]]}, True),
         ({"pressure": 9}, False),
-        ({"stick_slip_ratio": 1}, False),
-        ({"stick_slip_ratio": 0.9}, True),
+        ({"stick_slip_ratio": 0.9}, False),
     ],
 )
 def test_mirror_images_are_damped_where_strength_falls_at_once(tmp_path, keys, sudden):
-    """By its law, or by a pressure that changes by over 1e-3 of a traction of 10 in 1/omega = 0.25 of the squares."""
+    """By a pressure that changes by over 1e-3 of a traction of 10 in 1/omega = 0.25 of the squares."""
     (tmp_path / "squares.geo").write_text(SQUARES_GEO)
     text = f"fluid = {{viscosity = 1, specific_weight = 1}}\ninitial_stress = {{yy = -10}}{SQUARES}"
     if "stick_slip_ratio" in keys:
