@@ -192,3 +192,15 @@ def test_the_level_follows_walls_that_are_held_and_set_moving(shared_tmp):
     size = np.abs(levels[0]).max()
     assert levels[0][2:4].mean() < -0.9 * size and levels[0][6:8].mean() > 0.9 * size > 900.0
     assert levels[0] == pytest.approx(levels[1], abs=1e-4 * size) and np.abs(levels[0][8:]).max() <= 1e-3 * size
+
+
+@pytest.mark.parametrize("stepper", UNDAMPED)
+def test_the_level_is_at_rest_as_a_well_leaves_its_limit(shared_tmp, stepper):
+    """Walls that a well at its limit sped up go on as the well pumps: the level falls in a step, no lower, and rests."""
+    given = [BENT.format(bend=4), "well.out.flow_rate=0", "well.in.maximum_pressure='1000120 Pa'", *UNDAMPED[stepper]]
+    found = history(shared_tmp / "run", *given, "stage.0={kind = 'dynamic', time_step = 1e-7, steps = 10}")
+    pressure = found["probe/in/pressure"] - 1e6
+    assert pressure[1:6] == pytest.approx(np.full(5, 120.0)) and 21.0 < pressure[6] < 30.0  # it went to -75
+    assert np.abs(np.diff(pressure[7:], 2)).max() <= 0.03 * np.abs(pressure[7:] - 120.0).min()
+    largest = max(np.abs(v).max() for k, v in found.items() if k.startswith("energy/"))
+    assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
