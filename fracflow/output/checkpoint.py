@@ -94,6 +94,9 @@ def read_notes(path: Path) -> dict[str, Any]:
         for key in NOTES:
             notes[key]
         TypeAdapter(Notes).validate_python({key: value for key, value in notes.items() if key in Notes.__annotations__})
+        limits = {"place_base": 1.0, "place_part": 1.0, "place_level": 1000.0}
+        if not all(0.0 <= notes["progress"].get(name, 0.0) < limit for name, limit in limits.items()):
+            raise ValueError("progress: no place in a step")
     except ValidationError as error:
         where = ".".join(map(str, error.errors()[0]["loc"]))
         raise InputError(f"{path}: {_NO_CHECKPOINT} ({where}: {error.errors()[0]['msg']}); {AGAIN}") from None

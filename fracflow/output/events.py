@@ -27,7 +27,7 @@ LATEST = "start_latest"
 """Until when what slips or opens may have begun: ``start`` where that instant was found, else the end of its step."""
 COLUMNS = (*_BEFORE, LATEST)
 _KINDS = ("open", "slip")
-LARGEST = 1 << 30  # bytes of a file
+LARGEST = 64 << 20  # bytes of a file: some four hundred thousand events
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

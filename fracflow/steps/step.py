@@ -126,12 +126,21 @@ class Stepping:
         loads = loads or self.model.loads
         rule = first(stepper) if begins_anew(stepper, loads, state, dt, ahead) else stepper
         given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief, most)
-        begun = self._begun(rule, state, loads, time, dt, controls, ahead)
+        begun = self._begun(rule, state, loads, state, time, dt, controls, ahead)
         try:
             new, report = self._step_by(rule, begun or state, *given)
         finally:
             if begun is not None:
                 begun.destroy()
+        if set(state.limited) - set(new.limited):  # the step was begun as if these wells stayed at their limits
+            begun = self._begun(rule, state, loads, new, time, dt, controls, ahead)
+            if begun is not None:
+                new.destroy()
+                try:
+                    new, again = self._step_by(rule, begun, *given)
+                finally:
+                    begun.destroy()
+                report = again.after(report)
         left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
         if left < NARROWS:
             new.destroy()
@@ -150,16 +159,20 @@ class Stepping:
         rule: Stepper,
         state: State,
         loads: Loads,
+        limits: State,
         time: float,
         dt: float,
         controls: Mapping[str, float],
         ahead: float | None,
     ) -> State | None:
-        """The state that a step goes from, where that is another; of rules that look back on a. See ``keep_pace``."""
+        """The state that a step goes from, where that is another; of rules that look back on a. See ``keep_pace``.
+
+        limits  the state whose wells at their limits stay there
+        """
         if not rule.inertia or rule.balance != "both" or self.model.operators.flow is None or dt == 0.0:
             return None
         self.network.look_at(state)
-        limited = self._limited(loads, reached_before(loads, state))
+        limited = self._limited(loads, reached_before(loads, limits))
         return keep_pace(self.model, self.network, limited, state, (time, dt), controls, sides_of(rule, dt, ahead))
 
     def _step_by(

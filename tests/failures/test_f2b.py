@@ -168,3 +168,39 @@ def test_the_level_follows_what_flows_in_where_its_rate_bends(shared_tmp, steppe
         split = history(shared_tmp / "split", *given, f"stage=[{stage % 4}, {stage % 6}]")
         for key in ("probe/in/pressure", "probe/out/pressure"):
             assert split[key] == pytest.approx(found[key], rel=1e-10)
+
+
+MOUTH = [
+    "geometry={domain = [[0, 0], [12, 0], [12, 6], [12, 12], [0, 12], [0, 6]], size = 3, size_at_fractures = 1.5, fracture ="
+    " [{name = 'drained', points = [[2, 3], [10, 3]]}, {name = 'sealed', points = [[0, 6], [12, 6]]}]}",
+    "support=[{on = ['side1', 'side2', 'side6']}, {on = ['side3', 'side4', 'side5'], displacement = {x = 0, y ="
+    " [[0, 0], [2e-7, 0], [6e-7, 8e-13], [1, 8e-13]]}}]",
+    "well.in.flow_rate=0",
+    "well.out.flow_rate=0",
+    "stage.0={kind = 'dynamic', time_step = 1e-7, steps = 9}",
+]
+
+
+def test_the_level_follows_walls_that_are_held_and_set_moving(shared_tmp):
+    """The mouth of a sealed fracture parts and stops: free walls are pushed once, and back once, by whatever rule."""
+    levels = []
+    for stepper in ("newmark", "hht"):
+        found = history(shared_tmp / stepper, *MOUTH, f"method.stepper={stepper}")
+        levels.append(0.5 * (found["probe/in/pressure"] + found["probe/out/pressure"]) - 1e6)
+        largest = max(np.abs(v).max() for k, v in found.items() if k.startswith("energy/"))
+        assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
+    size = np.abs(levels[0]).max()
+    assert levels[0][2:4].mean() < -0.9 * size and levels[0][6:8].mean() > 0.9 * size > 900.0
+    assert levels[0] == pytest.approx(levels[1], abs=1e-4 * size) and np.abs(levels[0][8:]).max() <= 1e-3 * size
+
+
+@pytest.mark.parametrize("stepper", UNDAMPED)
+def test_the_level_is_at_rest_as_a_well_leaves_its_limit(shared_tmp, stepper):
+    """Walls that a well at its limit sped up go on as the well pumps: the level falls in a step, no lower, and rests."""
+    given = [BENT.format(bend=4), "well.out.flow_rate=0", "well.in.maximum_pressure='1000120 Pa'", *UNDAMPED[stepper]]
+    found = history(shared_tmp / "run", *given, "stage.0={kind = 'dynamic', time_step = 1e-7, steps = 10}")
+    pressure = found["probe/in/pressure"] - 1e6
+    assert pressure[1:6] == pytest.approx(np.full(5, 120.0)) and 21.0 < pressure[6] < 30.0  # it went to -75
+    assert np.abs(np.diff(pressure[7:], 2)).max() <= 0.03 * np.abs(pressure[7:] - 120.0).min()
+    largest = max(np.abs(v).max() for k, v in found.items() if k.startswith("energy/"))
+    assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest

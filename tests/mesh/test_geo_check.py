@@ -185,7 +185,7 @@ REFUSED = [
     'S2N["SystemCall"] "id";', 'StringToName["Save"] "out";', 'N2S[a] "id";', 'x = GetEnv("HOME");', 'x = FileExists("a");',
     'x = GetValue("a", 1);', 'x = GetNumber("a");', 'x = GetString("a");', 'Physical Curve(GetEnv("HOME")) = {1};',
     'Physical Curve(CurrentDirectory) = {1};', 'Physical Curve(StrCat("a", "b")) = {1};', 'SetNumber("a", 1);',
-    'SetName "a";', "Sleep 100;", "Draw;", "NewModel;", "CreateTopology;", 'OptimizeMesh "Netgen";', "Delete All;",
+    'SetName "a";', "Sleep 100;", "Merge a;", "Draw;", "NewModel;", "CreateTopology;", 'OptimizeMesh "Netgen";', "Delete All;",
     "Delete Options;", "PartitionMesh 4;", 'Call "Cell";', 'Call Str("Cell");', "Parse a;", "Unheard 3;", "Unheard;",
     'Unheard "a";', "x = Unheard[\"a\"];", 'a = "text";', 'a[] = Str("b", "c");', 'DefineConstant[ a = "text" ];',
     'DefineConstant[ a = {"text", Name "b"} ];', 'DefineConstant[ a = {1, SystemCall "id"} ];',

@@ -151,6 +151,15 @@ def test_a_list_larger_than_memory_ends_with_one_line(tmp_path, monkeypatch):
     refused(write(tmp_path / "a.geo", "x[] = LinSpace(0, 1, 1e9);\n" + SQUARE), r"a\.geo: .*1 GiB.*FRACFLOW_GMSH_GIB")
 
 
+def test_a_file_larger_than_the_limit_is_not_written(tmp_path):
+    code = (
+        "import os, sys; from fracflow.mesh.gmsh_worker import keep_within; keep_within(60, 1 << 33, os.getppid());"
+        " file = open(sys.argv[1], 'wb'); file.truncate(1 << 33); file.truncate((1 << 33) + 1)"
+    )
+    found = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True, text=True)
+    assert "File too large" in found.stderr and (tmp_path / "a").stat().st_size == 1 << 33
+
+
 def test_no_room_for_temporary_files_is_one_line(tmp_path, monkeypatch):
     path = write(tmp_path / "a.geo", SQUARE)
     monkeypatch.setattr(gmsh.tempfile, "tempdir", str(tmp_path / "gone"))

@@ -296,3 +296,157 @@ def test_pictures_need_whole_files(name, text, folder, monkeypatch, capfd):
     path = folder / name
     path.write_text(path.read_text().replace("slip,", "slip,,", 1) if text is None else text)
     assert path.name in refused(folder, monkeypatch, capfd, command="picture")
+<<<<<<< HEAD
+=======
+
+
+# what a stranger may put there, with a seal that fits
+
+
+def group_in_itself(file):
+    file["loop"] = file["/"]
+
+
+def gzipped(file):
+    file.create_dataset("bomb", shape=(1 << 28,), dtype="f8", chunks=(1 << 20,), compression="gzip", fillvalue=0.0)
+
+
+def stored_outside(file):
+    file.create_dataset("outside", shape=(4,), dtype="u1", external=[("/etc/passwd", 0, 4)])
+
+
+def virtual(file):
+    layout = h5py.VirtualLayout(shape=(4,), dtype="f8")
+    layout[:] = h5py.VirtualSource("/etc/hostname", "data", shape=(4,))
+    file.create_virtual_dataset("virtual", layout)
+
+
+HOSTILE = {
+    "a soft link": lambda file: file.__setitem__("other", h5py.SoftLink("/displacement")),
+    "a link to a file": lambda file: file.__setitem__("other", h5py.ExternalLink("/etc/passwd", "/")),
+    "stored in another file": stored_outside,
+    "virtual": virtual,
+    "a shape without end": lambda file: file.create_dataset("huge", shape=(10**12,), dtype="f8"),
+    "chunks without end": lambda file: file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(10**6,)),
+    "compressed": gzipped,
+    "a group in itself": group_in_itself,
+    "texts": lambda file: file.create_dataset("texts", data=["a", "b"], dtype=h5py.string_dtype()),
+    "references": lambda file: file.create_dataset("to", data=[file.ref], dtype=h5py.ref_dtype),
+    "records": lambda file: file.create_dataset("rows", data=np.zeros(3, dtype=[("a", "f8"), ("b", "i4")])),
+    "arrays as attributes": lambda file: file.attrs.__setitem__("many", np.zeros(1000)),
+    "a type by a name": lambda file: file.__setitem__("kind", np.dtype("f8")),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_no_run_writes_is_not_read(name, folder, monkeypatch, capfd):
+    for file, read in (("checkpoint.h5", read_notes), ("history.h5", read_history), ("mesh.h5", load_mesh)):
+        with h5py.File(folder / file, "r+") as opened:
+            HOSTILE[name](opened)
+        began = time.monotonic()
+        with pytest.raises(InputError, match=file):
+            read(folder / file)
+        assert time.monotonic() - began < h5_reader.PATIENCE
+    refused(folder, monkeypatch, capfd)
+
+
+def outgrown(arrays, _):
+    arrays["sections/traction"] = np.zeros((*arrays["sections/traction"].shape[:2], 7))
+
+
+def of_integers(arrays, _):
+    arrays["displacement"] = arrays["displacement"].astype(int)
+
+
+NONSENSE = {
+    "tractions of seven components": outgrown,
+    "displacements of integers": of_integers,
+    "without friction": lambda arrays, _: arrays.pop("friction"),
+}
+NOTES = {
+    "a time that is a text": ("time", "noon"),
+    "a stage that is not there": ("stage", 3),
+    "a stage below none": ("stage", -1),
+    "progress in a list": ("progress", [1, 2]),
+    "progress past the end of a step": ("progress", {"n": 6, "place_base": 5.0}),
+    "progress to no place in a step": ("progress", {"n": 6, "place_part": float("nan")}),
+    "parts of steps without length": ("progress", {"n": 6, "place_level": 1e6}),
+    "totals of another kind": ("totals", {"steps": 7, "undone": {}, "colour": 3}),
+    "events of another kind": ("events", {"rows": 3}),
+    "no numbers in the books": ("energy", {"kinetic": None}),
+}
+
+
+@pytest.mark.parametrize("name", [*NONSENSE, *NOTES])
+def test_a_checkpoint_that_fits_its_seal_alone(name, folder, monkeypatch, capfd):
+    path = folder / "checkpoint.h5"
+    if name in NONSENSE:
+        with resealed(path) as (arrays, notes):
+            NONSENSE[name](arrays, notes)
+    else:
+        with changed_notes(path) as notes:
+            notes[NOTES[name][0]] = NOTES[name][1]
+    code, said = spoken(["resume", folder], monkeypatch, capfd)
+    assert code == 2 and len(said.splitlines()) == 1 and "checkpoint.h5: is no checkpoint" in said
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("cells", 10**9),
+        ("joint_top", -5),
+        ("flow_origin", 10**6),
+        ("side_cell", 99_999),
+        ("points", np.nan),
+        ("joint_fracture", 4),
+    ],
+)
+def test_a_mesh_that_fits_its_seal_alone(part, value, folder):
+    with resealed(folder / "mesh.h5") as (arrays, _):
+        arrays[part] = arrays[part].copy()
+        arrays[part].flat[0] = value
+    with pytest.raises(InputError, match=f"mesh.h5: is no saved mesh .{part} has"):
+        load_mesh(folder / "mesh.h5")
+
+
+# the process that reads
+
+
+def test_a_process_that_hangs_or_dies_is_replaced(folder, monkeypatch):
+    path = folder / "checkpoint.h5"
+    right = flat(read_arrays(path))
+    monkeypatch.setattr(h5_reader, "PATIENCE", 0.3)
+    os.kill(h5_reader._reader._process.pid, signal.SIGSTOP)
+    with pytest.raises(InputError, match="takes longer to read"):
+        read_arrays(path)
+    monkeypatch.setattr(h5_reader, "PATIENCE", 10.0)
+    assert flat(read_arrays(path)) == right
+    monkeypatch.setattr(h5_reader.Reader, "_started", lambda self: self._process)
+    os.kill(h5_reader._reader._process.pid, signal.SIGSEGV)
+    with pytest.raises(InputError, match="ended"):
+        read_arrays(path)
+    monkeypatch.undo()
+    assert flat(read_arrays(path)) == right
+
+
+def test_no_other_part_of_the_program_reads_such_files():
+    """Only the process that may crash opens one that is not new."""
+    calls = [
+        (path.name, line.strip())
+        for path in (ROOT / "fracflow").rglob("*.py")
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if "h5py.File(" in line and path.name != "h5_worker.py"
+    ]
+    assert calls and all('"w"' in line for _, line in calls), calls
+
+
+@pytest.mark.starts_ranks
+def test_ranks_refuse_it_together(folder):
+    flip(folder / "checkpoint.h5", "displacement")
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
+    words = ["mpirun", "-n", "2", sys.executable, "-m", "fracflow", "resume", str(folder)]
+    done = subprocess.run(words, env={**kept, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2, done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("fracflow: ")]
+    assert len(lines) == 1 and "checkpoint.h5: displacement, rows 0 to" in lines[0]
+>>>>>>> gate_attack
