@@ -749,8 +749,16 @@ DAMAGES = {
     "rubbish as mesh": ("mesh.h5", lambda path: path.write_bytes(RUBBISH), f"mesh.h5: is no saved mesh … {AGAIN}"),
     "a mesh without cells": ("mesh.h5", without("cells"), f"mesh.h5: is not of this run … {AGAIN}"),
     "no history": ("history.h5", Path.unlink, "history.h5: no such file"),
-    "rubbish as history": ("history.h5", lambda path: path.write_bytes(RUBBISH), f"is no readable history … or {AGAIN}"),
-    "half a history": ("history.h5", cut, f"history.h5: is no readable history … put back a copy of the file, or {AGAIN}"),
+    "rubbish as history": (
+        "history.h5",
+        lambda path: path.write_bytes(RUBBISH),
+        f"is no readable history … or {AGAIN}",
+    ),
+    "half a history": (
+        "history.h5",
+        cut,
+        f"history.h5: is no readable history … put back a copy of the file, or {AGAIN}",
+    ),
     "rubbish as scene": (
         "scene.toml",
         lambda path: path.write_bytes(RUBBISH),

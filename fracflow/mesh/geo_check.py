@@ -338,7 +338,9 @@ class _File:
         if head == "Field":
             is_made = before == "(" and self._value(at - 2) == "Sprintf"
             equals = at - 3 if is_made else at - 1
-            is_formula = words.FORMULAS.fullmatch(self._value(equals - 1)) and words.FORMULA.fullmatch(text.replace("%", ""))
+            is_formula = words.FORMULAS.fullmatch(self._value(equals - 1)) and words.FORMULA.fullmatch(
+                text.replace("%", "")
+            )
             if not is_formula or self._value(equals) != "=" or self._value(equals - 2) != ".":
                 return False
             if is_made:
