@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError, Interrupted, SolveError
-from fracflow.files import read_text
 from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history, read_units
 from fracflow.output.status import read_status
+from fracflow.storage.files import read_text
 
 if TYPE_CHECKING:
     from fracflow.output.convergence import Row
-    from fracflow.scene import Scene
+    from fracflow.scene.scene import Scene
 
 __all__ = ["Run", "converge", "load", "open", "run"]
 
@@ -155,7 +155,7 @@ def load(path: str | Path, overrides: tuple[str, ...] | list[str] = (), trust: b
 
     With ``trust`` Gmsh runs the scene's .geo as it is, whatever that does; without, only what makes geometry.
     """
-    from fracflow.scene import load
+    from fracflow.scene.scene import load
 
     return load(path, list(overrides), trust)
 
@@ -168,7 +168,7 @@ def run(scene: Scene, out: str | Path | None = None, trust: bool = False) -> Run
     Raises, on every rank, InputError, SolveError (``open`` gives what was reached) and Interrupted.
     """
     from fracflow._petsc import MPI
-    from fracflow.run import run
+    from fracflow.simulation.run import run
 
     folder = Path("runs") / scene.name if out is None else Path(out)
     failure: SolveError | Interrupted | None = None
@@ -193,7 +193,7 @@ def converge(
     not to be trusted. Under mpirun every rank must call it. ``trust`` is as in ``load``. Raises as ``run`` does.
     """
     from fracflow._petsc import MPI
-    from fracflow.refinement import converge
+    from fracflow.simulation.refinement import converge
 
     folder = Path("runs") / f"{scene.name}-converge" if out is None else Path(out)
     comm, scene = MPI.COMM_WORLD, scene.with_trust() if trust else scene

@@ -7,8 +7,8 @@ from grids import edges_of, msh, quads_of
 
 from fracflow._petsc import MPI
 from fracflow.output import list_steps, read_history, read_step
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = """
 units = "none"

@@ -6,7 +6,7 @@ import json
 from contextlib import contextmanager
 from pathlib import Path
 
-from fracflow.sealed import read_sealed, write_sealed
+from fracflow.storage.sealed import read_sealed, write_sealed
 
 
 @contextmanager

@@ -10,10 +10,10 @@ import h5py
 import numpy as np
 import pytest
 
-from fracflow.cli import main
+from fracflow.cli.main import main
 from fracflow.errors import Interrupted
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = """
 rock.rock = {youngs_modulus = "50 GPa", poissons_ratio = 0.25, density = "2700 kg/m^3"}

@@ -134,8 +134,8 @@ assert not heavy & sys.modules.keys()
 fracflow.open, fracflow.Run
 assert not {"mpi4py", "petsc4py"} & sys.modules.keys()
 function = fracflow.run
-from fracflow.run import run as loop, resume
-import fracflow.run
+from fracflow.simulation.run import run as loop, resume
+import fracflow.simulation.run
 assert fracflow.run is function is fracflow.api.run and loop is not function
 assert set(fracflow.__all__) <= {name for name in fracflow.__all__ if getattr(fracflow, name)}
 """

@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import place, prepare, read_split
-from fracflow.card import film, scene_card
-from fracflow.card.number import FilmStage
+from fracflow.diagnostics import film, scene_card
+from fracflow.diagnostics.number import FilmStage
 from fracflow.errors import InputError
-from fracflow.scene import Scene, load
+from fracflow.model.setup import place, prepare, read_split
+from fracflow.scene.scene import Scene, load
 
 pytestmark = pytest.mark.serial
 
@@ -216,7 +216,7 @@ def test_a_network_that_nothing_drains_has_no_fixed_point(tmp_path):
 
 
 def test_what_is_infinite_is_null_for_scripts_with_its_text_beside():
-    from fracflow.cli import app
+    from fracflow.cli.main import app
 
     scene = "meshes/crossings/scene.toml"  # nothing drains it: rho_t is infinite
 
@@ -250,7 +250,7 @@ def test_a_bulk_modulus_in_place_of_a_compressibility_is_refused():
 
 def test_the_card_is_printed_logged_and_stored(tmp_path):
     import fracflow
-    from fracflow.cli import app
+    from fracflow.cli.main import app
 
     asked = ["--set", "output.pictures=false", "--set", "stage.failure.steps=1"]
     shown = CliRunner().invoke(app, ["run", REPORT_5_3, "-o", str(tmp_path / "run"), *asked])

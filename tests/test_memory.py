@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.advance import discontinuities as instants
 from fracflow.errors import SolveError
-from fracflow.run import run
-from fracflow.scene import load
-from fracflow.steps import instants
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SHORT = {name: ["stage.1.steps=3"] for name in ("crossings", "report_5_3")}
 MESHES = Path(__file__).parents[1] / "meshes"

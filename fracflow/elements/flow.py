@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import InputError
-from .shape import Floats
+from fracflow.elements.shape import Floats
+from fracflow.errors import InputError
 
 STORAGE: dict[str, Floats] = {
     "consistent": np.array([[2.0, 1.0], [1.0, 2.0]]) / 6.0,  # (2.37)

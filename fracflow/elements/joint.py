@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import InputError
-from .shape import Floats, Ints, line_shape
+from fracflow.elements.shape import Floats, Ints, line_shape
+from fracflow.errors import InputError
 
 _G = 1.0 / np.sqrt(3.0)
 # natural coordinates and weights on [-1, 1]; "nodal" is (2.30)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .shape import (
+from fracflow.elements.shape import (
     CENTROID_RULES,
     MASS_RULES,
     STIFFNESS_RULES,

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from .base import JointLaw, JointResponse, Key, keys_of, parameters_of
-from .hyperbolic_coulomb import HyperbolicCoulomb
-from .linear import Linear
-from .slip_weakening import SlipWeakening
+from fracflow.laws.base import JointLaw, JointResponse, Key, keys_of, parameters_of
+from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
+from fracflow.laws.linear import Linear
+from fracflow.laws.slip_weakening import SlipWeakening
 
 JOINT_LAWS: dict[str, type[JointLaw]] = {
     "hyperbolic-coulomb": HyperbolicCoulomb,

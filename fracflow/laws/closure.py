@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .base import Bools, Floats, Parameter, per_section
+from fracflow.laws.base import Bools, Floats, Parameter, per_section
 
 STEP_FRACTION = 0.9  # of the gap that is left
 NOISE = 1e-10  # of the aperture: no opening or closing

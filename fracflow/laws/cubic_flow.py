@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .base import Floats, Parameter
+from fracflow.laws.base import Floats, Parameter
 
 MeanCube = Callable[[Parameter, Parameter], tuple[Floats, Floats, Floats]]
 

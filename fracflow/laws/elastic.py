@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Floats, Parameter
+from fracflow.laws.base import Floats, Parameter
 
 
 def plane_strain_stiffness(youngs_modulus: Parameter, poissons_ratio: Parameter) -> Floats:

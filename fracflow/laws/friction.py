@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import Bools, Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
-from .closure import NormalClosure
+from fracflow.laws.base import Bools, Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
+from fracflow.laws.closure import NormalClosure
 
 ROUND_OFF = 1e-12
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
-from .friction import FrictionLaw, Trial
+from fracflow.laws.base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
+from fracflow.laws.friction import FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
+from fracflow.laws.base import Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,11 @@ from collections.abc import Collection
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.files import steers
 from fracflow.mesh.data import Floats, Ints, RawMesh
 from fracflow.mesh.facets import count_cells_at, number_rows, spot
-from fracflow.mesh.gmsh import Elements
+from fracflow.mesh.files.gmsh import Elements
 from fracflow.mesh.orient import orient
+from fracflow.storage.files import steers
 
 EVERY = "default"  # [fracture.default] makes fractures of all named curves inside the mesh
 CURVE = 1

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from fracflow.mesh.arrange import near_edges
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.planar_graph import near_edges
 from fracflow.mesh.traces import Network
 
 WITHIN = 5.0  # snaps

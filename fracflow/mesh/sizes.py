@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.mesh.arrange import boxes_that_meet
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.planar_graph import boxes_that_meet
 from fracflow.mesh.traces import SHALLOW, Network
 
 STEP = 2**0.5  # ratio of sizes that follow each other

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.files import steers
 from fracflow.mesh.data import SplitMesh
-from fracflow.sealed import AGAIN, read_sealed, write_sealed
+from fracflow.storage.files import steers
+from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 _NO_MESH = "is no saved mesh"
 _TEXTS = ("rocks", "fractures", "sides", "notes")

@@ -15,12 +15,12 @@ from pydantic import NonNegativeInt, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.operators import Operators
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
-from fracflow.sealed import AGAIN, read_sealed, write_sealed
-from fracflow.state import Forces, Memory, Motion, Past, Sections, State
+from fracflow.model.operators import Operators
+from fracflow.model.state import Forces, Memory, Motion, Past, Sections, State
+from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 Arrays = dict[str, NDArray[Any]]
 SOLID = {

@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from fracflow.files import fresh
 from fracflow.output.convergence import LATITUDE, Row
-from fracflow.output.look import COLOURS, INK, PALE, plain, styled
+from fracflow.output.plot_style import COLOURS, INK, PALE, plain, styled
+from fracflow.storage.files import fresh
 
 KINDS = ("event", "control", "probe", "energy")
 MOST_ROWS = 40

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.files import read_text, steers
 from fracflow.output.folder import write_atomic
+from fracflow.storage.files import read_text, steers
 
 OF_EVENTS = (
     "sections", "length", "mean_slip", "stress_drop", "moment", "magnitude", "radiated", "dissipated", "dropped",

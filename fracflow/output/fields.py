@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import step_of, to_json, write_atomic
-from fracflow.sealed import Sealed, read_sealed, write_sealed
+from fracflow.storage.sealed import Sealed, read_sealed, write_sealed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.files import fresh, no_plain_file, open_own, read_text
+from fracflow.storage.files import fresh, no_plain_file, open_own, read_text
 
 MARKER = ".fracflow"
 _OWN_FILES = (

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
-from fracflow.files_hdf import Committed, complete
-from fracflow.h5_reader import Found, read_h5
 from fracflow.output.folder import to_json
-from fracflow.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
+from fracflow.storage.hdf5 import Committed, complete
+from fracflow.storage.reader import Found, read_h5
+from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
 
 _ROWS_A_CHUNK = 256
 _NO_HISTORY, _REMEDY = "is no readable history", f"put back a copy of the file, or {AGAIN}"

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fracflow.files import fresh
-from fracflow.output.look import COLOURS, INK, PALE, plain, styled
-from fracflow.output.rundata import PROBE_QUANTITIES, RunData, load_run_data
+from fracflow.output.plot_style import COLOURS, INK, PALE, plain, styled
+from fracflow.output.reader import PROBE_QUANTITIES, RunData, load_run_data
+from fracflow.storage.files import fresh
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

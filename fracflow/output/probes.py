@@ -11,9 +11,9 @@ from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
-from fracflow.output import rock
+from fracflow.model import stress as rock
 from fracflow.output.sampling import Snapshot
-from fracflow.scene import Scene
+from fracflow.scene.scene import Scene
 
 Place = FracturePlace | RockPlace
 MOTION = ("displacement", "velocity", "acceleration")

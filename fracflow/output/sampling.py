@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.assembly.operators import Operators
-from fracflow.assembly.properties import along_fractures
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
-from fracflow.scene import Scene
-from fracflow.state import State
+from fracflow.model.operators import Operators
+from fracflow.model.properties import along_fractures
+from fracflow.model.state import State
+from fracflow.scene.scene import Scene
 
 COLUMNS = (
     "slip", "opening", "slip_rate", "shear_traction", "normal_traction", "plastic_slip", "sliding", "open", "strength",

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fracflow.errors import InputError
-from fracflow.files import open_own, read_text
 from fracflow.output.folder import MARKER, RunFolder
+from fracflow.storage.files import open_own, read_text
 
 RUNNING, ENDED, STOPPED, FAILED, CUT_OFF = "running", "ended", "stopped", "failed", "cut off"
 FILE = "status.json"

@@ -17,19 +17,19 @@ import _fuzz_scenes as scenes
 from _fuzz_judge import Box, Found, inside
 
 import fracflow
-from fracflow.begin.setup import geometry_of, place, read_split
-from fracflow.mesh.geo_check import check_geo
+from fracflow.mesh.files.geo_check import check_geo
 from fracflow.mesh.read import network_of
 from fracflow.mesh.store import load_mesh
+from fracflow.model.setup import geometry_of, place, read_split
 from fracflow.output.checkpoint import read_arrays, read_notes
 from fracflow.output.export import tables
 from fracflow.output.history import read_attributes, read_history
-from fracflow.output.rundata import load_run_data
+from fracflow.output.reader import load_run_data
 from fracflow.output.status import read_status
-from fracflow.run import has_ended
-from fracflow.scene import Scene, load
-from fracflow.scene_advice import advice
-from fracflow.scene_toml import tomllib
+from fracflow.scene.advice import advice
+from fracflow.scene.scene import Scene, load
+from fracflow.scene.toml import tomllib
+from fracflow.simulation.run import has_ended
 
 PROCESS, GMSH, COMMAND, FRESH = "in one process", "Gmsh's process", "command line", "fresh process"
 SHARES: dict[tuple[str, str], int] = {  # of ten thousand inputs
@@ -115,7 +115,7 @@ class Bases:
 
     def _resume(self) -> None:
         """Leave what the run comes to in ``whole``."""
-        from fracflow.run import resume
+        from fracflow.simulation.run import resume
 
         shutil.copytree(self.run, self.folder / "whole")
         resume(self.folder / "whole")

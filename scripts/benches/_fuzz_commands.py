@@ -22,11 +22,11 @@ from _fuzz_cases import FRESH, GMSH, Bases, Case
 from _fuzz_judge import HANGS, MEMORY, Box, Found, of_command, snapshot
 
 import fracflow
-import fracflow.mesh.gmsh as gmsh_side
-from fracflow.cli import main
-from fracflow.mesh import gmsh_worker
+import fracflow.mesh.files.gmsh as gmsh_side
+from fracflow.cli.main import main
+from fracflow.mesh.files import gmsh_worker
 from fracflow.output.checkpoint import read_notes
-from fracflow.scene import load
+from fracflow.scene.scene import load
 
 SLEEPS = 3.0 * HANGS  # seconds of wall clock: beyond it a process waits for what never comes
 WAIT = 0.002  # [s]

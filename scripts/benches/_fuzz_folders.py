@@ -16,8 +16,8 @@ import numpy as np
 from _fuzz_scenes import MESHES
 
 from fracflow.errors import Interrupted
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = "report_5_3/scene.toml"
 SETTINGS = ("stage.failure.steps=9", "output.pictures=false", "output.fields_every=4", "stage.pumping.tolerance=1e-2")

@@ -13,8 +13,8 @@ from typing import Any
 
 import _fuzz_damage as damage
 
-from fracflow.scene import Scene
-from fracflow.scene_toml import tomllib, write_toml
+from fracflow.scene.scene import Scene
+from fracflow.scene.toml import tomllib, write_toml
 
 MESHES = Path(__file__).parents[2] / "meshes"
 Key = str | int

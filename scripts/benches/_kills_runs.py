@@ -105,7 +105,7 @@ def environment(**more: object) -> dict[str, str]:
 
 def command(words: Sequence[str]) -> int:
     """The exit code of fracflow with these words, in this process; its lines go where standard error goes."""
-    from fracflow import cli
+    from fracflow.cli import main as cli
 
     sys.argv = ["fracflow", *words]
     try:
@@ -196,10 +196,10 @@ class One:
 
     def __init__(self) -> None:
         """Import, and take up the shim that is preloaded."""
-        import fracflow.cli
-        import fracflow.mesh.gmsh as gmsh
-        import fracflow.output.tell
-        import fracflow.run  # noqa: F401
+        import fracflow.cli.main
+        import fracflow.cli.report
+        import fracflow.mesh.files.gmsh as gmsh
+        import fracflow.simulation.run  # noqa: F401
 
         self.shim = ctypes.CDLL(None)
         known: dict[str, Any] = {}
@@ -215,8 +215,8 @@ class One:
 
     def mesh(self, scene: str) -> None:
         """Let forks find the mesh of a scene."""
-        from fracflow.begin.setup import read_split
-        from fracflow.scene import load
+        from fracflow.model.setup import read_split
+        from fracflow.scene.scene import load
 
         read_split(load(Path(scene)))
 

@@ -12,7 +12,7 @@ from _meta_scenes import Case
 from _meta_turns import Back
 from numpy.typing import NDArray
 
-from fracflow import units
+from fracflow.scene import units
 
 Arrays = dict[str, NDArray[Any]]
 Differences = dict[str, float]

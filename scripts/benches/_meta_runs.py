@@ -17,13 +17,13 @@ from pathlib import Path
 from _meta_compare import Record
 from _meta_scenes import Case
 
+from fracflow.advance.step import Step
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.output import read_history
 from fracflow.output.events import read_events
-from fracflow.run import resume, run
-from fracflow.scene import load
-from fracflow.scene_toml import write_toml
-from fracflow.steps.step import Step
+from fracflow.scene.scene import load
+from fracflow.scene.toml import write_toml
+from fracflow.simulation.run import resume, run
 
 HUNG, CRASHED = -9, 1
 SLEEPS = 20.0  # wall clock over the limit in CPU seconds: beyond it a run waits for what never comes

@@ -10,8 +10,8 @@ import numpy as np
 from _meta_scenes import Case, Data, copied
 from numpy.typing import NDArray
 
-from fracflow import units
-from fracflow.units import UnitSystem
+from fracflow.scene import units
+from fracflow.scene.units import UnitSystem
 
 Floats = NDArray[np.float64]
 Random = np.random.Generator

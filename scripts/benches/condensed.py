@@ -60,12 +60,12 @@ def scene_of(cells: int, joints: int, steps: int, method: dict[str, str]) -> dic
 def worker(name: str, cells: str, joints: str, steps: str, folder: str) -> None:
     """Make all steps by one method; write CPU seconds, iterations and sliding sections by step, and the displacements."""
     from fracflow._petsc import MPI
-    from fracflow.begin.setup import prepare
-    from fracflow.begin.start import rest
+    from fracflow.advance.initial_state import rest
+    from fracflow.advance.stage import run_stage
+    from fracflow.advance.step import Stepping, stepper_of
     from fracflow.errors import SolveError
-    from fracflow.scene import Scene
-    from fracflow.stages.plain import run_stage
-    from fracflow.steps.step import Stepping, stepper_of
+    from fracflow.model.setup import prepare
+    from fracflow.scene.scene import Scene
 
     scene = Scene.from_data(scene_of(int(cells), int(joints), int(steps), RIVALS[name]))
     model = prepare(scene, MPI.COMM_SELF)
@@ -109,7 +109,7 @@ def difference(folder: Path, name: str) -> float:
 
 def main() -> int:
     """Measure, print and write one CSV; 1 where a bar is missed."""
-    from fracflow.coupling.condensed_cost import break_even
+    from fracflow.solve.condensed_cost import break_even
 
     parser = argparse.ArgumentParser(prog="scripts/bench condensed", description=__doc__.splitlines()[0])
     parser.add_argument("cells", nargs="?", type=int, default=224, help="of a side of the square")

@@ -59,9 +59,9 @@ def scene_of(unknowns: int, fault: str, drained: bool) -> dict[str, Any]:
 def worker(unknowns: str, fault: str, drained: str, result: str, apertures: str, blocks: str) -> None:
     """Measure all cases of a fault on this rank of several; rank 0 writes them."""
     from fracflow._petsc import MPI, PETSc
-    from fracflow.begin.setup import prepare
-    from fracflow.begin.start import rest
-    from fracflow.scene import Scene
+    from fracflow.advance.initial_state import rest
+    from fracflow.model.setup import prepare
+    from fracflow.scene.scene import Scene
 
     comm, case = MPI.COMM_WORLD, {"fault": fault, "drained": json.loads(drained)}
     model = prepare(Scene.from_data(scene_of(int(unknowns), **case)), comm)
@@ -77,11 +77,11 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
     """All regimes and apertures of one model, its matrix and solvers kept."""
     import numpy as np
 
-    from fracflow.coupling import defaults
-    from fracflow.coupling.monolithic import Monolithic
-    from fracflow.coupling.step_problem import StepProblem
     from fracflow.errors import SolveError
-    from fracflow.stepping import STEPPERS, BackwardEuler, Steady
+    from fracflow.integrators import STEPPERS, BackwardEuler, Steady
+    from fracflow.solve import options as defaults
+    from fracflow.solve.monolithic import Monolithic
+    from fracflow.solve.problem import StepProblem
 
     kinds = {"steady": Steady(), "quasi-static": BackwardEuler(), "dynamic": STEPPERS["newmark"]()}
     defaults.set_defaults(model.scene.petsc, defaults.MULTIGRID_FROM if blocks == "multigrid" else 0)
@@ -127,7 +127,7 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
 
 def watch(newton: Any) -> list[tuple[int, float]]:
     """A list that gets the Krylov iterations and the true relative residual of each linear solve from now on."""
-    from fracflow.coupling.true_residual import true_residual
+    from fracflow.solve.linear_check import true_residual
 
     solves: list[tuple[int, float]] = []
 

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.advance.step import Step
 from fracflow.errors import InputError, SolveError
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import Scene
-from fracflow.steps.step import Step
+from fracflow.scene.scene import Scene
+from fracflow.simulation.run import run
 
 KINDS = ("quasi-static", "dynamic")
 STEPS = 5

@@ -23,11 +23,11 @@ from unittest.mock import patch
 
 import numpy as np
 
-from fracflow import sealed
 from fracflow.output import history
-from fracflow.record import before, recorder
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation import before, recorder
+from fracflow.simulation.run import run
+from fracflow.storage import sealed
 
 MOST = 0.02
 SCENES = {

@@ -118,8 +118,8 @@ def worker(scene_file: str, folder: str, result: str, *overrides: str) -> None:
     """Run a scene under the stopwatch, on this rank of several; rank 0 writes what all found."""
     from fracflow._petsc import MPI, PETSc
     from fracflow.output import read_history
-    from fracflow.run import run
-    from fracflow.scene import load
+    from fracflow.scene.scene import load
+    from fracflow.simulation.run import run
 
     comm = MPI.COMM_WORLD
     scene = load(scene_file, ["output.pictures=false", *overrides])

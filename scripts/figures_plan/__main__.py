@@ -24,7 +24,7 @@ import fracflow
 from figures_plan.scenes import network, scene
 from figures_plan.twins import TooLong, Twins, full_of, once, twins
 from fracflow.errors import InputError
-from fracflow.scene import Scene
+from fracflow.scene.scene import Scene
 
 COMMAND = "scripts/figures plan"
 MESHES = ROOT / "meshes"

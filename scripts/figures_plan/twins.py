@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow._petsc import MPI
+from fracflow.advance.step import Step
 from fracflow.errors import InputError, SolveError
 from fracflow.output import read_events, read_history
 from fracflow.output.export import KINDS
-from fracflow.run import run
-from fracflow.scene import Scene
-from fracflow.steps.step import Step
+from fracflow.scene.scene import Scene
+from fracflow.simulation.run import run
 
 Floats = NDArray[np.float64]
 TOLERANCE = 1e-2  # of a scene that states none, or a larger one

@@ -35,8 +35,8 @@ def runner(folder: Path) -> Runner:
 
     @cache
     def once(scene: str, *overrides: str) -> Run:
-        from fracflow.run import run
-        from fracflow.scene import load
+        from fracflow.scene.scene import load
+        from fracflow.simulation.run import run
 
         target = folder / "-".join([scene, *(item.rsplit("=", 1)[-1] for item in overrides)])
         run(load(ROOT / "meshes" / scene / "scene.toml", ["output.pictures=false", *overrides]), target)

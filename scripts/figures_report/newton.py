@@ -11,12 +11,12 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, STYLE, Check, Flo
 
 from figures_report.common import RECONSTRUCTED, Runner, command, probe, runner
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
+from fracflow.advance.initial_state import rest
+from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
-from fracflow.scene import load
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.integrators import Steady
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 SCENE = "report_5_1"
 SPRINGS = 0.1  # (R) two of E = 0.05
@@ -172,7 +172,7 @@ def zigzag(axes: Axes, method: str, norms: Floats, label: str, colour: str) -> N
 
 def unloading(folder: Path) -> list[Check]:
     """The other methods on the seven states: at state 4, the first that unloads, they stop and say so."""
-    from fracflow.run import run
+    from fracflow.simulation.run import run
 
     checks = []
     for method in ("modified", "secant"):

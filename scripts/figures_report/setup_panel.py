@@ -17,8 +17,8 @@ def draw_setup(mesh_axes: Axes, pressure_axes: Axes, scene: str, run: Run, wells
 
     wells  name of the probe at a well -> its share of the pumping, positive into the fault
     """
-    from fracflow.begin.setup import read_split
-    from fracflow.scene import load
+    from fracflow.model.setup import read_split
+    from fracflow.scene.scene import load
 
     loaded = load(ROOT / "meshes" / scene / "scene.toml")
     mesh = read_split(loaded)

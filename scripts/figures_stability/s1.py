@@ -17,17 +17,17 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from sheets import BLUE, HALO, INK, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import Model, prepare
-from fracflow.begin.start import rest
-from fracflow.coupling import Coupling
-from fracflow.coupling.accept import accept
-from fracflow.coupling.fixed_point import FixedPoint
-from fracflow.coupling.monolithic import Monolithic
-from fracflow.coupling.step_problem import StepProblem
+from fracflow.advance.initial_state import rest
 from fracflow.errors import SolveError
-from fracflow.scene import Scene
-from fracflow.state import State
-from fracflow.stepping import Newmark, Steady
+from fracflow.integrators import Newmark, Steady
+from fracflow.model.setup import Model, prepare
+from fracflow.model.state import State
+from fracflow.scene.scene import Scene
+from fracflow.solve import Coupling
+from fracflow.solve.accept import accept
+from fracflow.solve.monolithic import Monolithic
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.staggered import FixedPoint
 
 REACH, STIFFNESS, VISCOSITY, PRESSURE = 10.0, 1e9, 1e-3, 1e5
 """Length of each of the two elements [m], k_n [Pa/m], viscosity [Pa s], pressure of the steady flow [Pa]."""

@@ -14,13 +14,13 @@ from matplotlib.axes import Axes
 from sheets import HALO, INK, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.stage import run_stage
+from fracflow.advance.step import Stepping, stepper_of
 from fracflow.errors import SolveError
-from fracflow.scene import load
-from fracflow.stages.plain import run_stage
-from fracflow.stepping import WITH_INERTIA
-from fracflow.steps.step import Stepping, stepper_of
+from fracflow.integrators import WITH_INERTIA
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f4_impact" / "scene.toml"
 CELLS = 40

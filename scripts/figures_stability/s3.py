@@ -13,11 +13,11 @@ from matplotlib.colors import LogNorm
 from sheets import HALO, INK, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import Model, prepare
-from fracflow.begin.start import rest, settle
-from fracflow.scene import load
-from fracflow.stepping import STEPPERS
-from fracflow.steps.step import Stepping
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping
+from fracflow.integrators import STEPPERS
+from fracflow.model.setup import Model, prepare
+from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f3_winkler_film" / "scene.toml"
 PAIRS = {

@@ -19,15 +19,15 @@ from matplotlib.patches import Patch
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, PINK, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.assembly.joints import LawGroup
-from fracflow.begin.setup import Model, prepare
-from fracflow.begin.start import rest, settle
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
+from fracflow.integrators import Steady
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
-from fracflow.scene import Scene
-from fracflow.scene_toml import read_toml
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.model.joints import LawGroup
+from fracflow.model.setup import Model, prepare
+from fracflow.scene.scene import Scene
+from fracflow.scene.toml import read_toml
 
 FOLDER = ROOT / "meshes" / "failures" / "f6a_closing"
 D0 = 0.1

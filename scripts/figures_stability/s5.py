@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.assembly.jump import jump_matrix
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
-from fracflow.card.rock import STIFF
-from fracflow.scene import load
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping
+from fracflow.diagnostics.rock import STIFF
+from fracflow.integrators import Steady
+from fracflow.model.jump import jump_matrix
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f1_half_open" / "scene.toml"
 RULES = {"nodal": GREEN, "gauss2": BLUE, "one-point": ORANGE}

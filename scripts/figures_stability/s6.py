@@ -16,10 +16,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, INK, ORANGE, PALE, ROOT, SKY, Check, Floats, save, sheet, write_csv
 
-from fracflow.begin.setup import place, read_split
-from fracflow.card import scene_card
+from fracflow.diagnostics import scene_card
 from fracflow.laws import JOINT_LAWS
-from fracflow.scene import load
+from fracflow.model.setup import place, read_split
+from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f5b_rupture" / "scene.toml"
 LENGTH, PATCH, FAR, END = 24.0, 4.0, 12.0, 26.0

@@ -18,11 +18,11 @@ from scipy import sparse
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.assembly.flow import STORAGE as PAIRS
-from fracflow.begin.setup import Model, place, prepare, read_split
-from fracflow.card import scene_card
+from fracflow.diagnostics import scene_card
 from fracflow.elements.flow import conductivity, storage_matrix
-from fracflow.scene import Scene, load
+from fracflow.model.flow import STORAGE as PAIRS
+from fracflow.model.setup import Model, place, prepare, read_split
+from fracflow.scene.scene import Scene, load
 
 SCENE = ROOT / "meshes" / "failures" / "f8_dissimilar" / "scene.toml"
 RESOLVED = 5.0  # cells a wave

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from sheets import BLUE, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.stage import run_stage
+from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
-from fracflow.scene import load
-from fracflow.stages.plain import run_stage
-from fracflow.steps.step import Stepping
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f9_rigid_motion" / "scene.toml"
 EPS = float(np.finfo(float).eps)

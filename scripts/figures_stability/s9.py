@@ -16,11 +16,11 @@ from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, INK, ORANGE, PALE, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.assembly.fault_damping import ALIKE, AUTO, asymmetry
-from fracflow.begin.setup import prepare
+from fracflow.model.fault_damping import ALIKE, AUTO, asymmetry
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import Scene, load
+from fracflow.scene.scene import Scene, load
+from fracflow.simulation.run import run
 
 SCENE = """
 output = {pictures = false}

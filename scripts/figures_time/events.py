@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from sheets import BLUE, INK, ORANGE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 STRENGTH = 2.0
 STEPS = (0.4, 0.2, 0.1, 0.05, 0.025)

@@ -9,8 +9,8 @@ import numpy as np
 from sheets import BLUE, ORANGE, ROOT, Check, save, sheet, write_csv
 
 from fracflow.output import read_events
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 STEPS, LASTS = (0.01, 0.005, 0.0025), 0.6
 STEPPERS = ("newmark", "explicit")

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 import fracflow
 from fracflow._petsc import MPI
+from fracflow.advance.instability import LimitPoint
 from fracflow.output import list_steps, read_history, read_mesh, read_step
-from fracflow.stages.instability import LimitPoint
 
 Floats = NDArray[np.float64]
 Data = dict[str, NDArray[Any]]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import rupture_triangles as bench
 
-from fracflow.scene import load
+from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
 

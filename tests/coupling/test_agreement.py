@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.coupling import COUPLINGS
 from fracflow.errors import SolveError
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
+from fracflow.solve import COUPLINGS
 
 WIDE = ["fracture.fault.aperture=0.2 ft", "stage.failure.steps=20"]  # the factor falls with the aperture cubed
 

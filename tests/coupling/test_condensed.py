@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
-from fracflow.coupling.condensed_cost import break_even, condensed_step, condensing, fits, full_step
-from fracflow.coupling.condensed_rock import Rock
-from fracflow.coupling.joined_matrix import JoinedMatrix
+from fracflow.advance.initial_state import rest
+from fracflow.advance.stage import run_stage
+from fracflow.advance.step import Stepping, stepper_of
 from fracflow.errors import InputError, NotConverged
-from fracflow.run import run
-from fracflow.scene import Scene
-from fracflow.stages.plain import run_stage
-from fracflow.stepping import STEPPERS
-from fracflow.steps.step import Stepping, stepper_of
+from fracflow.integrators import STEPPERS
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import Scene
+from fracflow.simulation.run import run
+from fracflow.solve.condensed_cost import break_even, condensed_step, condensing, fits, full_step
+from fracflow.solve.condensed_rock import Rock
+from fracflow.solve.jacobian import JoinedMatrix
 
 JOINT = {"normal_stiffness": 100.0, "shear_stiffness": 50.0, "aperture": 0.02, "friction_coefficient": 0.5}
 STEEP = {"name": "steep", "points": [[0.9, 0.0], [2.1, 2.0]]}

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
-from fracflow.card.film import coupling_factor
-from fracflow.coupling.fixed_point import FixedPoint
-from fracflow.coupling.fixed_point_failure import cycles_needed
-from fracflow.coupling.step_problem import StepProblem
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping
+from fracflow.diagnostics.film import coupling_factor
 from fracflow.errors import SolveError
+from fracflow.integrators import BackwardEuler
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import Scene, load
-from fracflow.stepping import BackwardEuler
-from fracflow.steps.step import Stepping
+from fracflow.scene.scene import Scene, load
+from fracflow.simulation.run import run
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.staggered import FixedPoint
+from fracflow.solve.staggered_failure import cycles_needed
 
 LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
-from fracflow.coupling.joined_matrix import JoinedMatrix
-from fracflow.coupling.newton import Newton
-from fracflow.coupling.step_problem import StepProblem
-from fracflow.scene import load
-from fracflow.state import Memory
-from fracflow.stepping import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
-from fracflow.steps.network import Network
+from fracflow.advance.initial_state import rest
+from fracflow.advance.network import Network
+from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
+from fracflow.model.setup import prepare
+from fracflow.model.state import Memory
+from fracflow.scene.scene import load
+from fracflow.solve.jacobian import JoinedMatrix
+from fracflow.solve.newton import Newton
+from fracflow.solve.problem import StepProblem
 
 
 @pytest.mark.parametrize("model", ["default", "report"])

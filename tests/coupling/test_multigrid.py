@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.begin.setup import prepare
-from fracflow.coupling import defaults
-from fracflow.coupling.near_null import near_null_space, rigid_motions
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
+from fracflow.solve import options as defaults
+from fracflow.solve.near_null import near_null_space, rigid_motions
 
 FEW = 20  # Krylov iterations in a Newton iteration, beyond those with exact blocks
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
-from fracflow.coupling.newton_methods import NEWTON_METHODS
-from fracflow.scene import load
-from fracflow.scene_tables import Method
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.advance.initial_state import rest
+from fracflow.advance.step import Stepping
+from fracflow.integrators import Steady
+from fracflow.model.setup import prepare
+from fracflow.scene.method import Method
+from fracflow.scene.scene import load
+from fracflow.solve.stiffness import NEWTON_METHODS
 
 SLOW = "accuracy.max_iterations=1000"
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import PETSc
-from fracflow.coupling.true_residual import check_solution, true_residual
 from fracflow.errors import NotConverged
+from fracflow.solve.linear_check import check_solution, true_residual
 
 
 def _solved(diagonal, given, comm):

@@ -10,8 +10,8 @@ import pytest
 from failures.test_f2c import TWO_BLOCKS
 from fracflow._petsc import MPI
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 LENGTH, PIECES, START = 3.0, 6, 0.1
 STEPS = ((1e-3, 20.0), (0.1, 120.0), (1.0, 120.0), (0.1, 200.0), (1.0, 400.0), (1.0, 1600.0), (10.0, 1e4))

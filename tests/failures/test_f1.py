@@ -7,12 +7,12 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
-from fracflow.cli import app
-from fracflow.scene import load
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping
+from fracflow.cli.main import app
+from fracflow.integrators import Steady
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f1_half_open/scene.toml"

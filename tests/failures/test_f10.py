@@ -8,9 +8,9 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.elements.dashpot import reflection
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
-from fracflow.scene_toml import write_value
+from fracflow.scene.scene import load
+from fracflow.scene.toml import write_value
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes/failures/f10_oblique/scene.toml"
 ANGLE, POISSON = np.radians(60.0), 0.25

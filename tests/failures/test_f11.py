@@ -7,8 +7,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_events, read_history
-from fracflow.run import run
-from fracflow.scene import Scene, load
+from fracflow.scene.scene import Scene, load
+from fracflow.simulation.run import run
 
 SCENES = "meshes/failures/"
 EARLY = ("stage.push.at_rest=0.1", "stage.push.end=430")

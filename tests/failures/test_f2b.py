@@ -8,8 +8,8 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.errors import InputError, SolveError
 from fracflow.output import list_steps, read_history, read_step
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f2b_no_outlet" / "scene.toml"
 QUIET = "output.pictures=false"
@@ -54,12 +54,12 @@ def test_the_level_is_that_of_slow_storage(shared_tmp):
 
 
 def test_it_does_not_matter_which_node_gives_way(shared_tmp, monkeypatch):
-    from fracflow.assembly import components
+    from fracflow.model import network_parts as components
 
     first = history(shared_tmp / "first")
     whole = components.find_parts
     turned = lambda *given: tuple(components.Part(p.nodes[::-1], p.fractures, p.center) for p in whole(*given))  # noqa: E731
-    monkeypatch.setattr("fracflow.steps.network.find_parts", turned)
+    monkeypatch.setattr("fracflow.advance.network.find_parts", turned)
     last = history(shared_tmp / "last")
     for key in ("probe/in/pressure", "probe/out/pressure"):
         assert last[key] == pytest.approx(first[key], rel=1e-12)

@@ -8,8 +8,8 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.output import list_steps, read_history, read_step
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f2c_pinched" / "scene.toml"
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping, stepper_of
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
-from fracflow.steps.step import Stepping, stepper_of
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f3_winkler_film" / "scene.toml"
 N = 16

@@ -7,8 +7,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 pytestmark = pytest.mark.serial  # books on several ranks: physics/test_film_rules.py
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f3b_graded_network" / "scene.toml"

@@ -5,8 +5,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_events, read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = "meshes/failures/f4_impact/scene.toml"
 START = 0.5 / 40  # rho v^2/2 of the bar, 1 x 1/40

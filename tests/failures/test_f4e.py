@@ -7,8 +7,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f4e_stiff_joint" / "scene.toml"
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear")

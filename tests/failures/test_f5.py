@@ -5,8 +5,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_events, read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 DROP, SPRING, MASS = 0.4, 1.0, 1.0
 

@@ -6,10 +6,10 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.cli import app
+from fracflow.cli.main import app
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f5b_rupture/scene.toml"

@@ -11,8 +11,8 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6a_closing" / "scene.toml"
 AT_ONCE = ["load.1.force=[0, -5]", "stage.0.end=1"]

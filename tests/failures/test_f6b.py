@@ -8,13 +8,13 @@ import pytest
 from scipy import sparse
 
 from fracflow._petsc import MPI
-from fracflow.assembly.floating import Floating, null_motions
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
+from fracflow.advance.initial_state import rest
 from fracflow.errors import SolveError
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
+from fracflow.solve.floating import Floating, null_motions
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6b_lifted" / "scene.toml"
 

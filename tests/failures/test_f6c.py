@@ -7,15 +7,15 @@ import pytest
 from scipy.optimize import nnls
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
-from fracflow.coupling.line_search import by_energy, by_residual
+from fracflow.advance.initial_state import rest
+from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
+from fracflow.integrators import Steady
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
+from fracflow.solve.line_search import by_energy, by_residual
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6c_bending" / "scene.toml"
 

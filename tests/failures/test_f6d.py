@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
+from fracflow.integrators import Steady
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import Scene, load
-from fracflow.scene_toml import read_toml
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.scene.scene import Scene, load
+from fracflow.scene.toml import read_toml
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6d_wedged" / "scene.toml"
 SPRING, BASE = (1.0, 0.05), 10.0  # k_n, k_s of the slope; k_n0 and k_s of the base

@@ -6,8 +6,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f7_wedge" / "scene.toml"
 EXACT = 1.0 / (12.0 * 4.0 / 0.9 * 0.5 * (1.0 / 0.1**2 - 1.0))  # dp / integral of 12 mu / d^3

@@ -9,12 +9,12 @@ from figures_stability.s7 import Waves
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
-from fracflow.cli import app
-from fracflow.scene import load
-from fracflow.stepping import Newmark
-from fracflow.steps.step import Stepping
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Stepping
+from fracflow.cli.main import app
+from fracflow.integrators import Newmark
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f8_dissimilar/scene.toml"

@@ -8,8 +8,8 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = "meshes/failures/f9_rigid_motion/scene.toml"
 EPS = np.finfo(float).eps

@@ -5,8 +5,8 @@ import pytest
 import random_networks
 
 from fracflow._petsc import MPI
-from fracflow.coupling.digits import ROUND_OFF
-from fracflow.coupling.residual import flow_residual
+from fracflow.solve.residual import flow_residual
+from fracflow.solve.round_off import ROUND_OFF
 
 pytestmark = pytest.mark.serial
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import Scene
+from fracflow.scene.scene import Scene
+from fracflow.simulation.run import run
 
 SCENE = {
     "rock": {"granite": {"youngs_modulus": "50 GPa", "poissons_ratio": 0.25, "density": 2700}},

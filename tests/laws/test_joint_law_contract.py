@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fracflow.laws import JOINT_LAWS, keys_of
-from fracflow.scene_materials import Fracture
+from fracflow.scene.materials import Fracture
 
 pytestmark = pytest.mark.serial
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import on_root, read_split
 from fracflow.mesh.distribute import distribute, rigid_bodies
-from fracflow.scene import load
+from fracflow.model.setup import on_root, read_split
+from fracflow.scene.scene import load
 
 COMM = MPI.COMM_WORLD
 

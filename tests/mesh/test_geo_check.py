@@ -8,9 +8,9 @@ import pytest
 from meshing import MESHES
 
 from fracflow.errors import InputError
-from fracflow.mesh import geo_tokens
-from fracflow.mesh.geo_check import check_geo
-from fracflow.mesh.geo_depth import DEEPEST
+from fracflow.mesh.files import geo_tokens
+from fracflow.mesh.files.geo_check import check_geo
+from fracflow.mesh.files.geo_depth import DEEPEST
 from fracflow.mesh.read import read_mesh
 
 pytestmark = pytest.mark.serial

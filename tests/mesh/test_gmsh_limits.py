@@ -12,15 +12,15 @@ import time
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.cli import app
+from fracflow.cli.main import app
 from fracflow.errors import InputError, Interrupted
-from fracflow.mesh import gmsh
-from fracflow.mesh.msh_check import check_msh
+from fracflow.mesh.files import gmsh
+from fracflow.mesh.files.msh_check import check_msh
 from fracflow.mesh.read import read_mesh
 from fracflow.output import read_history
-from fracflow.run import resume, run
-from fracflow.scene import load
-from fracflow.scene_levels import at_level
+from fracflow.scene.levels import at_level
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
 
 pytestmark = pytest.mark.serial
 
@@ -153,7 +153,7 @@ def test_a_list_larger_than_memory_ends_with_one_line(tmp_path, monkeypatch):
 
 def test_a_file_larger_than_the_limit_is_not_written(tmp_path):
     code = (
-        "import os, sys; from fracflow.mesh.gmsh_worker import keep_within; keep_within(60, 1 << 33, os.getppid());"
+        "import os, sys; from fracflow.mesh.files.gmsh_worker import keep_within; keep_within(60, 1 << 33, os.getppid());"
         " file = open(sys.argv[1], 'wb'); file.truncate(1 << 33); file.truncate((1 << 33) + 1)"
     )
     found = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True, text=True)

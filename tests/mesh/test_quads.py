@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fracflow.mesh.gmsh import Elements
+from fracflow.mesh.files.gmsh import Elements
 from fracflow.mesh.quads import all_quads
 from fracflow.mesh.quality import cell_areas, corner_angles, worst_cells
 

@@ -10,7 +10,7 @@ import pytest
 from meshing import MESHES, areas, check, copies_at
 
 from fracflow.errors import InputError
-from fracflow.mesh import gmsh
+from fracflow.mesh.files import gmsh
 from fracflow.mesh.read import GeometrySpec, build_mesh, read_mesh, side_names
 from fracflow.mesh.split import split, summary
 

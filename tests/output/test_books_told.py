@@ -5,11 +5,11 @@ import pytest
 from rich.console import Console
 
 from fracflow._petsc import MPI
+from fracflow.cli.report import tell
 from fracflow.output import HistoryFile, read_history
 from fracflow.output.history import read_rows
-from fracflow.output.tell import tell
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 pytestmark = pytest.mark.serial
 STILL = """

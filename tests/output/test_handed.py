@@ -9,7 +9,7 @@ import fracflow
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import read_events
 from fracflow.output.handed import told_handed
-from fracflow.scene import Scene
+from fracflow.scene.scene import Scene
 
 pytestmark = pytest.mark.serial
 

@@ -13,9 +13,9 @@ import fracflow
 from fracflow.errors import Interrupted, SolveError
 from fracflow.output import list_steps, read_history, read_step
 from fracflow.output.pictures import draw
-from fracflow.output.rundata import load_run_data
-from fracflow.run import resume, run
-from fracflow.scene import load
+from fracflow.output.reader import load_run_data
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
 
 pytestmark = pytest.mark.serial
 SCENE = """

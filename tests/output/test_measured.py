@@ -9,8 +9,8 @@ import pytest
 from fracflow.errors import InputError
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.history import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 E, NU = 10e9, 0.25
 ROCK = f"""

@@ -3,8 +3,8 @@
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.run import run
-from fracflow.scene import Scene
+from fracflow.scene.scene import Scene
+from fracflow.simulation.run import run
 
 
 def data(start, least=None, gradient=0.0):

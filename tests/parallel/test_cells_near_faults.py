@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.assembly.fault_damping import cells_near, fault_damping
-from fracflow.begin.setup import on_root, prepare, read_split
-from fracflow.scene import load
+from fracflow.model.fault_damping import cells_near, fault_damping
+from fracflow.model.setup import on_root, prepare, read_split
+from fracflow.scene.scene import load
 
 COMM = MPI.COMM_WORLD
 LAYERS = 3

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
 from fracflow.errors import InputError
-from fracflow.scene import load
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 PROGRAM = """
-from fracflow import endings
+from fracflow.cli import exit as endings
 from fracflow._petsc import MPI
 endings.PATIENCE = 0.5
 if MPI.COMM_WORLD.rank == {rank}:
@@ -40,7 +40,9 @@ def test_a_rank_alone_ends_all(rank):
 
 INTERRUPTED = """
 import sys
-from fracflow import cli, endings, scene
+from fracflow.cli import main as cli
+from fracflow.cli import exit as endings
+from fracflow.scene import scene
 from fracflow._petsc import MPI
 endings.PATIENCE = 0.5
 def load(*given):
@@ -68,7 +70,7 @@ def test_an_error_in_what_one_rank_looks_at_alone_is_raised_on_all(name, monkeyp
     def refuse(*given):
         raise InputError("no such thing")
 
-    monkeypatch.setattr(f"fracflow.begin.setup.{name}", refuse)
+    monkeypatch.setattr(f"fracflow.model.setup.{name}", refuse)
     scene = load(Path(__file__).parents[2] / "meshes/report_5_2/scene.toml")
     with pytest.raises(InputError, match="no such thing"):
         prepare(scene, MPI.COMM_WORLD)

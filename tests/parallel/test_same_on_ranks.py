@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fracflow.output import read_events, read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 CRACK = ("slip", "plastic_slip", "opening", "displacement", "displacement_bottom")
 SCENES = {  # natural sizes f_n0/k_n0 and f_n0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 # Anna, the shorter one, stops a hair short of Clara's end, by less than the snap that is stated, and Bruno leaves the domain.
 TABLE = """name\taperture\tx1\ty1\tx2\ty2

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
-from fracflow.coupling.period import longest_period
+from fracflow.advance.initial_state import rest
+from fracflow.advance.regime import Course
 from fracflow.errors import InputError
+from fracflow.model.setup import prepare
 from fracflow.output import read_events, read_history
-from fracflow.run import resume, run
-from fracflow.scene import load
-from fracflow.stages.unrest import Course
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
+from fracflow.solve.period import longest_period
 
 STIFF, SPRING, DAMPING, DROP, RATE = 50.0, 1.0, 1.0, 0.6, 1.0 / 4000.0
 TOLD = "20 longest periods"

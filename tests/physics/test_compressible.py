@@ -7,7 +7,7 @@ import winkler
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
 from fracflow.output import list_steps, read_step
-from fracflow.scene import load
+from fracflow.scene.scene import load
 
 FILM = {"backward-euler": 1, "bdf2": 2, "trapezoid": 2}
 SOFT = winkler.SCENE.replace("viscosity = 1", "viscosity = 1\ncompressibility = 0.1")

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.assembly.solid import mass
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
+from fracflow.advance.initial_state import rest
+from fracflow.advance.step import Stepping
 from fracflow.errors import InputError
-from fracflow.scene import Scene
-from fracflow.stepping import STEPPERS
-from fracflow.steps.step import Stepping
+from fracflow.integrators import STEPPERS
+from fracflow.model.setup import prepare
+from fracflow.model.solid import mass
+from fracflow.scene.scene import Scene
 
 ROCK = {"youngs_modulus": 1.0, "poissons_ratio": 0.25, "density": 2.0}
 JOINT = {"normal_stiffness": 100.0, "shear_stiffness": 50.0, "aperture": 1.0, "friction_coefficient": 0.5}

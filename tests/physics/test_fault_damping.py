@@ -5,13 +5,13 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.assembly.fault_damping import asymmetry, fault_damping, is_sudden
-from fracflow.assembly.inertia import cell_rates
-from fracflow.begin.setup import prepare
-from fracflow.cli import app
-from fracflow.scene import load
-from fracflow.scene_advice import advice
-from fracflow.stepping.explicit import damped_rate
+from fracflow.cli.main import app
+from fracflow.integrators.explicit import damped_rate
+from fracflow.model.fault_damping import asymmetry, fault_damping, is_sudden
+from fracflow.model.mass import cell_rates
+from fracflow.model.setup import prepare
+from fracflow.scene.advice import advice
+from fracflow.scene.scene import load
 
 FAULT = """
 [output]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import winkler
 
-from fracflow.assembly.flow import STORAGE, is_transposed
+from fracflow.model.flow import STORAGE, is_transposed
 
 RULES = {"backward-euler": 1, "bdf2": 2, "trapezoid": 2}
 DRAINED = """

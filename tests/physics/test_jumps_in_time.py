@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fracflow.tables import TimeTable
+from fracflow.scene.values import TimeTable
 
 from .test_along_fractures import ENDS, RIGID
 

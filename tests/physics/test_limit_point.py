@@ -5,14 +5,14 @@ import pytest
 from nucleation import UNIFORM
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.coupling.stability import Weakening, largest_share
+from fracflow.advance.instability import Jumped
 from fracflow.errors import SolveError
+from fracflow.model.setup import prepare
 from fracflow.output import read_history
-from fracflow.run import of_stage, resume, run
-from fracflow.scene import Scene, load
-from fracflow.scene_actions import Stage
-from fracflow.stages.instability import Jumped
+from fracflow.scene.boundary import Stage
+from fracflow.scene.scene import Scene, load
+from fracflow.simulation.run import of_stage, resume, run
+from fracflow.solve.stability import Weakening, largest_share
 
 from .test_slip_weakening import LAYER, PEAK, K
 
@@ -134,6 +134,6 @@ def test_the_share_of_a_patch_in_wide_rock_is_that_of_uenishi_and_rice(monkeypat
     assert half - size < share * UNIFORM * 32e9 < half
     shape = 1.0 - (x[slides] / half) ** 2
     assert np.corrcoef(np.abs(mode[slides]), np.sqrt(shape))[0, 1] > 0.98
-    monkeypatch.setattr("fracflow.coupling.stability.MOST_VECTORS", 2)
+    monkeypatch.setattr("fracflow.solve.stability.MOST_VECTORS", 2)
     few = largest_share(model.operators, model.loads, sections, weakening)
     assert is_sharp and not few.is_sharp and few.value == pytest.approx(share, rel=0.3)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
 from fracflow.errors import InputError
-from fracflow.scene import load
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 from .conftest import JOINT, ROCK
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
 from fracflow.errors import InputError, SolveError
-from fracflow.scene import load
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
 
 K_S, ROCK = 2e9, 5e9 / 2.0  # of the joint; of the rock, G over its height [Pa/m]
 K = 1.0 / (1.0 / K_S + 1.0 / ROCK)

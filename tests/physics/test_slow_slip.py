@@ -8,17 +8,17 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.begin.regimes import transit
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
-from fracflow.cli import app
-from fracflow.cli_runs import Sight
+from fracflow.advance.initial_state import rest
+from fracflow.advance.regime import RADIATED, slipped
+from fracflow.advance.step import Stepping, stepper_of
+from fracflow.cli.main import app
+from fracflow.cli.run import Sight
+from fracflow.diagnostics.regimes import transit
 from fracflow.errors import Interrupted
+from fracflow.model.setup import prepare
 from fracflow.output import read_events, read_history
-from fracflow.run import resume, run
-from fracflow.scene import load
-from fracflow.stages.unrest import RADIATED, slipped
-from fracflow.steps.step import Stepping, stepper_of
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
 
 SCENE = """
 title = "a fault that creeps past a crack that pressure opens"

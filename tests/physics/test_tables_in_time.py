@@ -12,10 +12,10 @@ from grids import edges_of, msh, quads_of
 
 from fracflow import open as opened
 from fracflow.output.checkpoint import read_notes
-from fracflow.run import resume, run
-from fracflow.scene import load
-from fracflow.tables import TimeTable
-from fracflow.tables_time import JUST_AFTER, JUST_BEFORE, Rates
+from fracflow.scene.scene import load
+from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, Rates
+from fracflow.scene.values import TimeTable
+from fracflow.simulation.run import resume, run
 
 from .test_along_fractures import ENDS, RIGID
 from .test_jumps_in_time import BAR

@@ -5,8 +5,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 from .test_along_fractures import RIGID
 from .test_books import CRACK, QUASI

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest, settle
+from fracflow.advance.explicit import ExplicitSteps
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.step import Step
+from fracflow.model.setup import prepare
+from fracflow.model.state import StepReport
 from fracflow.output import read_history
-from fracflow.record.recorder import Recorder
-from fracflow.run import run
-from fracflow.scene import load
-from fracflow.state import StepReport
-from fracflow.steps.explicit import ExplicitSteps
-from fracflow.steps.step import Step
+from fracflow.scene.scene import load
+from fracflow.simulation.recorder import Recorder
+from fracflow.simulation.run import run
 
 from .test_books import CRACK
 

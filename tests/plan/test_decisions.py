@@ -6,9 +6,9 @@ import pytest
 from test_kept_factors import INJECTION, SLIDING, load_text
 from typer.testing import CliRunner
 
-from fracflow.card.number import Number
-from fracflow.cli import app
-from fracflow.plan import Facts, as_lines, decide
+from fracflow.cli.main import app
+from fracflow.diagnostics.number import Number
+from fracflow.reduction import Facts, as_lines, decide
 
 pytestmark = pytest.mark.serial
 DRY = SLIDING.partition("[[stage]]")[0]

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import PETSc
-from fracflow.begin.planned import swing
 from fracflow.errors import Interrupted
+from fracflow.model.state import Motion
 from fracflow.output import read_history
-from fracflow.plan import inertia
-from fracflow.plan.inertia import kick
-from fracflow.run import resume, run
-from fracflow.scene import load
-from fracflow.state import Motion
-from fracflow.tables_time import TimeTable
+from fracflow.reduction import inertia
+from fracflow.reduction.apply import swing
+from fracflow.reduction.inertia import kick
+from fracflow.scene.scene import load
+from fracflow.scene.time_table import TimeTable
+from fracflow.simulation.run import resume, run
 
 BLOCK = """
 [output]

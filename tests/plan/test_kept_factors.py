@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fracflow.coupling import kept_factors
 from fracflow.output import read_history
-from fracflow.run import resume, run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
+from fracflow.solve import kept_factors
 
 ROCK = """
 [output]
@@ -149,6 +149,6 @@ def load_text(text):
     """A scene from its text."""
     import tomllib
 
-    from fracflow.scene import Scene
+    from fracflow.scene.scene import Scene
 
     return Scene.from_data(tomllib.loads(text))

@@ -7,13 +7,13 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import read_split, with_sizes
-from fracflow.card import scene_card
-from fracflow.cli import app
+from fracflow.cli.main import app
+from fracflow.diagnostics import scene_card
 from fracflow.mesh.read import GeometrySpec, build_mesh
+from fracflow.model.setup import read_split, with_sizes
 from fracflow.output import read_history
-from fracflow.plan import mesh_sizes
-from fracflow.plan.lengths import (
+from fracflow.reduction import mesh_size as mesh_sizes
+from fracflow.reduction.lengths import (
     affordable,
     cell_count,
     corner_period,
@@ -22,9 +22,9 @@ from fracflow.plan.lengths import (
     shortest_period,
     typical_length,
 )
-from fracflow.run import run
-from fracflow.scene import Scene
-from fracflow.tables_time import TimeTable
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import TimeTable
+from fracflow.simulation.run import run
 
 OF_SLIP = ("joint length scale", "nucleation length", "cohesive zone")
 

@@ -11,10 +11,11 @@ from fracflow.mesh.data import RawMesh
 from fracflow.mesh.glue import glued, groups
 from fracflow.mesh.split import split
 from fracflow.output import read_history
-from fracflow.plan import Facts, tied
-from fracflow.plan.tied import PART, Fractures, choose, compliance, shed
-from fracflow.run import resume, run
-from fracflow.scene import Scene, load
+from fracflow.reduction import Facts
+from fracflow.reduction import tied_fractures as tied
+from fracflow.reduction.tied_fractures import PART, Fractures, choose, compliance, shed
+from fracflow.scene.scene import Scene, load
+from fracflow.simulation.run import resume, run
 
 SHEAR = 4e9  # G of the rock below
 HORIZONTAL = [[20, 15], [50, 15], [80, 15], [20, 85], [50, 85], [80, 85]]

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from test_tied import PAIR, TWO, chosen, done, rock, scene_of  # noqa: F401  done is a fixture
 
-from fracflow.begin.idle import idle_nodes
-from fracflow.begin.planned import planned
-from fracflow.begin.setup import place, prepare, read_split
-from fracflow.begin.start import rest, settle
-from fracflow.begin.tied import find_shut, watch_tied
+from fracflow.advance.initial_state import rest, settle
 from fracflow.errors import PutBack
-from fracflow.plan import Facts, tied
-from fracflow.plan.tied import PART, compliance, together
-from fracflow.scene import Scene, load
+from fracflow.model.setup import place, prepare, read_split
+from fracflow.reduction import Facts
+from fracflow.reduction import tied_fractures as tied
+from fracflow.reduction.apply import planned
+from fracflow.reduction.idle_rock import idle_nodes
+from fracflow.reduction.tied_fractures import PART, compliance, together
+from fracflow.reduction.tied_mesh import find_shut, watch_tied
+from fracflow.scene.scene import Scene, load
 
 YOUNG, PRESS, APERTURE = 1e10, 1e6, 1e-2
 

@@ -8,7 +8,7 @@ from figures_plan.__main__ import MESHES
 from figures_plan.scenes import scene
 from figures_plan.twins import Ran, gaps, twins
 
-from fracflow.scene import Scene, load
+from fracflow.scene.scene import Scene, load
 
 pytestmark = pytest.mark.serial
 NEAR = 2e-6  # instants are the same within 1e-6 of a step

@@ -10,8 +10,8 @@ from figures_verification.cases import r07
 from fracflow._petsc import MPI
 from fracflow.errors import SolveError
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 HALF, PERIOD, HEIGHT = 1.0, 4.0, 6.0  # what the row makes is gone at 1.5 W: exp(-2 pi y/W) = 1e-4
 MODULUS = 1000 / (1 - 0.25**2)

@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import quad
 
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import Scene
+from fracflow.scene.scene import Scene
+from fracflow.simulation.run import run
 
 pytestmark = pytest.mark.serial
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.begin.setup import prepare
-from fracflow.begin.start import rest
+from fracflow.advance.initial_state import rest
+from fracflow.advance.step import Stepping
 from fracflow.errors import InputError, SolveError
-from fracflow.run import run
-from fracflow.scene import load
-from fracflow.stepping import Steady
-from fracflow.steps.step import Stepping
+from fracflow.integrators import Steady
+from fracflow.model.setup import prepare
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 SCENE = "meshes/report_5_1/scene.toml"
 P = np.array([1, 2, 2.5, 2, 1, -0.5, -1.5])

@@ -12,8 +12,8 @@ from fracflow.elements.flow import conductivity
 from fracflow.laws.cubic_flow import MEANS, conductance
 from fracflow.output import read_history
 from fracflow.output.history import read_attributes
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 # Branches: from, to, aperture at each end, length. Heads 10 at node 0 and 0 at node 5, inflow 1/10 at node 1.
 NETWORK = [

@@ -10,8 +10,8 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.output import list_steps, read_history, read_step
 from fracflow.output.checkpoint import read_notes
-from fracflow.run import resume, run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
 
 MESHES = Path(__file__).parents[2] / "meshes"
 from physics.test_absorbing import STILL, STRESSED  # noqa: E402

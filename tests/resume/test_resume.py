@@ -17,8 +17,8 @@ import pytest
 
 from fracflow.errors import InputError
 from fracflow.output import list_steps, read_events, read_history, read_step
-from fracflow.run import resume, run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
 
 pytestmark = [pytest.mark.serial, pytest.mark.starts_ranks]
 ROOT = Path(__file__).parents[2]

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from resealed import resealed
 
-from fracflow.cli import main
+from fracflow.cli.main import main
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import COLUMNS, read_events
 from fracflow.output.export import export_csv
 from fracflow.output.folder import RunFolder, write_atomic
 from fracflow.output.history import HistoryFile, read_history
-from fracflow.scene import load
-from fracflow.scene_petsc import EXPECTED, SOLVERS, refusal
+from fracflow.scene.petsc import EXPECTED, SOLVERS, refusal
+from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
 ROOT = Path(__file__).parents[2]
@@ -142,7 +142,7 @@ def test_a_scene_gives_methods_and_tolerances():
 
 
 def test_the_options_that_a_scene_may_give_are_those_of_the_solvers_there_are():
-    from fracflow.coupling.defaults import MULTIGRID, OPTIONS
+    from fracflow.solve.options import MULTIGRID, OPTIONS
 
     assert set(SOLVERS) == set(OPTIONS)
     given = [
@@ -208,7 +208,7 @@ def ended(tmp_path_factory):
     """A run that has ended, with fields and a log."""
     home = tmp_path_factory.mktemp("ended")
     (home / "scene.toml").write_text(SCENE)
-    from fracflow.run import run
+    from fracflow.simulation.run import run
 
     run(load(home / "scene.toml"), home / "out")
     return home / "out"
@@ -329,7 +329,7 @@ def test_an_hdf5_file_holds_its_data_itself(make, read, tmp_path):
 
 def test_a_run_that_was_moved_before_its_first_checkpoint_goes_on(tmp_path):
     """Its folder alone is enough: the mesh is kept there."""
-    from fracflow.run import resume, run
+    from fracflow.simulation.run import resume, run
 
     home = tmp_path / "a" / "deep" / "home"
     home.mkdir(parents=True)
@@ -376,7 +376,7 @@ def test_names_in_pictures_are_no_formulas(tmp_path, monkeypatch):
     """Matplotlib would read them between dollars, and take a matplotlibrc of the working folder, which may call TeX."""
     matplotlib = pytest.importorskip("matplotlib")
     from fracflow.output.pictures import draw
-    from fracflow.run import run
+    from fracflow.simulation.run import run
 
     text = SCENE.replace('"probe"', r"'$\foo{$'").replace('"fault"', r"'$\frac{$'").replace(".fault]", r".'$\frac{$']")
     (tmp_path / "scene.toml").write_text(r"title = 'a $\foo$ b'" + "\n" + text)
@@ -503,7 +503,7 @@ def test_settings_are_read_in_bounded_time(setting, tmp_path):
     "unit", ["GPa", "1/GPa", "kg/m^3", "m^5/(N s)", "lbf s/ft^2", "Pa*s", "N/m**2", "m^-1", "m**0.5", "µm"]
 )
 def test_units_of_the_field_pass(unit):
-    from fracflow.units import _UNIT
+    from fracflow.scene.units import _UNIT
 
     assert _UNIT.fullmatch(unit)
 

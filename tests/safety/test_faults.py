@@ -16,20 +16,21 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fracflow import cli_runs, files_hdf
 from fracflow._petsc import MPI
-from fracflow.cli import main
+from fracflow.cli import run as cli_runs
+from fracflow.cli.main import main
 from fracflow.errors import DiskError, InputError
-from fracflow.files_hdf import Committed, redo_of, whole_file
-from fracflow.mesh import gmsh
+from fracflow.mesh.files import gmsh
 from fracflow.output import list_steps, read_events, read_history, read_step
 from fracflow.output.checkpoint import read_notes
 from fracflow.output.folder import RunFolder
 from fracflow.output.history import HistoryFile
 from fracflow.output.status import read_status
-from fracflow.record import recorder as recorder_of
-from fracflow.run import resume, run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation import recorder as recorder_of
+from fracflow.simulation.run import resume, run
+from fracflow.storage import hdf5 as files_hdf
+from fracflow.storage.hdf5 import Committed, redo_of, whole_file
 
 ROOT = Path(__file__).parents[2]
 SCENE = str(ROOT / "meshes/report_5_2/scene.toml")
@@ -360,9 +361,9 @@ def test_a_clock_that_is_set_back_changes_nothing(scene, whole, tmp_path, monkey
 
 PROGRAM = """
 import os, resource, sys
-from fracflow import cli
+from fracflow.cli import main as cli
 from fracflow._petsc import MPI
-from fracflow.record.watch import Watch
+from fracflow.simulation.signals import Watch
 agreed, steps = Watch.wish, 0
 def wish(self, *given, **named):
     global steps

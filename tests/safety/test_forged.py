@@ -16,14 +16,15 @@ from resealed import changed_notes, resealed
 from rich.console import Console
 from stopped_run import flat, flip, refused, spoken
 
-from fracflow import h5_reader, refinement
+from fracflow.cli.report import tell
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes
 from fracflow.output.history import HistoryFile, read_attributes, read_history
-from fracflow.output.rundata import load_run_data
-from fracflow.output.tell import tell
-from fracflow.scene import load
+from fracflow.output.reader import load_run_data
+from fracflow.scene.scene import load
+from fracflow.simulation import refinement
+from fracflow.storage import reader as h5_reader
 
 pytestmark = pytest.mark.serial
 ROOT = Path(__file__).parents[2]

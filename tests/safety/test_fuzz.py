@@ -14,10 +14,10 @@ from _fuzz_cases import COMMAND, FRESH, GMSH, PROCESS, SHARES, kind_and_way
 from _fuzz_judge import Box, inside, of_command
 
 from fracflow.errors import LONGEST, InputError
-from fracflow.files import read_bytes
-from fracflow.mesh.geo_check import check_geo
+from fracflow.mesh.files.geo_check import check_geo
 from fracflow.mesh.read import read_mesh
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.storage.files import read_bytes
 
 pytestmark = pytest.mark.serial
 BENCHES = Path(__file__).parents[2] / "scripts" / "benches"

@@ -16,14 +16,15 @@ from resealed import changed_notes, resealed
 from stopped_run import flat, flip, refused, spoken
 
 import fracflow
-from fracflow import files_hdf, h5_reader
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes
 from fracflow.output.fields import read_step
 from fracflow.output.history import HistoryFile, read_attributes, read_history
-from fracflow.run import resume
-from fracflow.sealed import PIECE, SEAL, layout_of, pieces, root_of
+from fracflow.simulation.run import resume
+from fracflow.storage import hdf5 as files_hdf
+from fracflow.storage import reader as h5_reader
+from fracflow.storage.sealed import PIECE, SEAL, layout_of, pieces, root_of
 
 pytestmark = pytest.mark.serial
 ROOT = Path(__file__).parents[2]

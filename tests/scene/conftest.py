@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from fracflow.scene import Scene, load
+from fracflow.scene.scene import Scene, load
 
 SCENE = """
 [mesh]

@@ -4,7 +4,7 @@ import re
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.scene import load
+from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
 

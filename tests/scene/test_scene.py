@@ -8,11 +8,11 @@ import tomllib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fracflow.scene import Scene, load
-from fracflow.scene_advice import advice
-from fracflow.scene_schema import rows
-from fracflow.scene_toml import write_float, write_value
-from fracflow.tables import FractureEnd, TimeTable
+from fracflow.scene.advice import advice
+from fracflow.scene.scene import Scene, load
+from fracflow.scene.schema import rows
+from fracflow.scene.toml import write_float, write_value
+from fracflow.scene.values import FractureEnd, TimeTable
 
 pytestmark = pytest.mark.serial
 

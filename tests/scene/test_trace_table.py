@@ -7,8 +7,8 @@ import math
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.scene import load
-from fracflow.scene_traces import read_traces_csv
+from fracflow.scene.geometry import read_traces_csv
+from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
 

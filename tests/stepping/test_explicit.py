@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.stepping.explicit import critical_step, joint_share, parts, predicted, velocity_after
+from fracflow.integrators.explicit import critical_step, joint_share, parts, predicted, velocity_after
 
 pytestmark = pytest.mark.serial
 

@@ -2,9 +2,9 @@
 
 import pytest
 
+from fracflow.advance.substeps import Attempted, Place, Rules, in_parts
 from fracflow.errors import NotConverged
-from fracflow.state import StepReport
-from fracflow.steps.parts import Attempted, Place, Rules, in_parts
+from fracflow.model.state import StepReport
 
 pytestmark = pytest.mark.serial
 

@@ -5,8 +5,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.output import read_history
-from fracflow.run import run
-from fracflow.scene import load
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
 
 QUIET = "fracture.default.law=linear"  # u'' + u = P
 END = 12.0

@@ -10,7 +10,7 @@ import pytest
 from figures_verification.cases.r12 import chung_hulbert, euler, hht, newmark
 
 from fracflow.errors import InputError
-from fracflow.stepping import (
+from fracflow.integrators import (
     HHT,
     STEPPERS,
     Alphas,
@@ -234,7 +234,7 @@ def test_flags_and_coefficients():
 
 def test_parameters_are_keys_of_the_scene():
     """Every parameter of a rule is a key of [method] with the same default."""
-    from fracflow.scene_tables import Method
+    from fracflow.scene.method import Method
 
     keys = keys_of(STEPPERS)
     assert {"newmark_beta", "newmark_gamma", "hht_alpha", "rho_infinity"} <= set(keys)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from fracflow.advance.error_control import Judge
+from fracflow.advance.vibration import WATCHED, Vibration, swing_of
 from fracflow.errors import SolveError
-from fracflow.steps.accuracy import Judge
-from fracflow.steps.vibration import WATCHED, Vibration, swing_of
 
 pytestmark = pytest.mark.serial
 

@@ -1,0 +1,309 @@
+"""The stage auto: large steps without inertia, wave steps while something moves, and back, any number of times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from fracflow.advance.error_control import step_error
+from fracflow.advance.events import take_part
+from fracflow.advance.excitation import shaken
+from fracflow.advance.instability import patch_at_limit
+from fracflow.advance.prescribed import prescribed
+from fracflow.advance.regime import (
+    LONG,
+    RADIATED,
+    SETTLED,
+    Course,
+    Slipped,
+    Tried,
+    begin,
+    may_rest,
+    slipped,
+    weak_waves,
+)
+from fracflow.advance.step import Progress, Step, Stepping, stepper_of
+from fracflow.advance.substeps import CALM, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.elements import joint
+from fracflow.errors import NotConverged, PutBack
+from fracflow.integrators import Explicit
+from fracflow.model.setup import on_root
+from fracflow.model.state import State, StepReport
+from fracflow.reduction.apply import why_inertia
+from fracflow.reduction.inertia import key_of, next_kink, slow_stages
+from fracflow.reduction.mesh_size import coarse_of_slip, of_fractures
+from fracflow.solve.failure import fractures_of, places_of
+from fracflow.solve.newton import BRIEF
+from fracflow.solve.period import longest_period
+
+NEAR = 1e-9  # of a step: times so near are one
+ROUND_OFF = 1e-14  # of a time
+SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
+TOLD = 4  # trials rejected on the way to one step: the log tells of so many
+REST, WAVES = "quasi-static", "dynamic"
+Log = Callable[[str], None]
+
+
+def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
+    """All steps of a stage auto, or those after the one with ``progress``. The caller owns the states. Collective.
+
+    With "moving" in it a stage before has left ``state`` in motion, and ``progress`` is that stage's.
+
+    A change of regime is a step of no length: where inertia comes in, the state is in balance but for what no state at rest
+    balances, which alone starts the motion; where it goes, kinetic energy is dropped, and booked.
+    """
+    model, stage = stepping.model, stepping.model.scene.stage[number]
+    goes_on = bool(progress) and "moving" not in progress
+    course, place = (Course.of(progress), Place.of(progress)) if goes_on else (begin(model, state, stage), Place())
+    regimes = _Regimes(stepping, number, log, course.least, course.period)
+    method = model.scene.method
+    damps = method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
+    if not goes_on:
+        log(
+            f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
+            f" without at most {stage.time_step:.6g}"
+        )
+    if "moving" in progress:
+        weak, known = weak_waves(model, state, course.period), progress.get("moves", 0.0) > 0.0
+        if known or state.energy["kinetic"] > weak:
+            log(f"time {state.time:.9g}: begins in motion")
+            course = course.onset(state, course.period, weak)
+            course = (
+                replace(course, **{name: progress[name] for name in ("creep", "peak", "loud")}) if known else course
+            )
+        else:
+            state = stepping.enter(state, regimes.still)
+            yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
+    assert stage.end is not None
+    while stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
+        if not course.moves:
+            found, report, course = regimes.slow_step(state, course)
+            if found is None:
+                entered = stepping.enter(state, regimes.waves, course.least)
+                period = longest_period(model.operators, model.loads, state.sections)
+                course = course.onset(entered, period, weak_waves(model, state, period))
+                yield Step(entered, number, 0.0, report, course.as_progress(), WAVES)
+                state = entered
+                continue
+            dt, state = found.time - state.time, found
+            yield Step(state, number, dt, report, course.as_progress(), REST)
+            continue
+        if not place.fraction and course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
+            settled, course = regimes.rest(state, course)
+            if settled is not None:
+                state, place = settled, Place()
+                yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
+                continue
+        for part, dt in regimes.wave_step(state, course, place):
+            before = state.time
+            state, place = part.state, part.place.next_step() if part.is_last else part.place
+            course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
+            if told := course.restless(before, state.time, bool(model.scene.absorbing), damps):
+                log(f"time {state.time:.9g}: {told}")
+            yield Step(state, number, dt, regimes.counted(part.report), course.as_progress(place), WAVES)
+
+
+def in_words(spent: StepReport) -> str:
+    """How many trials were thrown away, and at what cost, in words."""
+    return f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
+
+
+class _Regimes:
+    """Steps of both regimes of one stage."""
+
+    def __init__(self, stepping: Stepping, number: int, log: Log, least: float, period: float) -> None:
+        scene = stepping.model.scene
+        self.stepping, self.model, self.log, self.scene, self.stage = (
+            stepping,
+            stepping.model,
+            log,
+            scene,
+            scene.stage[number],
+        )
+        share = scene.accuracy.tolerance or SEEN
+        self.prescribed = prescribed(scene, inertia=False, splits=True, share=share)
+        self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
+        stepping.explicit.tell(self.waves, least)
+        locates = stepping.explicit.locates(self.waves, least) and scene.method.events != "at-step-ends"
+        if not isinstance(self.waves, Explicit):
+            stepping.couplings.expect(self.waves, least)
+        facts = self.model.facts
+        self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
+        self.decision = key_of(number, self.stage)
+        self.period = period
+        self.vain = StepReport()
+        self.coarse: dict[str, tuple[str, ...]] | None = None
+        self.shaken = () if self.most is not None else shaken(scene, period)
+        shakes = {span.start for span in self.shaken}
+        self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
+        self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
+
+    def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
+        """The longest step without inertia that may be taken; no state where none may be. Collective."""
+        assert self.stage.time_step is not None and self.stage.end is not None
+        if why := self.is_shaken(state.time):
+            self.log(f"time {state.time:.9g}: an event begins: {why}")
+            return None, StepReport(), course
+        spent = StepReport()
+        while True:
+            time, jumps = self._target(state.time, course.step)
+            dt = time - state.time
+            ends = jumps or time >= self.stage.end
+            ahead = 0.0 if ends else self._target(time, course.step)[0] - time
+            tried = self._attempt(state, time, ahead=ahead)
+            if not tried.why:
+                break
+            spent = spent.with_rejected(tried.newton)
+            self.stepping.tell_trial(state.time, dt, tried.why)
+            if min(dt, course.step) <= course.least * (1.0 + NEAR):
+                done = f"an event begins, after {course.trials + spent.rejected:.0f} trials rejected"
+                self.log(f"time {state.time:.9g}: {done}: {tried.why}{self._coarse(state)}")
+                if patch := patch_at_limit(self.model, state):
+                    self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
+                return None, spent, course
+            course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
+        if spent.rejected >= TOLD:
+            self.log(f"time {state.time:.9g}: {in_words(spent)}; the step of {dt:.3g} is taken")
+        course = replace(course, calm=course.calm + 1.0, trials=course.trials + spent.rejected)
+        if course.calm > CALM and tried.may_double:
+            course = replace(course, step=min(2.0 * course.step, max(self.stage.time_step, course.least)), calm=0.0)
+        if jumps:
+            after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
+            course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
+        return tried.state, tried.report.after_trials(spent), course
+
+    def _where(self, slip: Slipped) -> str:
+        """Fracture and place of the section that slips the most, so far as anyone resists it. Collective."""
+        natural = joint.RULES[self.scene.method.quadrature][0]
+        return places_of(self.model.operators.blocks, slip.worst, natural)
+
+    def _coarse(self, state: State) -> str:
+        """Which fractures slide whose lengths of slip the mesh does not resolve, in words; empty if none. Collective."""
+        if self.coarse is None:
+            model, comm = self.model, self.model.operators.layout.comm
+            found = on_root(
+                comm,
+                lambda: coarse_of_slip(model.scene, model.mesh, model.placed.wells) if model.mesh is not None else {},
+            )
+            self.coarse = comm.bcast(found, root=0)
+        slides = fractures_of(self.model.operators.blocks, state.sections.is_sliding).split(", ")
+        said = [
+            f"{what} in {of_fractures(here)}"
+            for what, names in self.coarse.items()
+            if (here := [name for name in names if name in slides])
+        ]
+        return f"; of what slides the mesh does not resolve {', '.join(said)}" if said else ""
+
+    def counted(self, report: StepReport) -> StepReport:
+        """The report of a step that is recorded, with the trials at rest that were thrown away since the one before."""
+        vain, self.vain = self.vain, StepReport()
+        return report.after_trials(vain)
+
+    def is_shaken(self, time: float) -> str:
+        """What shakes the rock from a time on, or has not ended; empty if nothing."""
+        assert self.stage.time_step is not None
+        slack = max(3.0 * NEAR * self.stage.time_step, 3e-11 * abs(time))  # steps end just before a jump
+        now = (
+            span.why for span in self.shaken if span.start <= time + slack and time < max(span.end, span.start + slack)
+        )
+        return next(now, "")
+
+    def _must_not_matter(self, old: State, new: State) -> None:
+        """Raise PutBack, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
+        if self.most is None:
+            return
+        assert self.stage.end is not None
+        left = next_kink(self.scene, new.time, self.stage.end) - new.time
+        if why := why_inertia(old, new, self.period, left, self.most):
+            new.destroy()
+            raise PutBack(self.decision, old.time, why)
+
+    def _target(self, time: float, step: float) -> tuple[float, bool]:
+        """Where a step ends: just before the next jump of what is prescribed; and whether it is there.
+
+        Or else at the next corner of its table, which may be the peak of a pulse, or with the stage.
+        """
+        assert self.stage.end is not None and self.stage.time_step is not None
+        least = NEAR * self.stage.time_step
+        ends = [(self.stage.end, False)] if time + step > self.stage.end - NEAR * step else [(time + step, False)]
+        for jump in self.scene.jump_times:
+            slack = max(least, 1e-11 * abs(jump))  # tables are sampled from the left there
+            if time < jump - 2.0 * slack and ends[0][0] > jump - 2.0 * slack:
+                ends.append((jump - slack, True))
+        ends += [(bend, False) for bend in self.corners if time + least < bend < ends[0][0] - least]
+        end, jumps = min(ends)
+        while not self.prescribed.is_straight(time, end):
+            end, jumps = 0.5 * (time + end), False
+        return end, jumps
+
+    def _attempt(
+        self,
+        state: State,
+        time: float,
+        radiated: float = RADIATED,
+        iterations: int = BRIEF,
+        ahead: float | None = None,
+    ) -> Tried:
+        """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective.
+
+        iterations  as ``most`` in ``Stepping.step``
+        ahead       length of the step after it, as it is foreseen
+        """
+        dt, allowed = time - state.time, self.scene.accuracy.step_error
+        try:
+            new, report = self.stepping.step(
+                state, self.still, time, dt, state.controls, ahead=ahead, brief=True, most=iterations
+            )
+        except NotConverged as failure:
+            if self.most is not None:
+                raise PutBack(self.decision, state.time, "there is no step without it") from failure
+            return Tried(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton)
+        self._must_not_matter(state, new)
+        slip = slipped(self.model, state, new, dt)
+        why = slip.why_not(radiated)
+        if not why and allowed is not None and state.motion.velocity.norm() > 0.0:
+            error = step_error(self.model.operators, self.still, dt, state, new)
+            why = f"an error of {error:.3g}" if error > allowed else ""
+        elif why:
+            why += f", most in {self._where(slip)}"
+        if not why:
+            return Tried("", report.newton, new, report, slip.may_double)
+        new.destroy()
+        return Tried(why, report.newton)
+
+    def wave_step(self, state: State, course: Course, place: Place) -> Iterator[tuple]:
+        """The parts of a step with inertia, from a place in it, and their lengths. Collective."""
+        assert self.stage.end is not None
+        start = course.begun + course.count * course.least
+        whole = min(course.least, self.stage.end - start)
+
+        def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
+            length = (end - begin) * whole
+
+            def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
+                time, ahead = start + to * whole, whole * (1.0 - to if to < 1.0 else 1.0)
+                return self.stepping.step(old, self.waves, time, share * length, old.controls, hold=hold, ahead=ahead)
+
+            return take_part(self.stepping, state, reach, begin, end, length, may_stop)
+
+        for part in in_parts(attempt, state, self.rules, self.log, place):
+            yield part, whole * (part.end - part.start)
+
+    def rest(self, state: State, course: Course) -> tuple[State | None, Course]:
+        """The state as it is taken over without inertia, if a step without it keeps what slips as it is. Collective."""
+        if not may_rest(self.model, state):
+            return None, course
+        entered, still, lasted = self.stepping.enter(state, self.still), course.at_rest(), state.time - course.begun
+        # of what has come to rest long ago Newton's method may find no balance for the length of the step alone
+        for length in (still.step, course.least) if lasted > LONG * course.period else (still.step,):
+            time = self._target(entered.time, length)[0]
+            tried = self._attempt(entered, time, SETTLED * RADIATED, self.scene.accuracy.max_iterations)
+            if tried.state is not None:
+                tried.state.destroy()
+                self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
+                return entered, replace(still, step=length)
+            why, self.vain = tried.why, self.vain.with_rejected(tried.newton)
+            self.stepping.tell_trial(state.time, time - state.time, why)
+        entered.destroy()
+        self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {why}")
+        return None, replace(course, loud=state.time)

@@ -1,0 +1,93 @@
+"""The couplings that solve the steps of a run, kept for the loads they were made with; and which steps they condense."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from fracflow.integrators import Stepper
+from fracflow.model.loads import Loads
+from fracflow.model.setup import Model
+from fracflow.solve import COUPLINGS, Coupling
+from fracflow.solve.condensed_plan import condensing, is_chosen, key_of, planned
+from fracflow.solve.options import is_large, is_meant
+
+MOST_KEPT = (
+    4  # solvers for different sets of loads, with their factors: wells go from one limit to the next and seldom back
+)
+
+
+class Couplings:
+    """Makes the coupling of each set of loads when a step first needs it."""
+
+    def __init__(self, model: Model, log: Callable[[str], None]) -> None:
+        """Plan which steps are condensed; where any are, the first coupling that is made tells the log. Collective."""
+        self.model, self.log, self._told = model, log, False
+        operators = model.operators
+        self._unknowns = int(operators.layout.solid_starts[-1])
+        self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
+        self._damps = operators.damping is not None
+        ranks = operators.layout.comm.size
+        self._planned = condensing(model.scene, self._unknowns, self._jumps, ranks, self._damps)
+        self._kept: dict[Loads, Coupling] = {}  # the one used last comes last
+
+    def expect(self, stepper: Stepper, dt: float) -> None:
+        """Prepare for steps by a rule of inertia of which nobody knows how many events will take. Collective."""
+        key = key_of(stepper.alphas(dt), self._damps)
+        self._planned = replace(self._planned, steps={**self._planned.steps, key: math.inf})
+        for coupling in self._kept.values():
+            coupling.expect(self._planned)
+
+    def of(self, loads: Loads) -> Coupling:
+        """The coupling for a set of loads. Collective."""
+        coupling = self._kept.pop(loads, None)
+        if coupling is None:
+            if len(self._kept) == MOST_KEPT:
+                self._kept.pop(next(iter(self._kept))).destroy()
+            name = self._way()
+            coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
+            coupling.expect(self._planned)
+            if name == "condensed" and not self._told:
+                self.log(self._as_line())
+                self._told = True
+        self._kept[loads] = coupling
+        return coupling
+
+    def forget_closures(self) -> None:
+        """Free solvers for parts of the network that are no more. Collective."""
+        for loads in [each for each in self._kept if each.closures]:
+            self._kept.pop(loads).destroy()
+
+    def _way(self) -> str:
+        """Name of the coupling: the scene's, or the one that takes less time."""
+        scene, name, unknowns = self.model.scene, self.model.scene.method.coupling, self._unknowns
+        if is_chosen(scene, unknowns, self._planned):
+            return "condensed"
+        if self.model.operators.flow is None and name != "condensed":
+            return "monolithic"
+        return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
+
+    def _as_line(self) -> str:
+        """Which stages are condensed, from what to what, and from how many steps on that pays."""
+        scene, plan = self.model.scene, self._planned
+        is_asked = scene.method.coupling == "condensed"
+        stages = [
+            stage.title + (f" ({count:.0f} steps)" if count < math.inf else "")
+            for stage, alphas, count in planned(scene)
+            if is_asked or plan.is_worth(key_of(alphas, self._damps))
+        ]
+        pays = (
+            f"pays from {plan.pays:.0f} steps of one length on"
+            if plan.pays < math.inf
+            else "never pays, but is asked for"
+        )
+        return (
+            f"rock condensed to its joints, {self._unknowns} displacements to {self._jumps} jumps, which {pays}:"
+            f" stage {', '.join(stages) or 'none'}"
+        )
+
+    def destroy(self) -> None:
+        """Free the solvers. Collective."""
+        for coupling in self._kept.values():
+            coupling.destroy()

@@ -1,0 +1,181 @@
+"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status, a pump its pace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.advance.network import Network
+from fracflow.integrators import Alphas, Stepper
+from fracflow.mesh.data import Bools
+from fracflow.model.energy import book, compressed, dissipated, jumped, pushed, switch
+from fracflow.model.energy_motion import Scheme, kinetic_energy
+from fracflow.model.loads import Loads
+from fracflow.model.setup import Model
+from fracflow.model.state import Memory, Motion, Past, State
+from fracflow.scene.time_table import Around
+from fracflow.solve.absorption import carried_on
+from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
+from fracflow.solve.problem import StepProblem
+
+KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off
+
+
+def enter(model: Model, network: Network, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
+    """A new state, as a stage takes it over. Collective.
+
+    With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
+    Pressures of a compressible fluid stay as they are, and the balance gives what it takes up; those prescribed jump, and
+    go on at their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is prescribed
+    arrives during the first step.
+    """
+    ops, old = model.operators, state.motion
+    motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
+    if not stepper.inertia:
+        motion.velocity.set(0.0)
+    energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
+    if not stepper.inertia:
+        pressure, forces = state.pressure.copy(), state.forces.copy()
+        if forces.anchor is not None:
+            forces.anchor.destroy()
+            forces = replace(forces, anchor=None)
+        kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
+        return replace(kept, memory=Memory(), uptake=None)
+    for moved in model.loads.supports if dt > 0.0 else ():
+        motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
+    energy = pushed(energy, kinetic_energy(ops, motion.velocity))
+    was, around = state.sections, (0.0, dt)
+    begun = replace(state, motion=motion, uptake=None, energy=energy, around=around)
+    start = _first_instant(model, network, loads, begun, was.past, dt)
+    # nothing moved in an instant: no section came nearer to a choice
+    sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record, margin=was.margin)
+    start = replace(start, sections=sections)
+    if start.uptake is None:
+        return start
+    return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
+
+
+def change(model: Model, network: Network, loads: Loads, state: State, leaving: Bools) -> State:
+    """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective.
+
+    Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
+    """
+    ops = model.operators
+    branch = ops.joints.flip(state.sections.strain, state.sections.past, leaving)
+    old = state.motion
+    motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
+    new = _first_instant(model, network, loads, replace(state, motion=motion), branch)
+    # they stand at their threshold because they were brought there, not by chance
+    settled = replace(new.sections, margin=np.where(leaving, np.inf, state.sections.margin))
+    new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
+    new = replace(new, friction=dissipated(state, new))
+    return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
+
+
+def keep_pace(
+    model: Model,
+    network: Network,
+    loads: Loads,
+    state: State,
+    step: tuple[float, float],
+    controls: Mapping[str, float],
+    around: Around,
+) -> State | None:
+    """The state as the walls of parts that nothing drains take up what wells pump in a ``step`` (end, length). Collective.
+
+    The sum of (3.20) over such a part, w v = sum Q, has a rate, w a = sum Q', that jumps where Q bends; the level of its
+    pressures jumps with it. A rule that looks back on a would swing about both for ever, as nothing else settles them.
+    Motions are as they were; None where all have the pace of the step.
+    """
+    ops, dt = model.operators, step[1]
+    parts = network.enclosed(loads, state, 0.0)
+    if not parts:
+        return None
+    with ExitStack() as done:
+        source, speed = ops.layout.flow_vector(), state.motion.velocity.copy()
+        for thing in (source, speed, *(part.walls for part in parts)):
+            done.callback(thing.destroy)
+        loads.source(step[0], controls, source, around)
+        for moved in loads.supports:
+            speed.getArray()[moved.numbers] = moved.speed(step[0], around)
+        here = np.zeros((len(parts), 3))
+        for row, part in zip(here, parts, strict=True):
+            pumped, taken = source.getArray()[part.nodes], part.walls.getArray() * speed.getArray()
+            before = part.walls.getArray() * state.motion.acceleration.getArray(readonly=True)
+            before[loads.held] = 0.0
+            row[:] = pumped.sum() - taken.sum(), before.sum(), np.abs(pumped).sum() + np.abs(taken).sum()
+        change, paces, sizes = ops.layout.comm.allreduce(here, op=MPI.SUM).T
+        lacks = change / dt - paces
+        if np.all(np.abs(lacks) * dt <= KEEPS_PACE * sizes):
+            return None
+        added, moves = levels(ops, loads, parts, lacks)
+        done.callback(moves.destroy)
+        pressure, push, reaction = state.pressure.copy(), speed, moves.duplicate()
+        done.callback(reaction.destroy)
+        level = ops.layout.flow_vector()
+        done.callback(level.destroy)
+        for part, more in zip(parts, added, strict=True):
+            level.getArray()[part.nodes] += more
+        pressure.axpy(1.0, level)
+        acceleration = state.motion.acceleration.copy()
+        acceleration.axpy(1.0, moves)
+        motion = Motion(state.motion.displacement.copy(), state.motion.velocity.copy(), acceleration)
+        assert ops.flow is not None
+        ops.flow.push.mult(level, push)
+        ops.mass.mult(moves, reaction)
+        forces, held = state.forces.copy(), loads.held
+        forces.support.getArray()[held] += reaction.getArray()[held] - push.getArray()[held]
+    uptake = None if state.uptake is None else state.uptake.copy()
+    return replace(state, motion=motion, pressure=pressure, forces=forces, uptake=uptake, memory=Memory())
+
+
+def _first_instant(
+    model: Model, network: Network, loads: Loads, begun: State, branch: Past, dt: float | None = None
+) -> State:
+    """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
+
+    ``begun`` owns its motion, which the new state takes over; it is freed where there is none. With ``dt``, a compressible
+    fluid gets its first rates.
+    """
+    ops, motion = model.operators, begun.motion
+    with ExitStack() as done, ExitStack() as failed:
+        failed.callback(motion.destroy)
+        closed = loads
+        if ops.flow is not None:
+            network.look_at(begun)
+            closed = network.level(loads, begun)
+        now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
+        known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
+        if anchor is not None and anchor is not known:
+            done.callback(anchor.destroy)
+        begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
+        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
+        done.callback(problem.destroy)
+        problem.branch = branch
+        problem.evaluate()
+        compressible = ops.flow is not None and ops.flow.compressibility > 0.0
+        if compressible and dt is not None:
+            rate = starting_rate(ops, problem, dt)
+            failed.callback(rate.destroy)
+            problem.state = replace(begun, uptake=rate)
+            problem.evaluate()
+        elif not compressible and problem.residual.flow > model.scene.accuracy.residual:
+            starting_pressure(model.scene, ops, closed, problem)
+            problem.evaluate()
+        initial_acceleration(ops, problem, motion.acceleration)
+        parts = network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
+        for part in parts:
+            done.callback(part.walls.destroy)
+        for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
+            problem.pressure.getArray()[part.nodes] += level
+        if parts:
+            problem.evaluate()
+            initial_acceleration(ops, problem, motion.acceleration)
+        forces = problem.forces(motion)
+        failed.pop_all()
+        start = replace(begun, pressure=problem.pressure.copy(), sections=problem.sections, forces=forces)
+    return replace(start, memory=Memory(), uptake=rate)

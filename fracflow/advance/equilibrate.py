@@ -1,0 +1,73 @@
+"""The stage that finds equilibrium: fractures past their strength slip, what nothing holds gives way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.advance.initial_state import imbalance
+from fracflow.advance.step import DONE, Progress, Step, Stepping
+from fracflow.advance.substeps import Attempted, Rules, in_parts, most_halvings
+from fracflow.integrators import Steady
+from fracflow.model.loads import Loads, Prescribed
+from fracflow.model.properties import initial_pressure
+from fracflow.model.setup import Model
+from fracflow.model.state import State
+from fracflow.scene.time_table import AT_ONCE
+
+
+def equilibrate(
+    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
+) -> Iterator[Step]:
+    """Let go of the initial state in equal increments, the fluid kept at its initial pressure. Collective.
+
+    The force that held the state out of balance is taken away; what it does meanwhile is booked as work of boundaries.
+    Raises SolveError where no equilibrium is found. The caller owns the states.
+    """
+    if "done" in progress:
+        return
+    model = stepping.model
+    stage = model.scene.stage[number]
+    loads, count = _resting_fluid(model), stage.steps or 1
+    held_back = imbalance(model, state.motion.displacement, state.sections.traction, state.pressure)
+    model.loads.standing().release(held_back)
+
+    def attempt(state: State, begin: float, end: float, _: bool) -> Attempted:
+        held_back.copy(restraint)
+        restraint.scale(1.0 - (n - 1 + end) / count)
+        new, report = stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
+        return Attempted(new, report, end)
+
+    restraint = held_back.duplicate()
+    try:
+        for n in range(1, count + 1):
+            for part in in_parts(attempt, state, Rules(most_halvings(model.scene)), log):
+                state = part.state
+                yield Step(state, number, 0.0, part.report, DONE if n == count and part.is_last else None)
+    finally:
+        held_back.destroy()
+        restraint.destroy()
+    log(f"equilibrium: {_summary(model, state)}")
+
+
+def _resting_fluid(model: Model) -> Loads:
+    """The scene's loads with every pressure kept at its initial value."""
+    ops, loads = model.operators, model.loads
+    if ops.flow is None:
+        return loads
+    points = ops.blocks.flow.points
+    initial = initial_pressure(model.scene, points)
+    kept = Prescribed(np.arange(len(points)), lambda time, around=AT_ONCE: initial)
+    everywhere = ops.layout.flow_numbers(np.arange(ops.layout.flow_starts[-1]))
+    return replace(loads, pressures=(kept,), fixed_flow=everywhere, limits=())
+
+
+def _summary(model: Model, state: State) -> str:
+    comm, sections = model.operators.layout.comm, state.sections
+    slid = comm.allreduce(int(np.any(sections.inelastic != 0.0, axis=1).sum()))
+    opened = comm.allreduce(int(sections.is_open.sum()))
+    farthest = state.motion.displacement.norm(PETSc.NormType.INFINITY)
+    return f"{slid} sections slid, {opened} are open, largest displacement {farthest:.3g}"

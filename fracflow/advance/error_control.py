@@ -1,0 +1,271 @@
+"""How accurate a step is, estimated from its two ends, and what the scene asks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.advance.prescribed import AT_A_TIME, bends_of, latest
+from fracflow.advance.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
+from fracflow.errors import SolveError
+from fracflow.integrators import Rates, Stepper, storage_error
+from fracflow.mesh.data import Floats
+from fracflow.model.compressibility import compression_of
+from fracflow.model.operators import Operators
+from fracflow.model.setup import Model
+from fracflow.model.state import State
+from fracflow.scene.boundary import Stage
+
+FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
+LATE = 2.0  # as much less a film may be wrong, over what is allowed at the end of a stage, than as it begins
+LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
+
+
+def step_error(
+    operators: Operators, stepper: Stepper, dt: float, old: State, new: State, largest: float = 0.0
+) -> float:
+    """Largest local error of a node's displacement over a step, relative to the largest displacement.
+
+    dt       length of the step, or of the equal parts that it is taken in, whose errors add up [time]
+    largest  that of earlier states [length]; by default the end of the step is all there is
+    Both are lengths of vectors at nodes, those of rigid bodies too: they know neither axes nor units. Collective.
+    """
+    wrong = new.motion.displacement.duplicate()
+    wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
+    error = _longest(operators, wrong)
+    wrong.destroy()
+    moved = max(largest, largest_displacement(operators, new))
+    return error / max(moved, LEAST * operators.scales.length)
+
+
+def largest_displacement(operators: Operators, state: State) -> float:
+    """How far the node has moved that has moved the most [length]. Collective."""
+    return _longest(operators, state.motion.displacement)
+
+
+def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
+    """Length of the longest of the nodes' vectors u = E q."""
+    nodal = operators.nodal(unknowns)
+    values: Floats = nodal.getArray(readonly=True).reshape(-1, operators.blocks.sizes.dim)
+    here = float(np.linalg.norm(values, axis=1).max(initial=0.0))
+    nodal.destroy()
+    return operators.layout.comm.allreduce(here, op=MPI.MAX)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """End of a part, its size and error as ``Judge`` measures them, and what it follows where it is very short."""
+
+    time: float
+    size: float
+    error: float
+    follows: Vibration
+
+
+class Judge:
+    """Whether the parts of a stage's steps are as accurate as asked, and relative to how much.
+
+    With ``accuracy.step_error`` the error that a part adds is held to that. With ``accuracy.tolerance`` it is held to a
+    share of it: with inertia dt/(length of the stage), for what is wrong stays wrong, and errors add up; without, where
+    only what the fractures store remembers, dt/(time since the stage began), for a film drains, and forgets the earlier
+    errors as it goes on, and down to a third of that towards the end of the stage, as errors made there stay; where
+    something prescribed jumps or bends in it, from there on anew. Neither: nothing is judged.
+
+    A part's own end, and what was refused, show how far the motion will go; but that is believed only until what is
+    accepted has come as far, for a long part may end on the peak of a load that is over at once.
+    """
+
+    def __init__(
+        self, model: Model, stage: Stage, stepper: Stepper, start: float, progress: Mapping[str, float]
+    ) -> None:
+        """For a stage from ``start`` [time]; ``progress`` is what ``as_progress`` gave."""
+        self.operators, self.loads, self.stepper, self.start = model.operators, model.loads, stepper, start
+        asked = model.scene.accuracy
+        self.by_step, self.tolerance = asked.step_error, asked.tolerance
+        by_sum = self.by_step is None and self.tolerance is not None
+        self.of_film = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
+        # where a film begins anew, for what was before says nothing of what follows
+        self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_film and self.tolerance else {}
+        self.length = None if stage.step_count(start) is None else stage.finish(start) - start
+        self.largest = progress.get("farthest", 0.0)
+        self.last = progress.get("last", 0.0)  # length of the last part [time]
+        self.guess = progress.get("guess", 0.0)  # as ``largest``, of parts that were refused, before the time ``until``
+        self.until = progress.get("until", start)
+        self.error_now = progress.get("error_now", 0.0)  # of all parts so far, and the largest yet: as ``largest``
+        self.error_most = progress.get("error_most", 0.0)
+        self.tried: _Tried | None = None
+        self.follows = Vibration.of(progress)
+        # without inertia and fluid, time has no part in what a step ends with
+        judges = self.by_step is not None or self.of_film or (by_sum and stepper.inertia)
+        self.order = stepper.order if judges else 0
+        self.finest = FINEST if judges and by_sum else 0
+
+    @property
+    def told(self) -> str:
+        """By what, and of what, for the log."""
+        of = "volume stored in fractures" if self.of_film else "displacements"
+        return f"accuracy.tolerance = {self.tolerance:g} of {of}"
+
+    @property
+    def last_words(self) -> str:
+        """What was reached, for the log."""
+        assert self.tolerance is not None
+        reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
+        of = "volume stored in fractures" if self.of_film else "displacement"
+        missed = (
+            ""
+            if reached <= self.tolerance
+            else (", more than asked: parts were judged against a motion that did not come, or could not be shorter")
+        )
+        return (
+            f"time steps made an error of {reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
+            f" {self.tolerance:g}{missed}; that of the mesh is not in it (--converge)"
+        )
+
+    def error(self, dt: float, part: float, old: State, new: State) -> float:
+        """Error of a step over what is allowed; ``part`` is the length of the equal parts of ``dt``. Collective."""
+        if self.order == 0:
+            return 0.0
+        if self.by_step is not None:
+            return step_error(self.operators, self.stepper, part, old, new, self.largest) / self.by_step
+        assert self.tolerance is not None
+        self._refuse()
+        size = self._size(new)
+        largest = max(self.largest, self.guess, size)
+        if self.of_film:
+            error, span = self._film_error(dt, old, new), self._span(old.time, new.time)
+        else:
+            error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
+            span = new.time - self.start if self.length is None else self.length
+        self.tried = _Tried(new.time, size, error, self._followed(dt, part, old, new))
+        allowed = self.tolerance * largest * min(1.0, dt / span)
+        return error / max(allowed, float(np.finfo(float).tiny))
+
+    def _span(self, begin: float, end: float) -> float:
+        """Time over which a film's part gets its share of what is allowed; anew from each bend, by its size."""
+        since, bend = end - self.start, latest(self.bends, begin)
+        anew = since if bend is None or bend < self.start else (end - bend) / self.bends[bend]
+        return min(since, anew) * (1.0 + LATE * since / (self.length or np.inf))
+
+    def _left(self, time: float, dt: float) -> float:
+        """Parts of such a length that are left of the stage; 0 where the number is not known."""
+        return 0.0 if self.length is None else (self.start + self.length - time) / dt
+
+    def _followed(self, dt: float, part: float, old: State, new: State) -> Vibration:
+        """The motion that a part is short for, where very many are left. Collective."""
+        if not self._left(new.time, dt) > MOST_PARTS:
+            return Vibration()
+        return (
+            vibration(self.operators, self.stepper, dt, old, new) if part == dt and not self.of_film else Vibration(1)
+        )
+
+    def outlook(self, time: float) -> str:
+        """A line on how much is left of a stage whose parts have long been very short; "" elsewhere.
+
+        Raises SolveError, on every rank, where they follow a vibration that is smaller than what may be wrong: errors of
+        its phase are counted as if they added up, but come to twice its amplitude at most. A run that is resumed goes on.
+        """
+        if self.follows.parts != WATCHED or self.tolerance is None:
+            return ""
+        amplitude, period = swing_of(self.follows.acceleration, self.follows.jerk)
+        largest = max(self.largest, self.guess)
+        asked = (
+            f"time {time:.6g}: {self.told} asks for parts as short as {self.last:.2g}, about"
+            f" {self._left(time, self.last):.1g} more of them"
+        )
+        if not math.isfinite(amplitude):
+            return asked
+        follows = (
+            f"They follow a vibration {self.follows.place} of period {period:.2g} and amplitude {amplitude:.2g},"
+            f" {amplitude / max(largest, float(np.finfo(float).tiny)):.1g} of the largest displacement"
+        )
+        if 2.0 * amplitude > self.tolerance * largest:
+            return f"{asked}. {follows}"
+        raise SolveError(
+            f'{asked}, which gain nothing. {follows}: take kind = "quasi-static", accuracy.step_error ='
+            f" {self.tolerance:g} or resume"
+        )
+
+    def _refuse(self) -> None:
+        """Learn from what was tried last and not followed: of two parts that end alike the later, shorter one knows more."""
+        if self.tried is not None:
+            ends_last = self.tried.time >= self.until
+            self.guess = self.tried.size if ends_last else max(self.guess, self.tried.size)
+            self.until = max(self.until, self.tried.time)
+            self.tried = None
+
+    def follow(self, state: State, dt: float) -> None:
+        """Take over the state that a part of length ``dt`` led to. Collective."""
+        self.last = dt
+        if self.order:
+            self.largest = max(self.largest, self._size(state))
+        if self.tried is not None:
+            left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_film else 1.0
+            self.error_now = left * self.error_now + self.tried.error
+            self.error_most = max(self.error_most, self.error_now)
+            seen = self.tried.follows
+            self.follows = self.follows.followed_by(seen) if seen.parts else seen
+            self.tried = None
+        if state.time >= self.until:
+            self.guess = 0.0
+
+    def as_progress(self) -> dict[str, float]:
+        """What a checkpoint keeps of it."""
+        return {
+            "farthest": self.largest,
+            "last": self.last,
+            "guess": self.guess,
+            "until": self.until,
+            "error_now": self.error_now,
+            "error_most": self.error_most,
+            **self.follows.as_progress(),
+        }
+
+    def _size(self, state: State) -> float:
+        """Largest displacement, or the volume that has gone in or out anywhere."""
+        if not self.of_film:
+            return largest_displacement(self.operators, state)
+        gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
+        if compression is not None and self.operators.flow is not None:
+            held = self.operators.layout.flow_vector()
+            self.operators.flow.taken_up(compression.held, held)
+            gone += held.getArray()
+            held.destroy()
+        return self._sum(gone)
+
+    def _film_error(self, dt: float, old: State, new: State) -> float:
+        """Volume that a part leaves where it does not belong [volume per thickness]. Collective."""
+        before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
+        last, passing, passed = self.last, after, before
+        if self.stepper.memory:
+            last = old.memory.time_step
+            passing = new.memory.velocity, new.memory.uptake
+            passed = (old.memory.velocity, old.memory.uptake) if last > 0.0 else before
+        bend = latest(self.bends, old.time)
+        if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
+            last = 0.0
+        rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
+        wrong: Floats = storage_error(self.stepper, dt, rates)
+        wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
+        return self._sum(wrong)
+
+    def _rate(self, of: tuple[PETSc.Vec | None, PETSc.Vec | None]) -> Floats:
+        """Rate of storage at this rank's flow nodes: of velocities of walls, and what compression takes up. Collective."""
+        walls, taken = of
+        assert walls is not None
+        return self._room(walls) + (0.0 if taken is None else taken.getArray(readonly=True))
+
+    def _room(self, walls: PETSc.Vec) -> Floats:
+        assert self.operators.flow is not None
+        room = self.operators.layout.flow_vector()
+        self.operators.flow.squeeze.multTranspose(walls, room)
+        found: Floats = room.getArray().copy()
+        room.destroy()
+        return found
+
+    def _sum(self, at_nodes: Floats) -> float:
+        return float(self.operators.layout.comm.allreduce(float(np.abs(at_nodes).sum()), op=MPI.SUM))

@@ -1,0 +1,61 @@
+"""When what is prescribed shakes the rock: waves that come in, loads and supports that jump or change their rate fast.
+
+A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static answer (Biggs
+1964, 2.3); changes within a period may add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import TimeTable
+
+SHAKES = 0.1  # of the range of a load: a vibration that a stage auto does not leave out
+WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest period"
+
+
+@dataclass(frozen=True)
+class Shaken:
+    """A time span in which something shakes the rock, which may be an instant, and what it is."""
+
+    start: float
+    end: float
+    why: str
+
+
+def shaken(scene: Scene, period: float) -> tuple[Shaken, ...]:
+    """All of a scene's spans, by their start; ``period`` is the longest in which its rock vibrates."""
+    waves = [each.wave.velocity for each in scene.absorbing if each.wave is not None]
+    loads = [table for table in scene.driving_tables if table not in waves]
+    found = [*(span for table in waves for span in _arrivals(table)), *(s for t in loads for s in _kicks(t, period))]
+    return tuple(sorted(found, key=lambda span: span.start))
+
+
+def _arrivals(table: TimeTable) -> Iterator[Shaken]:
+    times, values = np.array(table.times), np.array(table.values)
+    ends = [*times[1:], np.inf]
+    for n, (start, end) in enumerate(zip(times, ends, strict=True)):
+        after = values[min(n + 1, len(values) - 1)] if table.interpolation == "linear" else values[n]
+        if values[n] != 0.0 or (after != 0.0 and end > start):
+            yield Shaken(float(start), float(end), WAVE)
+
+
+def _kicks(table: TimeTable, period: float) -> Iterator[Shaken]:
+    at, _ = table.jumps
+    yield from (Shaken(float(time), float(time), LOAD) for time in at)
+    if table.interpolation == "step" or table.spread == 0.0:
+        return
+    times, values = np.array(table.times), np.array(table.values)
+    length = np.diff(times)
+    moves = length > 0.0
+    rates = np.diff(values)[moves] / length[moves]
+    changes = np.abs(np.diff(rates, prepend=0.0, append=0.0)) * period / (2.0 * pi * table.spread)
+    at = np.append(times[:-1][moves], times[1:][moves][-1])
+    total, last = np.concatenate([[0.0], np.cumsum(changes)]), np.searchsorted(at, at + period, side="right")
+    for n in np.flatnonzero((total[last] - total[:-1] > SHAKES) & (changes > 0.0)):
+        yield Shaken(float(at[n]), float(at[last[n] - 1]), LOAD)

@@ -1,0 +1,103 @@
+"""Explicit stages: the critical time step, and steps in parts that are no longer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from fracflow.advance.substeps import on_the_way
+from fracflow.integrators import Explicit, Stepper
+from fracflow.integrators.explicit import parts
+from fracflow.model.setup import Model
+from fracflow.model.state import State, StepReport
+from fracflow.solve.explicit import ExplicitCoupling
+
+Part = Callable[[State, float, float, Mapping[str, float], float], tuple[State, StepReport]]
+"""(state, time, dt, controls, dt of what follows) -> the state at the end of a part that is not too long."""
+
+
+class ExplicitSteps:
+    """The explicit coupling of a model, and what the log is told of its critical time step."""
+
+    def __init__(self, model: Model, log: Callable[[str], None]) -> None:
+        """Make the coupling when a stage first needs it."""
+        self.model, self.log = model, log
+        self._coupling: ExplicitCoupling | None = None
+
+    @property
+    def coupling(self) -> ExplicitCoupling:
+        """With its critical time step. Raises InputError, on every rank. Collective."""
+        if self._coupling is None:
+            self._coupling = ExplicitCoupling(self.model.scene, self.model.operators, self.model.loads)
+        return self._coupling
+
+    def count(self, dt: float) -> int:
+        """Equal parts in which a step of length ``dt`` is taken. Collective."""
+        return parts(dt, self.coupling.critical)
+
+    def part(self, stepper: Stepper, dt: float) -> float:
+        """Length of the parts in which a rule takes a step of length ``dt``. Collective."""
+        return dt / self.count(dt) if isinstance(stepper, Explicit) else dt
+
+    def locates(self, stepper: Stepper, dt: float) -> bool:
+        """Whether steps of length ``dt`` may end at events. Collective.
+
+        Where rock deforms they may not: central differences with parts of all lengths feed energy into the walls' modes.
+        """
+        if not isinstance(stepper, Explicit):
+            return True
+        return math.isinf(self.coupling.critical) and self.model.operators.flow is None
+
+    def tell(self, stepper: Stepper, dt: float) -> None:
+        """Log how an explicit rule takes steps of length ``dt``. Collective."""
+        if not isinstance(stepper, Explicit):
+            return
+        count, critical, locates = self.count(dt), self.coupling.critical, self.locates(stepper, dt)
+        limit = f"critical time step of the rock {critical:.6g}" if math.isfinite(critical) else "no rock deforms"
+        cut = f"; time_step {dt:.6g} is taken in {count} parts of {dt / count:.6g}" if count > 1 else ""
+        ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
+        damping = self.coupling.damping
+        damps = "" if damping is None else f"; cells at faults are damped, method.fault_damping = {damping.ratio:g}"
+        self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
+
+    def in_parts(
+        self,
+        part: Part,
+        state: State,
+        time: float,
+        around: tuple[float, float],
+        controls: Mapping[str, float],
+        count: int,
+    ) -> tuple[State, StepReport]:
+        """A step to ``time`` in ``count`` equal parts, the controls on their way. Raises SolveError. Collective.
+
+        around  lengths of the step and of the one that follows, 0 where none does
+        """
+        dt, ahead = around
+        then = ahead / self.count(ahead) if ahead > 0.0 else 0.0
+        now, total = state, StepReport()
+        for done in range(1, count + 1):
+            at = time - dt * (count - done) / count
+            try:
+                way = on_the_way(state.controls, controls, 0.0, done / count)
+                new, report = part(now, at, dt / count, way, dt / count if done < count else then)
+            finally:
+                if now is not state:
+                    now.destroy()
+            now = new
+            widest = max(total, report, key=lambda each: each.widening)
+            total = replace(
+                report.after(total),
+                solid_residual=max(total.solid_residual, report.solid_residual),
+                flow_residual=max(total.flow_residual, report.flow_residual),
+                digits=min(total.digits, report.digits),
+                widening=widest.widening,
+                widest=widest.widest,
+            )
+        return now, total
+
+    def destroy(self) -> None:
+        """Free the coupling. Collective."""
+        if self._coupling is not None:
+            self._coupling.destroy()

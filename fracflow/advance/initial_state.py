@@ -1,0 +1,206 @@
+"""The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.elements import joint
+from fracflow.errors import InputError
+from fracflow.mesh.data import Floats
+from fracflow.model.balance import static_balance
+from fracflow.model.energy import book, dissipated, empty_books, put_in
+from fracflow.model.energy_motion import Scheme
+from fracflow.model.joints import implied_tractions
+from fracflow.model.operators import Operators
+from fracflow.model.properties import body_force, initial_pressure, initial_stress
+from fracflow.model.setup import Model
+from fracflow.model.solid import nodal_force
+from fracflow.model.state import Forces, Motion, Sections, State
+from fracflow.scene.materials import InitialMotion
+from fracflow.scene.scene import Scene
+
+EQUILIBRIUM = 1e-9  # of the natural force of a joint
+ANYTHING = 1e30  # times the natural force: more than any joint has
+
+
+def settle(model: Model) -> None:
+    """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by.
+
+    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
+    differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start. The
+    operator ``prestress`` changes by it, so a run that goes on is settled too. So it does by whatever fractures lack of
+    balance where the scene says that the rock carries it. A scene with a stage ``equilibrate`` is
+    left as it is. Raises InputError, on every rank. Collective.
+    """
+    if model.scene.equilibrates:
+        return
+    ops = model.operators
+    motion, sections, pressure = _unmoved(model)
+    balance, allowed = imbalance(model, motion.displacement, sections.traction, pressure), _slack(model)
+    motion.destroy()
+    pressure.destroy()
+    model.loads.standing().release(balance)
+    bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
+    count = ops.blocks.comm.allreduce(int(bad.sum()))
+    names = _names_at(ops, np.flatnonzero(bad))
+    if not count and allowed.norm() > 0.0:
+        ops.prestress.axpy(-1.0, balance)
+    balance.destroy()
+    allowed.destroy()
+    if count:
+        raise InputError(
+            f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
+            f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
+            ' carries initial stress needs a [[support]], [[absorbing]], or a [[load]] with traction = "initial-stress"; on a'
+            " fracture the initial tractions must be those of initial_stress and fluid.initial_pressure, or"
+            ' initial_stress.unbalanced = "carried"; a [body_force] must balance the'
+            f" gradient of initial_stress{_uncarried(model.scene)}; or let a first [[stage]] with kind = 'equilibrate' find"
+            " the state that is"
+        )
+
+
+def _uncarried(scene: Scene) -> str:
+    """What is missing to div sigma_0 + b = 0, of each rock."""
+    given = scene.initial_stress
+    xy, yy = (given.gradient.xy, given.gradient.yy) if given is not None else (0.0, 0.0)
+    found = []
+    for name in scene.rock:
+        force = body_force(scene, name)
+        for component, slope, value in (("xy", xy, force[0]), ("yy", yy, force[1])):
+            if abs(slope - value) > EQUILIBRIUM * max(abs(slope), abs(value)):
+                found.append(f"gradient.{component} = {slope:.6g}, but the weight of {name} needs {value:.6g}")
+    return f" ({'; '.join(found)})" if found else ""
+
+
+def rest(model: Model) -> State:
+    """The state before the first step, of a model that was settled. Collective.
+
+    Fractures past their strength carry their initial tractions all the same: only a scene with a stage
+    ``equilibrate``, or one whose rock carries what does not balance, comes here with any.
+    """
+    ops, scene = model.operators, model.scene
+    motion, sections, pressure = _unmoved(model)
+    controls = {name: control.initial for name, control in scene.control.items()}
+    holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
+    state = State(0.0, motion, pressure, sections, holding, controls, empty_books(), friction=friction)
+    return state if scene.initial is None else _moved(model, state)
+
+
+def _unmoved(model: Model) -> tuple[Motion, Sections, PETSc.Vec]:
+    ops, layout = model.operators, model.operators.layout
+    motion = Motion(layout.solid_vector(), layout.solid_vector(), layout.solid_vector())
+    pressure = layout.flow_vector()
+    if ops.flow is not None:
+        pressure.setArray(initial_pressure(model.scene, ops.blocks.flow.points))
+    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest(), hold=True)
+    return motion, sections, pressure
+
+
+def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.Vec) -> Forces:
+    """What holds a start: reactions of the supports, and beside the loads whatever is missing to balance. Collective."""
+    layout = model.operators.layout
+    load = imbalance(model, motion.displacement, sections.traction, pressure)
+    support, initial = load.copy(), layout.solid_vector()
+    model.loads.standing().release(load)
+    support.axpy(-1.0, load)
+    model.loads.initial_force(initial)
+    load.axpy(1.0, initial)
+    initial.destroy()
+    return Forces(load, support, layout.flow_vector(), layout.flow_vector())
+
+
+def _moved(model: Model, state: State) -> State:
+    """The start that [initial] describes; what it holds more than the state at rest is booked as put in. Collective."""
+    ops, initial = model.operators, model.scene.initial
+    assert initial is not None
+    motion = Motion(ops.layout.solid_vector(), ops.layout.solid_vector(), ops.layout.solid_vector())
+    _spread(model, "displacement", motion.displacement)
+    _spread(model, "velocity", motion.velocity)
+    pressure = state.pressure.copy()
+    if initial.pressure is not None:
+        pressure.set(initial.pressure)
+    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest())
+    forces = _holding(model, motion, sections, pressure)
+    new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
+    energy = put_in(book(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False)))
+    friction = dissipated(state, new)
+    state.destroy()
+    return replace(new, energy=energy, friction=friction)
+
+
+def _spread(model: Model, key: str, result: PETSc.Vec) -> None:
+    """Write a displacement or velocity that is affine in each rock into the unknowns."""
+    ops, initial = model.operators, model.scene.initial
+    assert initial is not None
+    block, dim = ops.blocks.solid, ops.blocks.sizes.dim
+    first, last = result.getOwnershipRange()
+    local = result.getArray()
+
+    def write(numbers: np.ndarray, values: Floats) -> None:
+        here = (numbers >= first) & (numbers < last)
+        local[numbers[here] - first] = values[here]
+
+    for number, name in enumerate(block.rocks):
+        given = initial.rock.get(name, initial)
+        nodes = np.unique(block.cells[block.cell_rock == number])
+        nodes = nodes[(nodes >= 0)]
+        nodes = nodes[block.body[nodes] < 0]
+        write(block.unknown[nodes], _affine(given, key, block.points[nodes]))
+        bodies = np.flatnonzero(block.body_rock == number)
+        write(block.body_unknown[bodies, :dim], _affine(given, key, block.body_center[bodies]))
+        gradient = np.array(getattr(given, f"{key}_gradient") or np.zeros((dim, dim)))
+        spin = 0.5 * (gradient[1, 0] - gradient[0, 1])
+        write(block.body_unknown[bodies, dim], np.full(len(bodies), spin))
+
+
+def _affine(given: InitialMotion, key: str, points: Floats) -> Floats:
+    base, gradient = getattr(given, key), getattr(given, f"{key}_gradient")
+    value = np.zeros(points.shape) if base is None else np.broadcast_to(np.array(base), points.shape)
+    return np.asarray(value if gradient is None else value + points @ np.array(gradient).T)
+
+
+def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
+    """Inner forces less the loads of the initial state, on all unknowns. The caller destroys it. Collective."""
+    initial = model.operators.layout.solid_vector()
+    model.loads.initial_force(initial)
+    balance = static_balance(model.operators, displacement, traction, pressure, initial)
+    initial.destroy()
+    return balance
+
+
+def _slack(model: Model) -> PETSc.Vec:
+    """What the rules of integration may differ by on each unknown. Collective.
+
+    Over a joint of length L tractions linear between t_1 and t_2 give each end L (2 t_1 + t_2)/6, and L t_1/2 by the
+    nodal rule: |t_2 - t_1| L/6 apart at most, likewise the pressures. A joint whose given tractions are not those that
+    stress and pressure imply has no slack, unless the scene lets the rock carry what is missing.
+    """
+    ops, scene = model.operators, model.scene
+    joints, dim, natural = ops.blocks.joints, ops.blocks.sizes.dim, joint.RULES[scene.method.quadrature][0]
+    ends = ops.blocks.solid.points[joints.bottom]
+    frame, length = joint.frame(ends)
+    stress = initial_stress(scene, ends)[..., :dim, :dim]
+    change = np.abs(np.einsum("jki,ji->jk", stress[:, 1] - stress[:, 0], frame[:, -1]))
+    change += np.abs(np.diff(initial_pressure(scene, ends), axis=1) * frame[:, -1])
+    off = np.abs(ops.joints.initial - implied_tractions(ops.blocks, scene, natural))
+    is_implied = (
+        off.reshape(len(length), len(natural) * dim).max(axis=1, initial=0.0) <= EQUILIBRIUM * ops.scales.pressure
+    )
+    faces, slack = np.concatenate([joints.bottom, joints.top], axis=1), change * (is_implied * length)[:, None] / 6.0
+    if scene.carries_unbalanced:
+        slack = np.full_like(slack, ANYTHING * ops.scales.force)
+    share = np.broadcast_to(slack[:, None], (*faces.shape, dim))
+    return nodal_force(ops.blocks, faces, share.copy(), ops.expand)
+
+
+def _names_at(ops: Operators, bad: np.ndarray) -> list[str]:
+    """Sides and fractures at which the given unknowns of this rank lie, of all ranks. Collective."""
+    block, starts = ops.blocks.solid, ops.blocks.solid.unknown_starts[ops.blocks.comm.rank]
+    nodes = np.flatnonzero(np.isin(block.unknown[: block.owned] - starts, bad).any(axis=1))
+    sides = {block.sides[s] for s in block.side_of[np.isin(block.side_facets, nodes).any(axis=1)]}
+    faces = np.concatenate([ops.blocks.joints.bottom, ops.blocks.joints.top], axis=1)
+    cut = {ops.blocks.joints.fractures[f] for f in ops.blocks.joints.fracture[np.isin(faces, nodes).any(axis=1)]}
+    return sorted(set().union(*ops.blocks.comm.allgather(sides | cut)))

@@ -1,0 +1,274 @@
+"""Follows which parts of the network exchange fluid, and closes those that nothing drains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.errors import SolveError
+from fracflow.mesh.data import Floats
+from fracflow.model.flow import Conduction
+from fracflow.model.loads import Limit, Loads
+from fracflow.model.network_parts import Part, close, conducting, find_parts, give_way, holding
+from fracflow.model.setup import Model
+from fracflow.model.state import State
+from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
+from fracflow.solve.initial_rates import Enclosed
+from fracflow.solve.problem import StepProblem
+
+MOST_TOLD = 5  # parts that the log lists
+BALANCED = 1e-12  # of the sum of the flow rates' sizes
+AGREES = (
+    1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has fewer digits
+)
+
+
+@dataclass(frozen=True)
+class _Closed:
+    """Loads with the parts closed that nothing drains, and the wells of each."""
+
+    loads: Loads
+    parts: tuple[tuple[Part, tuple[str, ...], bool], ...]
+
+
+class Network:
+    """The parts of a model's network as they are now."""
+
+    def __init__(self, model: Model, log: Callable[[str], None] = lambda line: None) -> None:
+        """No part is known before the first step."""
+        self.model, self.log = model, log
+        self._conducts: np.ndarray | None = None
+        self._holds = np.zeros(0, dtype=bool)
+        self._told: np.ndarray | None = None
+        self._told_digits = False
+        self._parts: tuple[Part, ...] = ()
+        self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
+        self.version = 0
+
+    def tell_digits(self, line: str) -> None:
+        """Write down that the flow has few digits, the first time only."""
+        if not self._told_digits:
+            self.log(line)
+        self._told_digits = True
+
+    def close(self, loads: Loads, stores: bool) -> Loads:
+        """The same loads with the parts closed that nothing drains, where nothing is stored. Collective.
+
+        stores  the walls' motion takes part in the balance, so that it settles the pressures of a part
+        """
+        return self._found(loads, stores).loads if self.model.operators.flow is not None else loads
+
+    def level(self, loads: Loads, state: State) -> Loads:
+        """The same loads for the first instant of a stage with inertia: parts that nothing drains keep their mean pressure.
+
+        The walls have their velocities then, and leave the level open. Raises SolveError, on every rank, naming a part
+        into which wells pump from that instant what its walls do not take up. Collective.
+        """
+        found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
+        depth = fluid.flow_depth if fluid is not None else 1.0
+        for part, wells, _ in found.parts:
+            rates = [loads.demanded(well, state.time, state.controls, state.around) for well in wells]
+            taken, moved = self._taken(part, state)
+            if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
+                raise SolveError(
+                    f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, sum(rates))} from the first instant in"
+                    f" {part}, which no pressure drains, and its walls, as they move, take up {depth * taken:.6g}: let flow"
+                    " rates start at what the stage before ends with, or at 0, or give a [[well]] with a pressure there"
+                )
+        return found.loads
+
+    def _taken(self, part: Part, state: State) -> tuple[float, float]:
+        """Rate at which the walls of a part make room, and the sum of its sizes [area/time]. Collective."""
+        closure = close(self.model.operators, part, len(part.nodes) > 1)
+        walls, speed = closure.weights, state.motion.velocity
+        if closure.by != "walls":
+            walls.destroy()
+            return 0.0, 0.0
+        taken, sizes = float(walls.dot(speed)), walls.copy()
+        sizes.setArray(np.abs(walls.getArray() * speed.getArray(readonly=True)))
+        moved = float(sizes.sum())
+        walls.destroy()
+        sizes.destroy()
+        return taken, moved
+
+    def enclosed(self, loads: Loads, state: State, dt: float) -> list[Enclosed]:
+        """The parts whose level the walls settle, with what wells begin to pump in the first ``dt``. The caller owns them.
+
+        Collective.
+        """
+        layout = self.model.operators.layout
+        fluid = self.model.scene.fluid
+        depth = fluid.flow_depth if fluid is not None else 1.0
+        first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[Enclosed]()
+        for part, wells, moves in self._found(loads, True, at_start=True).parts:
+            if not moves or len(part.nodes) == 1:
+                continue
+            rate = 0.0
+            ends = (state.time + dt, 1.0, JUST_BEFORE), (state.time, -1.0, JUST_AFTER)
+            for time, sign, side in ends if dt > 0.0 else ():
+                rate += sign * sum(loads.demanded(well, time, state.controls, side) for well in wells) / (dt * depth)
+            nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
+            found.append(Enclosed(nodes, close(self.model.operators, part, True).weights, rate))
+        return found
+
+    def overfull(self, loads: Loads, stores: bool, problem: StepProblem) -> frozenset[Limit]:
+        """Limits that wells come to because what they pump, at a solved or failed trial, has nowhere to go. Collective.
+
+        Raises SolveError, on every rank, naming a closed part into which more flows than out, and no well has a limit.
+        """
+        found: set[Limit] = set()
+        parts = self._found(loads, stores).parts if self.model.operators.flow is not None else ()
+        swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
+        numbers = self.model.operators.layout.flow_numbers
+        for part, wells, gives in parts:
+            rates = [
+                loads.demanded(well, problem.time, problem.controls, problem.around, problem.rates) for well in wells
+            ]
+            total = sum(rates)
+            if abs(total) > BALANCED * sum(map(abs, rates)):
+                inside = numbers(part.nodes)
+                limits = [each for each in loads.limits if each.node in inside and each.sign * total > 0.0]
+                if not limits:
+                    self._refuse(part, wells, total, gives, problem.time)
+                found.add(min(limits, key=lambda limit: limit.sign * limit.pressure))
+            if self._holds[part.nodes].any():
+                continue
+            room = swept[part.nodes]
+            slack = BALANCED * (np.abs(room).sum() + self.model.operators.scales.length * moved * len(room))
+            if not gives and abs(room.sum()) > slack and (stores or len(room) > 1):
+                other = (
+                    "give minimum_hydraulic_aperture"
+                    if problem.fluid_before is not None
+                    else "give fluid.compressibility"
+                )
+                raise SolveError(
+                    f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
+                    f" by {room.sum():.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
+                    f" there, or let a wall move{f', or {other}' if stores else ''}"
+                )
+        return frozenset(found)
+
+    def _found(self, loads: Loads, stores: bool, at_start: bool = False) -> _Closed:
+        key = (loads, stores, at_start)
+        if key not in self._closed:
+            self._closed[key] = self._make(loads, stores, at_start)
+        return self._closed[key]
+
+    def look_at(self, state: State) -> None:
+        """See what conducts at a state. Collective."""
+        ops = self.model.operators
+        assert ops.flow is not None
+        opening = ops.joints.openings(state.sections.strain)
+        self.look(ops.flow.conduct(state.motion.displacement, state.pressure, opening))
+
+    def look(self, conduction: Conduction) -> None:
+        """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
+        operators, before = self.model.operators, self._conducts
+        now, holds = conducting(operators, conduction.conductance), holding(operators, conduction.compression)
+        same = before is not None and np.array_equal(before, now) and np.array_equal(self._holds, holds)
+        if not operators.layout.comm.allreduce(same, op=MPI.LAND):
+            self.destroy()
+            self.version += 1
+            self._conducts, self._parts, self._holds = now, find_parts(operators, now), holds
+
+    def tell(self, time: float) -> None:
+        """Log what has begun or ceased to conduct since the last time, and what no pressure reaches. Collective."""
+        before, now = self._told, self._conducts
+        if now is None:
+            return
+        self._told = now
+        if before is not None:
+            if self.model.operators.layout.comm.allreduce(np.array_equal(before, now), op=MPI.LAND):
+                return
+            pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
+            what = [
+                f"{names} {word}" for names, word in ((pinched, "pinched shut"), (opened, "conducts again")) if names
+            ]
+            self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
+        drained = self._drained(self.model.loads)
+        gives = give_way(self.model.operators, self._parts, self.model.loads.fixed_solid)
+        fluid = self.model.scene.fluid
+        stores = fluid is not None and fluid.compressibility > 0.0
+        cut_off = [
+            (part, moves) for part, moves in zip(self._parts, gives, strict=True) if not drained[part.nodes].any()
+        ]
+        cut_off.sort(key=lambda found: -len(found[0].nodes))
+        for part, moves in cut_off[:MOST_TOLD]:
+            by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
+            both = " and by compression" if moves and stores else ""
+            self.log(f"time {time:.6g}: no pressure is prescribed in {part}, whose level is settled {by}{both}")
+        if len(cut_off) > MOST_TOLD:
+            self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_TOLD} more parts")
+
+    def _drained(self, loads: Loads) -> np.ndarray:
+        layout = self.model.operators.layout
+        numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
+        return np.isin(numbers, loads.fixed_flow)
+
+    def _make(self, loads: Loads, stores: bool, at_start: bool) -> _Closed:
+        operators, fluid = self.model.operators, self.model.scene.fluid
+        assert fluid is not None
+        drained, gives = self._drained(loads), give_way(operators, self._parts, loads.fixed_solid)
+        parts, closures = [], []
+        nodes = {
+            name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
+        }
+        for part, moves in zip(self._parts, gives.tolist(), strict=True):
+            holds = bool(self._holds[part.nodes].any()) and (stores or len(part.nodes) > 1)
+            if drained[part.nodes].any() or (stores and (holds or (moves and not at_start))):
+                continue
+            wells = tuple(name for name, node in nodes.items() if node in part.nodes)
+            parts.append((part, wells, moves))
+            closures.append(close(operators, part, moves and not at_start, holds))
+        return _Closed(replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
+
+    def _node(self, vector: object) -> int:
+        local = vector.getArray(readonly=True)  # type: ignore[attr-defined]
+        here = np.flatnonzero(local) + vector.getOwnershipRange()[0]  # type: ignore[attr-defined]
+        return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
+
+    def _refuse(self, part: Part, wells: tuple[str, ...], total: float, moves: bool, time: float) -> None:
+        why = "in a steady stage its walls store nothing" if moves else "its walls cannot move"
+        other = 'use kind = "quasi-static", whose walls store the fluid' if moves else "give fluid.compressibility"
+        raise SolveError(
+            f"time {time:.6g}: {self._sum_of(wells, total)} in {part}, which no pressure drains, and {why}: give a [[well]]"
+            f" with a pressure there, let the flow rates add up to zero, or {other}"
+        )
+
+    def _sum_of(self, wells: tuple[str, ...], total: float) -> str:
+        system = self.model.scene.unit_system
+        unit = system.unit("length**3/time") if system.name != "none" else ""
+        return f"flow rates of {', '.join(wells)} add up to {total:.6g} {unit}".rstrip()
+
+    def destroy(self) -> None:
+        """Forget the closed loads. Collective."""
+        for found in self._closed.values():
+            for closure in found.loads.closures:
+                closure.weights.destroy()
+        self._closed.clear()
+
+
+def _swept(problem: StepProblem) -> tuple[Floats, float]:
+    """What the walls have made room for in a step at all flow nodes (n,), and their largest motion. Collective.
+
+    Of a compressible fluid, which need not fill the room, what has been there before.
+    """
+    network, room = problem.operators.flow, problem.operators.layout.flow_vector()
+    assert network is not None
+    if problem.fluid_before is None:
+        network.squeeze.multTranspose(problem.increment, room)
+    else:
+        network.taken_up(-problem.fluid_before.weight / network.compressibility, room)
+    found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))
+    room.destroy()
+    return found, float(problem.increment.norm(PETSc.NormType.INFINITY))
+
+
+def _names(model: Model, chosen: np.ndarray) -> str:
+    """Fractures, over all ranks, that have one of the chosen elements (j,). Collective."""
+    joints = model.operators.blocks.joints
+    here = {joints.fractures[f] for f in joints.fracture[chosen]}
+    return ", ".join(sorted(set().union(*model.operators.layout.comm.allgather(here))))

@@ -1,0 +1,67 @@
+"""How a step samples what is tabled in time, so that it takes in all that the tables bring.
+
+With inertia, forces and flow rates are sampled so that the trapezoid's sum over the steps is the table's integral, and jumps
+of pressures likewise. Without it what is prescribed holds as just before the end of the step: what jumps there comes in the
+step after it. Flow rates are then sampled as the rule takes the derivative of what is stored.
+"""
+
+from __future__ import annotations
+
+from fracflow.integrators import Alphas, Stepper
+from fracflow.model.loads import Loads
+from fracflow.model.state import State
+from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
+
+MOST_GROWTH = 1e3  # of steps, beyond which the last one tells nothing
+
+
+def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
+    """Lengths of the steps around the end of one of length ``dt`` that one of length ``ahead`` follows; None: one as long."""
+    if rule.inertia:
+        return dt, dt if ahead is None else ahead
+    return JUST_BEFORE if dt > 0.0 else JUST_AFTER
+
+
+def begins_anew(rule: Stepper, loads: Loads, state: State, dt: float, ahead: float | None) -> bool:
+    """Whether a step of a rule that remembers goes without its memory, by backward Euler.
+
+    There is none, or that of a step so short that round-off is all of it; or the length of the step after this one is not
+    known, with which a rule that weighs both ends would share what a table leaves within this one; or a rate jumps as it
+    begins, which such a rule would take by half.
+    """
+    if not rule.memory or state.memory.time_step == 0.0 or dt > MOST_GROWTH * state.memory.time_step:
+        return True
+    if rule.alphas(dt).a4 == 0.0:
+        return False
+    tables = [well.value for well in loads.wells if isinstance(well.value, TimeTable)]
+    if any(state.time < time < state.time + 0.5 * dt for table in tables for time in table.jumps[0]):
+        return True
+    return ahead is None and any(state.time < time < state.time + dt for table in tables for time in table.times)
+
+
+def rates_of(
+    rule: Stepper, alphas: Alphas, state: State, dt: float, ahead: float | None, follows: Stepper
+) -> Rates | None:
+    """How a step of length ``dt`` from a state samples flow rates; None with inertia, where a rule weighs both its ends.
+
+    Backward Euler takes their mean over the step; BDF2 combines it with that over the last step as it does those of the
+    walls' velocities. Of a well that has a limit the last mean is of the rate that went through it, whatever its table says.
+    The trapezoid takes the value at the end with what its sum leaves of the integral of the step; where it begins by
+    backward Euler, that step makes up for the half by which the next one counts its end.
+
+    follows  the rule of the steps after it
+    """
+    if rule.inertia:
+        return Rates(now=1.0, share=0.0, begin=state.time, of_forces=True) if rule.balance == "end" else None
+    if not rule.storage or dt == 0.0:
+        return Rates(around=sides_of(rule, dt, ahead))
+    if alphas.a4 > 0.0:
+        return Rates(around=(dt, ahead or 0.0))
+    if follows.alphas(dt).a4 > 0.0 and ahead:
+        share = 0.5 * ahead / (dt + 0.5 * ahead)
+        return Rates(now=1.0 - share, share=share, around=(0.0, ahead), begin=state.time)
+    last = state.memory.time_step
+    if alphas.a6 > 0.0 and last > 0.0:
+        before, factors, through = state.time - last, (alphas.a1 * dt, alphas.a6), state.memory.through
+        return Rates(*factors, 0.0, begin=state.time, before=before, controls=state.controls, through=through)
+    return Rates(now=1.0, share=0.0, begin=state.time)

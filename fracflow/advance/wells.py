@@ -1,0 +1,93 @@
+"""Wells that change from a flow rate to a limit of their pressure, and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NoReturn
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.errors import NotConverged
+from fracflow.integrators import Alphas
+from fracflow.model.loads import Limit, Loads
+from fracflow.model.state import State
+
+CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
+
+
+def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
+    """Limits that wells were kept at when a state was accepted; of two of one well the one its pressure is nearer to."""
+    found: dict[str, tuple[float, Limit]] = {}
+    for limit in loads.limits:
+        away = abs(at_node(limit, state.pressure) - limit.pressure)
+        if limit.well in state.limited and away <= found.get(limit.well, (math.inf, limit))[0]:
+            found[limit.well] = (away, limit)
+    return frozenset(limit for _, limit in found.values())
+
+
+def reached_after(
+    loads: Loads, reached: frozenset[Limit], trial: State, demanded: Callable[[str], float], depth: float
+) -> frozenset[Limit]:
+    """Limits at which wells have to be kept once a trial of a step is known. Collective.
+
+    ``demanded`` tells what a well asks for in the step. A well comes to a limit that its pressure has passed, and leaves it
+    when the limit lets more through than it asks for.
+    """
+    now = set(reached)
+    for limit in loads.limits:
+        pressure = at_node(limit, trial.pressure)
+        if limit in reached:
+            through = at_node(limit, trial.forces.source) * depth
+            asked = demanded(limit.well)
+            if limit.sign * (through - asked) > CLOSE * abs(asked):
+                now.discard(limit)
+        elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):
+            now = {other for other in now if other.well != limit.well} | {limit}
+    return frozenset(now)
+
+
+def through(
+    loads: Loads,
+    limited: Loads,
+    reached: frozenset[Limit],
+    old: State,
+    new: State,
+    alphas: Alphas,
+    dt: float,
+    demanded: Callable[[str], float],
+    depth: float,
+) -> dict[str, float]:
+    """Mean flow rate, over a step of length ``dt``, of each well that has a limit, as a rule with a memory takes it.
+
+    Collective. A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls'
+    velocities. Of a well at a limit, q is what the limit lets through beside other wells there; else ``demanded`` tells it.
+    """
+    kept, before = {limit.well: limit for limit in reached}, old.memory.through
+    found: dict[str, float] = {}
+    for name in sorted({limit.well for limit in loads.limits}):
+        if alphas.a6 > 0.0 and name not in before:
+            continue
+        if name in kept:
+            limit = kept[name]
+            rate = at_node(limit, new.forces.source) * depth
+            rate -= sum(at_node(limit, each.vector) * depth * demanded(str(each.well)) for each in limited.wells)
+        else:
+            rate = demanded(name)
+        found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * dt)
+    return found
+
+
+def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
+    """Raise NotConverged naming the wells that find neither rate nor limit, after so many iterations."""
+    names = ", ".join(sorted({limit.well for limit in reached})) or "none"
+    raise NotConverged(
+        f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
+        f" {names}): move their limits apart, or take a smaller time_step",
+        newton,
+    )
+
+
+def at_node(limit: Limit, vector: PETSc.Vec) -> float:
+    """The value of a vector of the flow at the node of a limit. Collective."""
+    here = float(vector.getArray(readonly=True)[limit.local].sum())
+    return float(vector.getComm().tompi4py().allreduce(here, op=MPI.SUM))

@@ -1,1 +1,0 @@
-"""From element kernels to PETSc operators and residuals."""

@@ -1,0 +1,5 @@
+"""The command line."""
+
+from fracflow.cli.main import main
+
+__all__ = ["main"]

@@ -1,0 +1,112 @@
+"""All that can go wrong before the first step, and how large the problem is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from fracflow._petsc import MPI
+from fracflow.advance.initial_state import settle
+from fracflow.diagnostics import Number, scene_card
+from fracflow.diagnostics.explicit_cost import explicit_cost
+from fracflow.diagnostics.hydraulic import parts_with_wells
+from fracflow.diagnostics.regimes import foretold
+from fracflow.mesh.read import network_of
+from fracflow.mesh.split import summary
+from fracflow.model.setup import Model, geometry_of, prepare
+from fracflow.reduction import Decision, decide
+from fracflow.reduction.apply import planned, seconds_of_factors
+from fracflow.scene.scene import Scene
+from fracflow.solve.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
+from fracflow.solve.condensed_plan import planned as solved
+
+PROGRAM, NUMBER = 1.5e8, 8.0  # bytes of the program with its libraries, and of a number
+MATRICES = 150.0  # numbers an unknown in matrices and vectors
+OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
+
+
+@dataclass(frozen=True)
+class Network:
+    """Traces that meet and traces that do not, for JSON.
+
+    snap         what is nearer is one [length]; None of a mesh file
+    near_misses  records of what all but meets
+    well_parts   records of the parts of the network that have wells
+    """
+
+    snap: float | None
+    near_misses: list[dict[str, object]]
+    well_parts: list[dict[str, object]]
+
+
+def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[Decision], Network]:
+    """Set a scene up as a run does, on one rank: sizes and cost, what was moved to fit, card, plan and network.
+
+    InputError where it cannot be run.
+    """
+    model = prepare(scene, MPI.COMM_SELF)
+    settle(model)
+    assert model.mesh is not None
+    layout, start, steps = model.operators.layout, 0.0, 0
+    for stage in scene.stage:
+        count = stage.step_count(start) or 0
+        steps, start = steps + count, stage.finish(start)
+    found = {
+        **summary(model.mesh),
+        "displacement unknowns": int(layout.solid_starts[-1]) - len(model.operators.blocks.solid.unused),
+        "pressure unknowns": int(layout.flow_starts[-1]),
+        "steps": steps,
+    }
+    sections = len(model.operators.joints.weights) * model.operators.joints.dim
+    unknowns = int(layout.solid_starts[-1])
+    pays = break_even(unknowns, sections)
+    if sections and fits(unknowns, sections) and pays < math.inf and next(solved(model.scene), None) is not None:
+        found["steps from which a condensed rock pays"] = pays
+    card, notes = scene_card(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
+    network = _network(model)
+    model = planned(model)
+    assert model.facts is not None
+    found |= _cost(model, steps, any(stage.kind == "auto" or stage.until for stage in scene.stage))
+    return found, notes, card, decide(model.facts.with_card(card)), network
+
+
+def _network(model: Model) -> Network:
+    assert model.mesh is not None
+    parts = [part.as_record() for part in parts_with_wells(model.mesh, model.placed.wells)]
+    if model.scene.geometry is None or not model.scene.geometry.fracture:
+        return Network(None, [], parts)
+    _, snap, misses = network_of(geometry_of(model.scene))
+    return Network(snap, [miss.as_record() for miss in misses], parts)
+
+
+def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
+    """Memory and time of so many steps, by what factors of so many unknowns take; one factorisation is made and timed.
+
+    Explicit steps have none: they take products with the rock's stiffness, which are timed likewise.
+
+    more  events or a search make steps besides
+    """
+    unknowns = sum(
+        int(starts[-1]) for starts in (model.operators.layout.solid_starts, model.operators.layout.flow_starts)
+    )
+    explicit = explicit_cost(model)
+    steps -= explicit.steps if explicit is not None else 0
+    solves = steps > 0 or more
+    factors = ENTRIES * unknowns * math.log2(max(unknowns, 2)) if solves else 0.0
+    memory = PROGRAM + NUMBER * (MATRICES * unknowns + factors)
+    found, told, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
+    if explicit is not None:
+        found["explicit steps"] = explicit.told
+        part = explicit.seconds + OWN
+        seconds += explicit.parts * part
+        told.append(f"{explicit.parts} explicit parts of about {part:.2g} s")
+    if solves:
+        lasted = seconds_of_factors(model.operators)
+        each = lasted * (1.0 + BESIDES) + OWN
+        seconds += steps * ITERATIONS * each
+        found |= foretold(model, each, ITERATIONS)
+        told.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
+    without = ", without those of events and searches" if more else ""
+    found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(told)}"
+    return found

@@ -1,0 +1,279 @@
+"""The command line: fracflow run, resume, check, mesh, picture, export, schema."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import warnings
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from fracflow.cli.exit import abort, stop
+from fracflow.cli.run import Terminal, run_levels, watched
+from fracflow.errors import DiskError, InputError, Interrupted, SolveError
+
+if TYPE_CHECKING:
+    from fracflow.diagnostics import Number
+
+while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's numbers are no file's of a run
+    pass
+os.close(_free)
+sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
+WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
+USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
+SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", help="path.to.key=value; arrays by the name of their entry")
+]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="let Gmsh run the scene's .geo as it is; it may do all that you may")
+]
+Output = Annotated[
+    Path | None, typer.Option("-o", "--output", help="run folder; by default runs/<name of the scene's folder>")
+]
+
+
+@app.command("run", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def run_command(
+    context: typer.Context,
+    scene: SceneFile,
+    output: Output = None,
+    set_: Overrides = None,
+    converge: Annotated[
+        int | None,
+        typer.Option(
+            metavar="[LEVELS]",
+            help="run it on 3 (or so many) meshes, cells and steps halved from one to the next, and estimate errors",
+        ),
+    ] = None,
+    trust: Trust = False,
+) -> None:
+    """Run a scene, alone or under mpirun; what follows -- goes to PETSc."""
+    from fracflow._petsc import MPI, PETSc
+
+    petsc_options(PETSc, context.args)
+    from fracflow.cli.report import tell_card
+    from fracflow.diagnostics import as_records
+    from fracflow.model.setup import on_root
+    from fracflow.output.folder import check_folder
+    from fracflow.scene.advice import advice
+    from fracflow.scene.scene import load
+    from fracflow.simulation.run import run
+
+    comm = MPI.COMM_WORLD
+    given = load(scene, set_ or [], trust)
+    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    for line in advice(given):
+        console.print(f"note: {line}", soft_wrap=True, markup=False)  # lines name [tables]
+    if converge is not None:
+        run_levels(given, output or Path("runs") / f"{given.name}-converge", converge, console, comm)
+        return
+    folder = output or Path("runs") / given.name
+    if output is None and folder.is_symlink():  # nobody has named it: what lies beside a scene may come from anybody
+        raise InputError(f"{folder}: is a link; name the run folder with -o")
+    on_root(comm, lambda: check_folder(folder))
+    if (folder / "history.h5").exists():
+        console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True, markup=False)
+
+    def show_card(numbers: list[Number]) -> None:
+        tell_card(as_records(numbers), console)
+
+    def say(line: str) -> None:
+        console.print(f"note: {line}", soft_wrap=True, markup=False)
+
+    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
+
+
+@app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def resume_command(
+    context: typer.Context, folder: Annotated[Path, typer.Argument(help="a run folder")], trust: Trust = False
+) -> None:
+    """Go on with a run that was stopped, on any number of ranks; what follows -- goes to PETSc."""
+    from fracflow._petsc import MPI, PETSc
+
+    petsc_options(PETSc, context.args)
+    from fracflow.model.setup import on_root
+    from fracflow.output.folder import check_folder
+    from fracflow.scene.scene import load
+    from fracflow.simulation.run import has_ended, require_run, resume
+
+    comm = MPI.COMM_WORLD
+    on_root(comm, lambda: check_folder(folder, resume=True))
+    on_root(comm, lambda: require_run(folder))
+    console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
+    if on_root(comm, lambda: has_ended(folder)):
+        console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True, markup=False)
+    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust))
+
+
+@app.command()
+def check(
+    scene: SceneFile,
+    set_: Overrides = None,
+    as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
+    trust: Trust = False,
+) -> None:
+    """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
+    from fracflow.cli.check import set_up
+    from fracflow.cli.report import tell_card, tell_plan
+    from fracflow.diagnostics import as_records as card_records
+    from fracflow.output.folder import to_json
+    from fracflow.reduction import as_records
+    from fracflow.scene.advice import advice
+    from fracflow.scene.scene import load
+
+    given = load(scene, set_ or [], trust)
+    found, moved, numbers, decisions, network = set_up(given)
+    notes = [*advice(given), *moved]
+    if as_json:
+        card = card_records(numbers)
+        told = {"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes, "network": asdict(network)}
+        typer.echo(to_json(told, indent=1))
+        return
+    console = Console(highlight=False, width=WIDTH)
+    tell_card(card_records(numbers), console)
+    tell_plan(as_records(decisions), console)
+    for key, value in found.items():
+        typer.echo(f"{key}: {shown(value)}")
+    for note in notes:
+        typer.echo(f"note: {note}")
+
+
+@app.command("mesh")
+def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
+    """Mesh and split only, with a summary."""
+    from fracflow.diagnostics.hydraulic import told_apart
+    from fracflow.mesh.split import summary
+    from fracflow.model.setup import place, read_split
+    from fracflow.scene.scene import load
+
+    given = load(scene, set_ or [], trust)
+    split = read_split(given)
+    for note in split.notes:
+        typer.echo(note)
+    try:
+        for note in told_apart(given, split, place(given, split).wells):
+            typer.echo(note)
+    except InputError as error:  # wells may be placed later
+        typer.echo(f"note: {error}")
+    for key, value in summary(split).items():
+        typer.echo(f"{key}: {shown(value)}")
+
+
+def shown(value: Any) -> str:
+    """A count, a number or a table of numbers as the terminal shows it."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {shown(each)}" for name, each in value.items())
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+@app.command()
+def picture(folder: Annotated[Path, typer.Argument(help="a run folder")]) -> None:
+    """Draw the pictures of a run again."""
+    from fracflow.output.pictures import draw
+
+    try:
+        paths = draw(folder)
+    except OSError as error:
+        raise DiskError.of(error, folder) from error
+    for path in paths:
+        typer.echo(str(path))
+
+
+@app.command()
+def export(
+    folder: Annotated[Path, typer.Argument(help="a run folder")],
+    as_csv: Annotated[
+        bool, typer.Option("--csv", help="comma-separated values, the unit in each column's head")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="a folder, by default FOLDER/csv; or NAME.csv, all in one table"),
+    ] = None,
+) -> None:
+    """Write the history of a run for other programs: steps, energies and each probe."""
+    from fracflow.output.export import export_csv
+
+    if not as_csv:
+        raise InputError("export: no format is named; give --csv")
+    for path in export_csv(folder, output):
+        typer.echo(str(path))
+
+
+@app.command()
+def schema(as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False) -> None:
+    """Every key of a scene: its values or dimension, its default, its meaning."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from fracflow.scene.scene import Scene
+    from fracflow.scene.schema import rows
+
+    if as_json:
+        typer.echo(json.dumps(Scene.json_schema(), indent=1))
+        return
+    table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
+    for row in rows(Scene.json_schema()):
+        table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
+    Console(highlight=False, width=WIDTH).print(table)
+
+
+def petsc_options(petsc: object, words: list[str]) -> None:
+    """Put options such as ``-solid_pc_type cholesky`` into PETSc's database. Raises InputError for stray words."""
+    database = petsc.Options()  # type: ignore[attr-defined]
+    words = [word for word in words if word != "--"]
+    while words:
+        key = words.pop(0)
+        if not re.fullmatch("-[A-Za-z].*", key):
+            raise InputError(
+                f"command line: {key}: neither an option of fracflow (see --help) nor one of PETSc, such as -solid_pc_type lu"
+            )
+        is_value = bool(words) and (not words[0].startswith("-") or words[0][1:2].isdigit())
+        database.setValue(key.lstrip("-"), words.pop(0) if is_value else "")
+        database.setValue("options_left", "")
+
+
+def with_levels(words: list[str]) -> list[str]:
+    """The words of a command, with the usual number of levels where ``--converge`` names none."""
+    if "--converge" not in words:
+        return words
+    at = words.index("--converge") + 1
+    is_given = at < len(words) and re.fullmatch(r"[-+]?[\d.]+", words[at]) is not None
+    return words if is_given else [*words[:at], "3", *words[at:]]
+
+
+def main() -> None:
+    """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
+    warnings.formatwarning = lambda message, *_: f"note: {message}\n"
+    try:
+        code = app(with_levels(sys.argv[1:]), standalone_mode=False)
+        if code == 130:  # typer's word for an interrupt, after which it would have this rank leave the others behind
+            raise KeyboardInterrupt
+        sys.exit(code)
+    except USAGE as error:
+        message = error.format_message() or "no command"  # type: ignore[attr-defined]
+        stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
+    except typer.Abort:
+        stop("interrupted", 130)
+    except InputError as error:
+        stop(str(error), 2)
+    except (SolveError, DiskError) as error:
+        stop(str(error), 3)
+    except Interrupted as error:
+        stop(str(error), 130)
+    except KeyboardInterrupt:
+        stop("interrupted before the first step", 130)
+    except BrokenPipeError:  # whoever read has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+    except OSError as error:
+        stop(str(DiskError.of(error, "standard output")), 3)
+    except Exception:
+        abort()

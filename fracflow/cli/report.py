@@ -1,0 +1,177 @@
+"""The end of a run in words: the energy books and what slipped."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from fracflow.errors import InputError
+from fracflow.mesh.store import load_mesh
+from fracflow.output.events import LATEST, read_events
+from fracflow.output.fields import list_steps, read_mesh, read_step
+from fracflow.output.handed import told_handed
+from fracflow.output.history import read_attributes, read_history, read_units
+from fracflow.storage.files import shown_plain
+
+BOOKS = (
+    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated", "damping",
+    "scheme", "spurious", "dropped",
+    "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
+)  # fmt: skip
+MOST_EVENTS = 20
+OPEN = 1e-6  # of the largest entry of the books
+COARSE = 1e-2  # the same, of what closed forms of the stored energies leave
+
+
+def _nearest(folder: Path) -> str:
+    """Where the last fields of the fractures are nearest to their strength."""
+    steps = list_steps(folder, "fractures")
+    if not steps:
+        return ""
+    points, _, about = read_mesh(folder, "fractures")
+    _, at_points, at_cells = read_step(steps[-1][1])
+    share = np.asarray(at_points["utilisation"]).ravel()
+    if not np.any(np.isfinite(share) & (share > 0.0)):
+        return ""
+    nearest = int(np.nanargmax(np.where(np.isfinite(share), share, np.nan)))
+    name = json.loads(about["fractures"])[int(np.asarray(at_cells["fracture"])[nearest // 2])]
+    x, y = points[nearest, :2]
+    return (
+        f"; nearest to it at the end is {name} at ({x:.6g}, {y:.6g}), |f_s|/f_sy = {share[nearest]:.4g}: more steps,"
+        " more pressure or a larger increment_per_step may reach it"
+    )
+
+
+def _began(event: Mapping[str, Any]) -> str:
+    """When slip or opening began: an instant, or the step in which it did."""
+    start, latest = event["start"], event[LATEST]
+    return f"{start:.6g}" if latest is None or latest <= start else f"{start:.6g} to {latest:.6g}"
+
+
+def _told_books(left: float, closed: float, most: float, noise: float) -> Iterator[str]:
+    """Lines on books that stay open: by ``left``, by ``closed`` with closed forms, beside the largest entry ``most``.
+
+    noise  round-off of sums of forces times displacements, of which nothing is known [energy per thickness]
+    """
+    if left > max(OPEN * most, noise):
+        yield (
+            f"! energy books: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
+            " wrong unit, very wide beside very narrow fractures, or a loose tolerance"
+        )
+    if closed > max(COARSE * most, noise):
+        yield (
+            f"! energy books: with the closed forms of what joints store {closed / most:.1e} of the largest entry is left over:"
+            " steps are too long for the joints, or unstable; compare with a shorter time_step"
+        )
+    if 0.0 < most <= noise:
+        yield (
+            f"energy books: all entries are round-off, below {noise:.1e}, which is the machine's precision of what the initial"
+            " stresses store: nothing moved that could be told from it"
+        )
+
+
+def tell(folder: Path, console: Console, failed: bool = False) -> None:
+    """Print books and events of a run folder; of a run that ``failed`` without what more steps might bring."""
+    history = read_history(folder / "history.h5")
+    about = read_attributes(folder / "history.h5")
+    units = read_units(folder / "history.h5", about)
+    length, time, force = (shown_plain(units.get(key, "")) for key in ("length", "time", "force"))
+    title = "Energy books" + (f" [{force} {length} per {length} of thickness]" if length else "")
+    table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
+    books = [name for name in BOOKS if f"energy/{name}" in history]  # earlier versions had fewer
+    for name in books:
+        values = history[f"energy/{name}"]
+        table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
+    console.print(table)
+    left, closed, most = (
+        max((np.abs(history[f"energy/{name}"]).max() for name in books if name in names), default=0.0)
+        for names in (("residual",), ("residual_closed",), BOOKS)
+    )
+    noise = about.get("energy_noise", 0.0)
+    if isinstance(noise, str):
+        raise InputError(f"{folder / 'history.h5'}: its energy_noise is no number; name the folder of a run")
+    noise *= len(history["time"])
+    for line in _told_books(left, closed, most, noise):
+        console.print(line, soft_wrap=True, markup=False)
+    events = read_events(folder / "events.csv")
+    if not events:
+        console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
+        return
+    heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
+    slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")
+    slips.title = "What slipped and when"
+    shown = sorted(events, key=lambda event: -abs(event["slip"]))[:MOST_EVENTS]
+    for event in sorted(shown, key=lambda event: event["start"]):
+        end = "" if event["end"] is None else f"{event['end']:.6g}"
+        slips.add_row(
+            event["kind"],
+            escape(event["fracture"]),
+            str(event["node"]),
+            escape(event["probe"]),
+            _began(event),
+            end,
+            f"{event['slip']:.4e}",
+        )
+    console.print(slips)
+    for line in told_handed(events, load_mesh(folder / "mesh.h5")):
+        console.print(line, soft_wrap=True, markup=False)
+    if len(events) > MOST_EVENTS:
+        console.print(
+            f"and {len(events) - MOST_EVENTS} more, of smaller slip, in {folder / 'events.csv'}",
+            soft_wrap=True,
+            markup=False,
+        )
+
+
+def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the records of a scene card: ten lines, and a remedy for each number out of range."""
+    table = Table(title="Scene card", title_style="bold", box=None, pad_edge=False)
+    for head in ("", "number", "value", "limit", "where"):
+        table.add_column(head, no_wrap=True)
+    for number in numbers:
+        value = number["value_text"] or "-"
+        limit = number["limit_text"] or (f"({number['note']})" if number["note"] else "-")
+        mark = "!" if number["out_of_range"] else ""
+        cells = (mark, f"{number['name']} {number['formula'].partition(' = ')[0]}", value, limit, number["where"])
+        table.add_row(*map(escape, cells), style="bold" if mark else "")
+    console.print(table)
+    for number in numbers:
+        if number["out_of_range"]:
+            console.print(f"! {number['name']}: {number['remedy']}", soft_wrap=True, markup=False)
+
+
+def tell_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the records of a plan, what is left out first."""
+    table = Table(title="Plan", title_style="bold", box=None, pad_edge=False)
+    for head, share in (
+        ("", 1),
+        ("part", 3),
+        ("criterion", 5),
+        ("value", 3),
+        ("limit", 2),
+        ("may err by", 4),
+        ("saves", 5),
+    ):
+        table.add_column(head, ratio=share, overflow="fold")
+    for each in sorted(decisions, key=lambda each: not each["left_out"]):
+        value, limit = (f"{x:.3g}" if isinstance(x, float) else str(x) for x in (each["value"], each["limit"]))
+        part = f"{each['part']}, stage {each['stage']}" if each["stage"] else each["part"]
+        error = "" if each["verdict"] == "kept" else each["error"]
+        cells = (
+            each["verdict"],
+            part,
+            each["criterion"],
+            value,
+            limit,
+            error,
+            each["saves"],
+        )
+        table.add_row(*map(escape, cells), style="bold" if each["left_out"] else "")
+    console.print(table)

@@ -1,0 +1,159 @@
+"""Runs at the command line: their progress in sight, and what they left told and drawn."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from fracflow.cli.exit import LastWords
+from fracflow.errors import InputError, Interrupted, SolveError
+
+if TYPE_CHECKING:
+    from fracflow._petsc import MPI
+    from fracflow.advance.step import Step
+    from fracflow.scene.scene import Scene
+    from fracflow.simulation.refinement import Level
+    from fracflow.simulation.run import Progress as Tick
+    from fracflow.simulation.totals import Totals
+
+
+class Terminal(Console):
+    """A console that goes quiet when whoever read has seen enough; the run goes on."""
+
+    def on_broken_pipe(self) -> None:
+        """Say no more."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+
+
+def watched(
+    scene: Scene,
+    folder: Path,
+    console: Console,
+    comm: MPI.Comm,
+    job: Callable[[Tick], Totals],
+    title: str = "",
+    is_shown: bool = True,
+) -> None:
+    """Do a job with its progress in sight, then tell and draw what it left. Raises what the job raises."""
+    total, start = 0, 0.0
+    for stage in scene.stage:
+        count = stage.step_count(start) or 0
+        total, start = total + count, stage.finish(start)
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.completed} steps"),
+        TimeRemainingColumn(),
+    )
+    from fracflow.model.setup import on_root
+    from fracflow.solve.options import forget
+
+    totals, failure = None, None
+    screen = Terminal(stderr=True, quiet=comm.rank > 0)
+    hidden = not screen.is_terminal
+    with LastWords(comm, folder) as words, Progress(*columns, console=screen, transient=True, disable=hidden) as bar:
+        name = title or scene.title or str(folder)
+        task = bar.add_task(name, total=total or None)
+        try:
+            sight = Sight(scene, name, lambda text, steps: bar.update(task, advance=steps, description=text))
+            sight.saved = words.saved
+            totals = job(sight)
+        except SolveError as error:
+            failure = error
+        except Interrupted as error:
+            raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
+        finally:
+            forget()
+    if is_shown or failure is not None:
+        on_root(comm, lambda: show(folder, console, scene.output.pictures, failure is not None))
+    comm.barrier()  # all ranks end together, in whichever way
+    if failure is not None:
+        raise SolveError(f"{failure}; what was reached is in {folder}")
+    if totals is not None:
+        counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
+        console.print(counts + totals.besides(), soft_wrap=True)
+        for line in totals.doubts:
+            console.print(f"! {line}", soft_wrap=True, markup=False)
+
+
+class Sight:
+    """The bar of a run: its steps, and the trials that were rejected, each as it is.
+
+    update  is given a line, and how many steps more there are
+    saved   is told after how many steps the last state on disk is
+    """
+
+    saved: Callable[[int], None]
+
+    def __init__(self, scene: Scene, name: str, update: Callable[[str, int], None]) -> None:
+        """Before the first step."""
+        self.scene, self.name, self.update = scene, name, update
+        self.rejected = self.since = 0
+
+    def __call__(self, step: Step) -> None:
+        """A step has been taken; its report counts the trials before it."""
+        self.rejected, self.since = self.rejected + step.report.rejected, 0
+        besides = f", {self.rejected} trials rejected" if self.rejected else ""
+        self.update(f"{self.name}{told(self.scene, step)}{besides}", 1)
+
+    def trial(self, time: float, length: float, why: str) -> None:
+        """A step of a length was tried from a time, and rejected."""
+        self.since += 1
+        at = f"{time:.6g} {self.scene.unit_system.time}".rstrip()
+        self.update(f"{self.name}, {self.rejected + self.since} trials rejected, the last of {length:.3g} at {at}", 0)
+
+
+def told(scene: Scene, step: Step) -> str:
+    """Of a stage that chooses its regime the one it is in, and the time."""
+    return f", {step.regime} at {step.state.time:.6g} {scene.unit_system.time}".rstrip() if step.regime else ""
+
+
+def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
+    """Tell what a run folder holds, and draw it."""
+    from fracflow.cli.report import tell
+    from fracflow.output.pictures import draw
+
+    paths: list[Path] = []
+    try:
+        tell(folder, console, failed)
+        paths = draw(folder) if pictures else paths
+    except (OSError, InputError) as error:  # of the files, or of a full disk; the run itself is whole
+        why = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        if isinstance(error, BrokenPipeError) or (isinstance(error, OSError) and not error.filename):
+            raise
+        line = f"! told and drawn only in part: {why}; again with: fracflow picture {folder}"
+        console.print(line, soft_wrap=True, markup=False)
+    for path in paths:
+        console.print(f"picture: {path}", soft_wrap=True, markup=False)
+
+
+def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
+    """Run a scene level by level, tell the finest run, and what the levels tell about its errors."""
+    from fracflow.output.convergence_look import tell
+    from fracflow.scene.levels import order_in_time
+    from fracflow.simulation.refinement import check_levels, converge, has_tips
+
+    def each(level: Level) -> None:
+        is_last, there = level.number == count - 1, {"all": "is there", "a part": "goes on"}.get(level.found, "")
+        console.print(f"level {level.number} of {count - 1}: {level.folder} {there}".rstrip(), soft_wrap=True)
+        name = f"level {level.number} {scene.title}".rstrip()
+        try:
+            watched(level.scene, level.folder, console, comm, level.run, name, is_last)
+        except Interrupted as error:
+            raise Interrupted(
+                f"{str(error).partition(';')[0]} of level {level.number}; go on with the same command"
+            ) from error
+
+    check_levels(count, "command line: --converge")
+    rows = converge(scene, folder, count, each, comm)
+    if comm.rank == 0:
+        for ending in ("csv", "json", "png"):
+            console.print(f"convergence: {folder / f'converge.{ending}'}", soft_wrap=True)
+        tell(rows, console, count, order_in_time(scene), has_tips(folder))
+    comm.barrier()

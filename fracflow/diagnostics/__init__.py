@@ -1,0 +1,57 @@
+"""The scene card: numbers that tell before a run where its methods may fail, each with its limit and what to change.
+
+A limit warns only where the scene uses the method that it is about; else the number is there as information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from math import isfinite
+
+from fracflow.diagnostics import film, rock, slip
+from fracflow.diagnostics.joints import gather
+from fracflow.diagnostics.number import Number, View
+from fracflow.mesh.data import SplitMesh
+from fracflow.scene.scene import Scene
+
+__all__ = ["Number", "as_lines", "as_records", "scene_card"]
+
+NUMBERS = (
+    rock.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,
+    rock.joint_step, film.fluid_inertia, film.compressibility, slip.nucleation, film.contrast,
+    slip.cohesive_zone, slip.dissimilar_rock,
+)  # fmt: skip
+
+
+def scene_card(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
+    """The numbers of a scene on its mesh; ``wells`` name -> flow node. On one process."""
+    view = View(scene, gather(scene, mesh, wells))
+    return [number(view) for number in NUMBERS]
+
+
+def as_lines(numbers: list[Number]) -> list[str]:
+    """For the log."""
+    lines = []
+    for number in numbers:
+        text = f"card: {number.name}, {number.formula}: "
+        text += "none" if number.value is None else f"{number.value:.4g}"
+        text += f", limit {number.limit:.4g}" if number.limit is not None else ""
+        text += f" ({number.note})" if number.note else ""
+        text += f", {number.where}" if number.where else ""
+        lines.append(text + (f"; out of range: {number.remedy}" if number.out_of_range else ""))
+    return lines
+
+
+def as_records(numbers: list[Number]) -> list[dict[str, object]]:
+    """For plan.json and ``check --json``: the fields of each number, and ``value_text`` and ``limit_text``.
+
+    JSON has no infinity: where a value or limit is "inf" in its text, the field itself is null; where there is none, both
+    are null.
+    """
+    return [asdict(number) | _told("value", number.value) | _told("limit", number.limit) for number in numbers]
+
+
+def _told(name: str, value: float | None) -> dict[str, object]:
+    known = value if value is not None and isfinite(value) else None
+    return {name: known, f"{name}_text": None if value is None else f"{value:.3g}"}

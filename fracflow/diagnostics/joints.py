@@ -1,0 +1,238 @@
+"""What the scene card needs of every joint, gathered once from the scene and its split mesh, on one process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from fracflow.elements import joint
+from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
+from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.model.properties import initial_pressure, initial_stress
+from fracflow.scene.profiles import sample
+from fracflow.scene.scene import Scene
+
+Bools = np.ndarray
+
+
+@dataclass(frozen=True)
+class CardJoints:
+    """Values of all joints (j,), or at their two ends (j, 2); NaN where the scene does not say.
+
+    names, fracture  names of the fractures, and the one of each joint
+    length           h [length]
+    normal, shear    (j, 2) k_n and k_s at the initial state [stress/length]
+    aperture         (j, 2) d at the initial state [length]
+    conducting       (j, 2) flow per thickness and pressure gradient: d^3/(12 mu), or what is given
+    is_cubic         (j,) whether the cubic law gives it
+    laws             the law of each fracture
+    drop             (j, 2) by how much strength falls with slip at the initial normal traction; 0 where it does not [stress]
+    distance         (j, 2) slip over which it does: 0 where it falls at once, inf where it does not [length]
+    modulus          E' = E/(1 - nu^2) of the rock beside, two rocks in series; inf where both are rigid [stress]
+    shear_modulus    mu* = G/(1 - nu), likewise [stress]
+    layer            E' D, likewise, D the depth of each connected block: its area over the length of its joints
+                     [stress length]
+    shear_speed      (j, 2) c_s of the rock below and above; inf of a rigid one [length/time]
+    softer           mu of the one of the lower c_s [stress]
+    impedance        rho c_p of both sides in series, rho c_p/2 where they are equal [stress time/length]
+    mass             m_rel, what of the walls' lumped masses moves against each other, per length of joint; rho h/4 between
+                     equal cells of depth h [stress time^2/length]
+    component        hydraulic component
+    reach            of its component, the longest way along the network to a prescribed pressure; inf where none is [length]
+    is_held          (j,) whether its fracture has a prescribed pressure, so that its film has no equation
+    """
+
+    names: tuple[str, ...]
+    fracture: Ints
+    length: Floats
+    normal: Floats
+    shear: Floats
+    aperture: Floats
+    conducting: Floats
+    is_cubic: Bools
+    laws: tuple[type[JointLaw], ...]
+    drop: Floats
+    distance: Floats
+    modulus: Floats
+    shear_modulus: Floats
+    layer: Floats
+    shear_speed: Floats
+    softer: Floats
+    impedance: Floats
+    mass: Floats
+    component: Ints
+    reach: Floats
+    is_held: Bools
+
+
+def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoints:
+    """The joints of a mesh; ``wells`` name -> flow node."""
+    length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=-1)
+
+    def ends(key: str) -> Floats:
+        values = np.full((len(length), 2), np.nan)
+        for number, name in enumerate(mesh.fractures):
+            here = mesh.joint_fracture == number
+            values[here] = sample(getattr(scene.fracture_named(name), key), mesh.joint_along[here])
+        return values
+
+    aperture, given = ends("aperture"), ends("conductance")
+    viscosity = scene.fluid.viscosity if scene.fluid is not None and scene.has_flow else np.nan
+    cubic = np.maximum(aperture, ends("minimum_hydraulic_aperture")) ** 3 / (12.0 * viscosity)
+    drop, distance = _weakening(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
+    rock = cell_rocks(scene, mesh)
+    component, reach = _reaches(scene, mesh, wells, length)
+    return CardJoints(
+        mesh.fractures,
+        mesh.joint_fracture,
+        length,
+        ends("normal_stiffness"),
+        ends("shear_stiffness"),
+        aperture,
+        np.where(np.isnan(given), cubic, given),
+        np.isnan(given).all(axis=1),
+        tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
+        drop,
+        distance,
+        2.0 * _in_series(rock["modulus"][mesh.joint_cells]),
+        2.0 * _in_series(rock["shear_modulus"][mesh.joint_cells]),
+        _in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
+        rock["shear_speed"][mesh.joint_cells],
+        _of_slower(rock["shear_speed"][mesh.joint_cells], rock["shear"][mesh.joint_cells]),
+        _in_series(rock["impedance"][mesh.joint_cells]),
+        _in_series(_wall_masses(mesh, rock["density"], rock["rigid"], length)),
+        component,
+        reach,
+        _held(scene, mesh),
+    )
+
+
+def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:
+    """|f_n0| (j, 2) at the joint ends, of what is ``given`` or else of the initial stress (2.14) [stress]."""
+    ends = mesh.points[mesh.joint_bottom]
+    if not len(ends):
+        return np.abs(given)
+    sigma = initial_stress(scene, ends)[..., :2, :2]
+    frame = np.repeat(joint.frame(ends)[0], 2, axis=0)
+    traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2))[:, -1].reshape(-1, 2)
+    effective = np.where(np.isnan(given), traction + initial_pressure(scene, ends), given)
+    return np.maximum(-effective, 0.0)
+
+
+def _weakening(scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], pressed: Floats) -> tuple[Floats, Floats]:
+    """Fall of strength (j, 2) under the pressures ``pressed`` (j, 2), and the slip (j, 2) over which it comes."""
+    drop, distance = np.zeros_like(pressed), np.full_like(pressed, np.inf)
+    of_fracture = [scene.fracture_named(name).law for name in mesh.fractures]
+    for name in sorted(set(of_fracture)):
+        here = np.isin(mesh.joint_fracture, np.flatnonzero([law == name for law in of_fracture]))
+        given = {
+            each: ends("friction" if each == "friction_coefficient" else each)[here].ravel()
+            for each in (*keys_of(JOINT_LAWS[name]), "normal_stiffness", "shear_stiffness", "aperture")
+            if each in {field.name for field in parameters_of(JOINT_LAWS[name])}
+        }
+        law, pressures = make_law(name, **given), pressed[here].ravel()
+        drop[here] = law.strength_drop(pressures).reshape(-1, 2)
+        distance[here] = law.slip_length(len(pressures)).reshape(-1, 2)
+    return drop, distance
+
+
+def _of_slower(speed: Floats, values: Floats) -> Floats:
+    """The value (j,), of pairs (j, 2), on the side of the lower speed."""
+    side = np.argmin(np.where(np.isnan(speed), np.inf, speed), axis=1) if len(speed) else np.zeros(0, dtype=int)
+    return values[np.arange(len(values)), side]
+
+
+def _in_series(sides: Floats) -> Floats:
+    """1/(1/a + 1/b) of pairs (j, 2)."""
+    with np.errstate(divide="ignore"):
+        result: Floats = 1.0 / (1.0 / sides).sum(axis=1)
+    return result
+
+
+def cell_rocks(scene: Scene, mesh: SplitMesh) -> dict[str, Floats]:
+    """Properties (m,) of the rock of each cell; a rigid one has infinite moduli."""
+    tables = [scene.rock[name] for name in mesh.rocks]
+    rigid = np.array([rock.rigid for rock in tables], dtype=float)
+    young = np.array([np.inf if r.rigid or r.youngs_modulus is None else r.youngs_modulus for r in tables])
+    nu = np.array([0.0 if r.rigid or r.poissons_ratio is None else r.poissons_ratio for r in tables])
+    density = np.array([np.nan if r.density is None else r.density for r in tables])
+    wave = np.sqrt(young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / density)
+    shear = young / (2.0 * (1.0 + nu))
+    found = {
+        "modulus": young / (1.0 - nu**2),
+        "shear_modulus": shear / (1.0 - nu),
+        "shear": shear,
+        "shear_speed": np.sqrt(shear / density),
+        "impedance": density * wave,
+        "density": density,
+        "rigid": rigid,
+    }
+    return {key: values[mesh.cell_rock] for key, values in found.items()}
+
+
+def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats) -> Floats:
+    """Lumped mass per length of joint of the bottom and the top wall (j, 2); of a rigid rock, that of all of it."""
+    is_node = mesh.cells >= 0
+    volume = density * _areas(mesh)
+    count = len(mesh.points)
+    share = (volume / is_node.sum(axis=1))[:, None] * is_node
+    corners = np.where(is_node, mesh.cells, mesh.cells[:, :1])
+    at_node = np.bincount(corners.ravel(), share.ravel(), count)
+    faces = np.stack([mesh.joint_bottom, mesh.joint_top], axis=1)  # (j, side, end)
+    wall = np.broadcast_to(0.5 * length[:, None, None], faces.shape)
+    of_wall = np.bincount(faces.ravel(), wall.ravel(), count)
+    per_length = np.divide(at_node, of_wall, out=np.zeros(count), where=of_wall > 0.0)[faces].mean(axis=2)
+    for number in range(len(mesh.rocks)):
+        inside = mesh.cell_rock == number
+        if inside.any() and rigid[inside].all():
+            sides = mesh.cell_rock[mesh.joint_cells] == number
+            per_length[sides] = volume[inside].sum() / max(float((length[:, None] * sides).sum()), 1e-300)
+    return per_length
+
+
+def _areas(mesh: SplitMesh) -> Floats:
+    """Areas (m,) of the cells; a pad is the first node again: its edges add nothing."""
+    x, y = np.moveaxis(mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])], -1, 0)
+    after = np.roll(np.arange(x.shape[1]), -1)
+    return 0.5 * np.abs((x * y[:, after] - x[:, after] * y).sum(axis=1))
+
+
+def _depths(mesh: SplitMesh, length: Floats) -> Floats:
+    """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any."""
+    cells, nodes = np.nonzero(mesh.cells >= 0)[0], mesh.cells[mesh.cells >= 0]
+    count = len(mesh.cells)
+    graph = sparse.coo_matrix((np.ones(len(cells)), (cells, count + nodes)), shape=(count + len(mesh.points),) * 2)
+    block = connected_components(graph, directed=False)[1][:count]
+    area = np.bincount(block, _areas(mesh))
+    along = np.bincount(block[mesh.joint_cells].ravel(), np.repeat(length, 2), len(area))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth: Floats = (area / along)[block]
+    return depth
+
+
+def _held(scene: Scene, mesh: SplitMesh) -> Bools:
+    """Whether the pressure of each joint's fracture is prescribed (j,)."""
+    kept = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
+    return np.asarray(np.array(kept, dtype=bool)[mesh.joint_fracture])
+
+
+def _reaches(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int], length: Floats) -> tuple[Ints, Floats]:
+    """Hydraulic component of each joint, and the longest way in it to a prescribed pressure (j,)."""
+    count, ends = len(mesh.flow_origin), mesh.joint_flow
+    if not scene.has_flow or not count:
+        return np.zeros(len(length), dtype=np.int64), np.full(len(length), np.inf)
+    graph = sparse.coo_matrix((length, (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
+    label = connected_components(graph, directed=False)[1]
+    held = {wells[well.name] for well in scene.well if well.pressure is not None}
+    held |= set(ends[_held(scene, mesh)].ravel().tolist())
+    away = np.full(count, np.inf)
+    if held:
+        away = dijkstra(graph, directed=False, indices=sorted(held), min_only=True)
+    farthest = np.zeros(label.max() + 1)
+    np.maximum.at(farthest, label, away)
+    component = label[ends[:, 0]].astype(np.int64)
+    return component, farthest[component]

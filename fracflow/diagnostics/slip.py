@@ -1,0 +1,171 @@
+"""Numbers of slip: which length stops it from being a choice of the mesh, and where rock on both sides makes it unstable."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracflow.diagnostics.number import Number, View
+from fracflow.laws import JOINT_LAWS
+from fracflow.mesh.data import Floats
+from fracflow.scene.units import LENGTH, STIFFNESS
+
+RESOLVED = 0.25  # h over the length E'/k_s that a joint gives to the edge of slip
+COHESIVE = 9.0 * np.pi / 32.0  # Lambda_0 over mu* D_c/(tau_p - tau_r): Day et al. (2005)
+ZONE = 4.0  # joints in Lambda_0
+UNSTABLE = 1.158  # L_c over mu* D_c/(tau_p - tau_r): Uenishi and Rice (2003)
+PATCH = 5.0  # joints in L_c
+GROWTH = 0.096
+"""Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them walls let waves grow below a contrast
+of 1.4 only; along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
+
+
+def _slip_scale(view: View) -> Floats:
+    """Sizes h k_s/E', in a thin layer h sqrt(k_s/(E' D)) (j, 2), where strength drops if it does anywhere."""
+    joints, length = view.joints, view.joints.length[:, None]
+    with np.errstate(divide="ignore"):
+        each = np.maximum(
+            length * joints.shear / joints.modulus[:, None], length * np.sqrt(joints.shear / joints.layer[:, None])
+        )
+    return np.where(view.drops, each, np.nan) if view.drops.any() else each
+
+
+def length_scale(view: View) -> Number:
+    """Joint length over E'/k_s, or sqrt(E' D/k_s) in a layer of depth D: with a drop of strength, joints must resolve it."""
+    name, formula, joints = "joint length scale", "h k_s/E'", view.joints
+    value, joint, where = view.worst(_slip_scale(view))
+    note = _thin(view, joint, joints.shear.max(axis=1, initial=0.0))
+    if not view.drops.any():
+        return Number(name, formula, value, None, False, where, note="no abrupt drop of strength")
+    if value is None or value <= RESOLVED:
+        return Number(name, formula, value, RESOLVED, False, where, note=note)
+    share = RESOLVED / value
+    softer = share**2 if note else share
+    remedy = (
+        f"how far slip runs is a choice of the mesh: joints shorter than {joints.length[joint] * share:.3g}{view.unit(LENGTH)},"
+        f" or shear_stiffness below {joints.shear[joint].max() * softer:.3g}{view.unit(STIFFNESS)}{_weakening(view, joint)}"
+    )
+    return Number(name, formula, value, RESOLVED, True, where, remedy, note)
+
+
+def _thin(view: View, joint: int, stiffness: Floats) -> str:
+    """Note of a joint beside a layer so thin that it bends as a bar: E' D below E'^2/stiffness."""
+    joints = view.joints
+    if joint < 0 or not np.isfinite(joints.modulus[joint]):
+        return ""
+    return "thin layer" if joints.layer[joint] * stiffness[joint] < joints.modulus[joint] ** 2 else ""
+
+
+def _weakening(view: View, joint: int) -> str:
+    """The D_c with which the mesh as it is would resolve the same drop."""
+    joints, drop = view.joints, view.joints.drop[joint].max()
+    if not drop > 0.0:
+        return ""
+    length = joints.length[joint]
+    rigid = max(ZONE / COHESIVE, PATCH / UNSTABLE) * length * drop / joints.shear_modulus[joint]
+    distance = max(rigid, (ZONE * length) ** 2 * drop / joints.layer[joint])
+    keys = [law.weakens_over for law in JOINT_LAWS.values() if law.weakens_over]
+    return f", or a law that weakens with slip, {' or '.join(keys)} above {distance:.2g}{view.unit(LENGTH)}"
+
+
+def _lengths(view: View, factor: float, of_layer: float) -> Floats:
+    """The smaller of factor mu* D_c/dtau and, in a layer, of_layer sqrt(E' D D_c/dtau) (j, 2); NaN where nothing weakens."""
+    joints = view.joints
+    ratio = joints.distance / np.where(view.weakens, joints.drop, 1.0)
+    each = np.minimum(factor * joints.shear_modulus[:, None] * ratio, of_layer * np.sqrt(joints.layer[:, None] * ratio))
+    return np.where(view.weakens, each, np.nan)
+
+
+def critical_length(shear_modulus: float, layer: float, fall: float) -> float:
+    """L_c of slip whose strength falls by ``fall`` [stress/length]: 1.158 mu*/fall, or pi sqrt(E' D/fall) in a thin layer."""
+    return float(min(UNSTABLE * shear_modulus / fall, np.pi * np.sqrt(layer / fall))) if fall > 0.0 else np.inf
+
+
+def nucleation_lengths(view: View) -> Floats:
+    """L_c (j, 2) at the joint ends under their initial normal traction; NaN where nothing weakens [length]."""
+    return _lengths(view, UNSTABLE, np.pi)
+
+
+def longest_joints(view: View) -> dict[str, Floats]:
+    """The longest joints (j,) that resolve each length of slip, as the numbers of the card ask; inf where there is none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drops = np.where(view.drops, RESOLVED * view.joints.length[:, None] / _slip_scale(view), np.nan)
+        limits = {
+            f"E'/k_s / {1.0 / RESOLVED:g}": drops,
+            f"nucleation length / {PATCH:g}": nucleation_lengths(view) / PATCH,
+            f"cohesive zone / {ZONE:g}": _lengths(view, COHESIVE, 1.0) / ZONE,
+        }
+    return {name: np.where(np.isnan(sizes), np.inf, sizes).min(axis=1) for name, sizes in limits.items()}
+
+
+def nucleation(view: View) -> Number:
+    """L_c = 1.158 mu* D_c/dtau: none where strength drops at once, and then only E'/k_s gives slip a length."""
+    name, formula, joints = "nucleation length", "L_c = 1.158 mu* D_c/dtau", view.joints
+    if view.drops.any():
+        coarse, joint, where = view.worst(_slip_scale(view))
+        if coarse is None or coarse <= RESOLVED:
+            return Number(name, formula, 0.0, None, False, where, note="D_c = 0")
+        own = joints.length[joint] / coarse
+        remedy = (
+            f"strength drops at once, so slip has no length but the joint's own, {own:.3g}{view.unit(LENGTH)}, which"
+            f" the mesh does not resolve: refine, or set {view.law(joint).no_drop}"
+        )
+        return Number(name, formula, 0.0, None, True, where, remedy, "D_c = 0")
+    if not view.weakens.any():
+        return Number(name, formula, note="no abrupt drop of strength")
+    ratio, joint, where = view.worst(joints.length[:, None] / nucleation_lengths(view))
+    if not ratio:  # rigid rock: slip has no length at all
+        return Number(name, formula, note="rigid rock")
+    length, limit = float(joints.length[joint]) / ratio, PATCH * float(joints.length[joint])
+    if length >= limit:
+        return Number(name, formula, length, limit, False, where, note="5 h")
+    return Number(name, formula, length, limit, True, where, _finer(view, joint, length / limit), "5 h")
+
+
+def cohesive_zone(view: View) -> Number:
+    """Joints in the zone at the edge of slip where strength falls, of a rupture that has not picked up speed."""
+    name, formula, joints = "cohesive zone", "Lambda_0/h = (9 pi/32) mu* D_c/(dtau h)", view.joints
+    if not view.weakens.any():
+        return Number(name, formula, note="no weakening")
+    inverse, joint, where = view.worst(joints.length[:, None] / _lengths(view, COHESIVE, 1.0))
+    if not inverse:
+        return Number(name, formula, note="rigid rock")
+    value = 1.0 / inverse
+    if value >= ZONE:
+        return Number(name, formula, value, ZONE, False, where)
+    return Number(name, formula, value, ZONE, True, where, _finer(view, joint, value / ZONE))
+
+
+def _finer(view: View, joint: int, share: float) -> str:
+    joints = view.joints
+    thin = _thin(
+        view, joint, joints.drop.max(axis=1) / np.where(joints.distance > 0.0, joints.distance, 1.0).min(axis=1)
+    )
+    return (
+        "how far slip runs, and how fast, is a choice of the mesh: joints shorter than"
+        f" {joints.length[joint] * share:.3g}{view.unit(LENGTH)}, or {view.law(joint).weakens_over} above"
+        f" {joints.distance[joint].min() / (share**2 if thin else share):.3g}{view.unit(LENGTH)}"
+    )
+
+
+def dissimilar_rock(view: View) -> Number:
+    """N = 0.096 (k_n c_s/mu) T: e-folds in the dynamic stages of a wave along a joint that slides between unlike rocks."""
+    name, formula, joints = "dissimilar rock", "N = 0.096 (k_n c_s/mu) T", view.joints
+    speeds, slips = joints.shear_speed, np.array([bool(law.status) for law in joints.laws], dtype=bool)[joints.fracture]
+    with np.errstate(invalid="ignore"):
+        contrast = speeds.max(axis=1, initial=0.0) / speeds.min(axis=1, initial=np.inf)
+        unlike = slips & (contrast > 1.0 + 1e-9)
+    if not unlike.any():
+        return Number(name, formula, note="like rocks")
+    if not view.dynamic:
+        return Number(name, formula, note="no inertia")
+    rate = GROWTH * joints.normal * (speeds.min(axis=1) / joints.softer)[:, None]
+    value, joint, where = view.worst(np.where(unlike[:, None], rate * view.dynamic_time(), np.nan))
+    if value is None or value <= 1.0:
+        return Number(name, formula, value, 1.0, False, where)
+    unlike_by = f"differ by {contrast[joint]:.3g} times" if np.isfinite(contrast[joint]) else "differ, one is rigid"
+    remedy = (
+        f"shear speeds of the rocks beside it {unlike_by}: while it slides, waves along it grow by"
+        f" themselves, up to e^{value:.3g} times in the dynamic stages: normal_stiffness below"
+        f" {joints.normal[joint].max() / value:.2g}{view.unit(STIFFNESS)}, shorter stages, or the same rock on both sides"
+    )
+    return Number(name, formula, value, 1.0, True, where, remedy, f"contrast {contrast[joint]:.3g}")

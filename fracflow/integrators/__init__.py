@@ -1,0 +1,64 @@
+"""Rules for stepping in time."""
+
+from dataclasses import fields
+from typing import Any
+
+from fracflow.integrators.explicit import Explicit
+from fracflow.integrators.first_order import BDF2, BackwardEuler, Rates, Trapezoid, first, storage_error
+from fracflow.integrators.generalised_alpha import GeneralisedAlpha
+from fracflow.integrators.hht import HHT
+from fracflow.integrators.implicit_euler import ImplicitEuler
+from fracflow.integrators.newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
+from fracflow.integrators.parameters import keys_of
+
+STEPPERS: dict[str, type[Stepper]] = {
+    "newmark": Newmark,
+    "hht": HHT,
+    "generalised-alpha": GeneralisedAlpha,
+    "implicit-euler": ImplicitEuler,
+    "steady": Steady,
+    "backward-euler": BackwardEuler,
+    "bdf2": BDF2,
+    "trapezoid": Trapezoid,
+}
+"""Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
+
+EXPLICIT: dict[str, type[Stepper]] = {"explicit": Explicit}
+"""Rules with a protocol of their own: see ``coupling.explicit``."""
+
+WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
+OF_FILMS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
+
+
+def stepper_from(name: str, method: Any) -> Stepper:
+    """The rule of that name, with its parameters from the attributes of ``method`` that their keys name."""
+    kind: type[Any] = (STEPPERS | EXPLICIT)[name]
+    made: Stepper = kind(**{each.name: getattr(method, each.metadata["key"]) for each in fields(kind)})
+    return made
+
+
+__all__ = [
+    "BDF2",
+    "HHT",
+    "OF_FILMS",
+    "STEPPERS",
+    "WITH_INERTIA",
+    "Alphas",
+    "BackwardEuler",
+    "Explicit",
+    "GeneralisedAlpha",
+    "HasMotion",
+    "ImplicitEuler",
+    "Newmark",
+    "Rates",
+    "Steady",
+    "Stepper",
+    "Trapezoid",
+    "acceleration",
+    "first",
+    "first_rate",
+    "keys_of",
+    "stepper_from",
+    "storage_error",
+    "velocity",
+]

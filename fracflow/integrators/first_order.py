@@ -1,0 +1,119 @@
+"""Rules for the film where there is no inertia: what the walls give to the flow at the end of a step, on arrays.
+
+A film mode that decays at the rate s is multiplied in a step by, with x = s dt,
+backward Euler  1/(1 + x)                        order 1, monotone at any dt
+trapezoid       (1 - x/2)/(1 + x/2)              order 2, dissipates nothing of its own, rings for x > 2
+BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; they are complex for x > 1/2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked, error_by_rate
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Rates of what is stored, around a step: at its start and its end, and the means of this step and of the last one.
+
+    last  length of the last step, 0 where there was none [time]
+    """
+
+    old: Any
+    new: Any
+    mean: Any
+    mean_last: Any
+    last: float
+
+
+def storage_error(stepper: Stepper, dt: float, rates: Rates) -> Any:
+    """About the error in what is stored that a step of a film rule adds, either sign, of its own order.
+
+    With divided differences for the derivatives: backward Euler leaves dt^2/2 of the second one, the trapezoid dt^3/12
+    of the third, BDF2 dt^2 (dt + last)^2/(6 (2 dt + last)) of it (Hairer, Norsett and Wanner 1993, III.5). Rules with a
+    memory begin by backward Euler. Of a stage's first step, whose rate at its start nobody knows, it is about a third of
+    what is stored in it: a half where the rate rises evenly, 0.19 where a pressure jumps (erfc against its exponential).
+    """
+    last = rates.last
+    if last == 0.0:
+        return dt * (rates.new - rates.old) / 3.0
+    before = 2.0 / last * (rates.old - rates.mean_last)  # the second derivative that the rule itself had
+    if isinstance(stepper, Trapezoid):
+        return dt**3 / 6.0 / (dt + last) * ((rates.new - rates.old) / dt - before)
+    now = 2.0 / (dt + last) * (rates.mean - rates.mean_last)
+    if isinstance(stepper, BDF2):
+        return dt**2 * (dt + last) ** 2 / (2.0 * (2.0 * dt + last) * (dt + 2.0 * last)) * (now - before)
+    return 0.5 * dt**2 * now
+
+
+@dataclass(frozen=True)
+class BackwardEuler:
+    """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
+
+    order: ClassVar[int] = 1
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "end"
+    memory: ClassVar[bool] = False
+
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
+        """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
+        return Alphas(a1=1.0 / checked(time_step))
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """That of backward Euler."""
+        return error_by_rate(time_step, old, new)
+
+
+@dataclass(frozen=True)
+class Trapezoid:
+    """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for the film; rings for dt > 2 tau_d."""
+
+    order: ClassVar[int] = 2
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = True
+
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
+        """alpha_1 = 2/dt, alpha_4 = 1, the rest zero; time_step [time], positive."""
+        return Alphas(a1=2.0 / checked(time_step), a4=1.0)
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """That of backward Euler."""
+        return error_by_rate(time_step, old, new)
+
+
+@dataclass(frozen=True)
+class BDF2:
+    """Second order from three instants: v_new = ((1 + 2r) w_new - r w)/(1 + r).
+
+    w_new = (d_new - d)/dt and w are the mean velocities of this step and the last, r is the ratio of their lengths.
+    Stable for r < 1 + sqrt(2) at any change of the step, always for steps that are equal or shrink.
+    """
+
+    order: ClassVar[int] = 2
+    inertia: ClassVar[bool] = False
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = True
+
+    def alphas(self, time_step: float, last: float | None = None) -> Alphas:
+        """alpha_1 and alpha_6; time_step [time], and ``last`` the length of the last one, None for as long; positive."""
+        ratio = checked(time_step) / checked(time_step if last is None else last)
+        return Alphas(a1=(1.0 + 2.0 * ratio) / (1.0 + ratio) / time_step, a6=ratio / (1.0 + ratio))
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """That of backward Euler."""
+        return error_by_rate(time_step, old, new)
+
+
+def first(stepper: Stepper) -> Stepper:
+    """The rule of a stage's first step: backward Euler for one that needs a step before it.
+
+    What is prescribed at the beginning of such a stage arrives during that step, so its start need not be in balance.
+    One step of first order leaves the order of the whole.
+    """
+    return BackwardEuler() if stepper.memory else stepper

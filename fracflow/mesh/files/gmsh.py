@@ -1,0 +1,200 @@
+"""Gmsh in a process of its own, talked to by files; its errors and crashes become one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fracflow.errors import InputError
+from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.files.geo_check import Checked
+from fracflow.mesh.files.msh_check import check_msh
+
+PACKAGE_PARENT = Path(__file__).resolve().parents[2]
+SECONDS, MEMORY = ("FRACFLOW_GMSH_SECONDS", 600), ("FRACFLOW_GMSH_GIB", 8)  # variables, and what holds without them
+# To read a mesh file of any size, and more for each of its bytes: memory [bytes] and CPU time [s].
+LEAST_MEMORY, MEMORY_PER_BYTE = 1 << 30, 100
+LEAST_SECONDS, BYTES_PER_SECOND = 20, 100_000
+LONGEST_REPORT = 4096
+OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Unable to allocate", "ut of memory")
+
+
+@dataclass(frozen=True)
+class Elements:
+    """What a mesh file holds, before it means anything.
+
+    points      (n, 2 or 3)  coordinates [length]
+    nodes       kind -> (m, k) rows of ``points``; kinds "point", "line", "triangle", "quad"
+    members     kind -> (q, 2) element, group; an element without a group has no row
+    others      names of all other types of elements in the file
+    group_dims, group_tags, group_names  the physical groups; an unnamed one has the name ""
+    """
+
+    points: Floats
+    nodes: Mapping[str, Ints]
+    members: Mapping[str, Ints]
+    others: tuple[str, ...]
+    group_dims: Ints
+    group_tags: Ints
+    group_names: tuple[str, ...]
+
+
+KINDS = ("point", "line", "triangle", "quad")
+
+
+def open_in_gmsh(path: Path) -> Elements:
+    """Mesh a .geo of an author who is trusted: Gmsh runs the file itself. Raises InputError with Gmsh's first error."""
+    return run_worker({"file": str(path.resolve())}, str(path))
+
+
+def open_checked(path: Path, checked: Checked) -> Elements:
+    """Mesh a .geo that was checked, from what was made of it. Raises InputError with Gmsh's first error."""
+    texts = {name: text.encode("utf-8", "surrogateescape") for name, text in checked.texts.items()}
+    return run_worker({"file": next(iter(texts))}, str(path), texts, checked.sources)
+
+
+def open_msh(path: Path) -> Elements:
+    """Read a .msh, of version 2 by meshio, of version 4 by Gmsh. Raises InputError with their first error."""
+    version = check_msh(path)
+    # Gmsh would run a program that lies beside the file, under its name and .opt; beside the link there is none.
+    job = {"msh2" if version == 2 else "file": "mesh.msh", "link": str(path.resolve()), "bytes": path.stat().st_size}
+    return run_worker(job, str(path), sources={"mesh.msh": path})
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the process of Gmsh may use: CPU time [s], memory and the size of a file it writes [bytes]."""
+
+    seconds: int
+    memory: int
+
+    @property
+    def wall(self) -> float:
+        """How long it may take on a busy machine [s]."""
+        return 4.0 * self.seconds + 60.0
+
+
+def limits(size: int | None = None) -> Limits:
+    """The limits, lower for a mesh file of some ``size`` [bytes]. Raises InputError for a variable that is no number."""
+    found = {}
+    for name, usual in (SECONDS, MEMORY):
+        text = os.environ.get(name, "") or str(usual)
+        if not re.fullmatch(r"\d{1,6}", text) or not int(text):
+            raise InputError(f'{name} = "{text}": must be a whole number from 1 to 999999; set it right or unset it')
+        found[name] = int(text)
+    seconds, memory = found[SECONDS[0]], found[MEMORY[0]] << 30
+    if size is not None:
+        seconds = min(seconds, LEAST_SECONDS + size // BYTES_PER_SECOND)
+        memory = min(memory, LEAST_MEMORY + MEMORY_PER_BYTE * size)
+    return Limits(seconds, memory)
+
+
+def run_worker(
+    job: Mapping[str, Any],
+    what: str,
+    texts: Mapping[str, bytes] | None = None,
+    sources: Mapping[str, Path] | None = None,
+) -> Elements:
+    """Let the worker do ``job`` beside files of ``texts``, whose names in its errors become those of their ``sources``.
+
+    Raises InputError, naming ``what``, if Gmsh reports an error, crashes or needs more than its limits, or if the folder
+    for temporary files is full.
+    """
+    try:
+        return _work(job, what, texts or {}, sources or {}, limits(job.get("bytes")))
+    except OSError as error:
+        where = error.filename or tempfile.gettempdir()
+        raise InputError(f"{what}: Gmsh cannot be run: {where}: {error.strerror}; make room, or set TMPDIR") from None
+
+
+def _work(
+    job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path], allowed: Limits
+) -> Elements:
+    with tempfile.TemporaryDirectory(prefix="fracflow-gmsh-") as name:
+        folder = Path(name)
+        for each, text in texts.items():
+            (folder / each).write_bytes(text)
+        if "link" in job:
+            (folder / "mesh.msh").symlink_to(job["link"])
+        told = {**job, "seconds": allowed.seconds, "memory": allowed.memory, "parent": os.getpid()}
+        (folder / "job.json").write_text(json.dumps(told), encoding="utf-8")
+        code, said = _run(folder, allowed)
+        if code is None or code == -signal.SIGXCPU:
+            why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"
+            raise InputError(
+                f"{what}: Gmsh did not end within {why}; let it make fewer cells, or set {SECONDS[0]} to more seconds"
+            )
+        report = folder / "error.txt"
+        if report.exists():
+            line = report.read_text(encoding="utf-8", errors="replace")[:LONGEST_REPORT]
+            for each, source in sources.items():
+                line = line.replace(str(folder / each), str(source)).replace(f"'{each}'", f"'{source}'")
+            raise InputError(f"{what}: {line}; {_remedy(what, line, allowed)}")
+        if code or not (folder / "mesh.npz").exists():
+            raise InputError(f"{what}: {_end_of(code, said)}; {_remedy(what, said, allowed)}")
+        with np.load(folder / "mesh.npz") as arrays:
+            return Elements(
+                points=arrays["points"],
+                nodes={kind: arrays[kind] for kind in KINDS},
+                members={kind: arrays[f"{kind}_member"] for kind in KINDS},
+                others=tuple(str(other) for other in arrays["other"]),
+                group_dims=arrays["group_dim"],
+                group_tags=arrays["group_tag"],
+                group_names=tuple(str(group) for group in arrays["group_name"]),
+            )
+
+
+def _run(folder: Path, allowed: Limits) -> tuple[int | None, str]:
+    """Run the worker in its folder: its exit code, None if it took too long, and the end of what it said.
+
+    Whatever ends this process, or the wait, ends the worker and all that it started.
+    """
+    paths = [str(PACKAGE_PARENT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    with (folder / "said.txt").open("wb") as said:
+        worker = subprocess.Popen(
+            [sys.executable, "-m", "fracflow.mesh.files.gmsh_worker", str(folder)],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+            start_new_session=True,
+        )
+        code: int | None = None
+        try:
+            code = worker.wait(allowed.wall)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            if worker.returncode is None:
+                os.killpg(worker.pid, signal.SIGKILL)
+                worker.wait()
+    with (folder / "said.txt").open("rb") as read:
+        read.seek(max(0, (folder / "said.txt").stat().st_size - LONGEST_REPORT))
+        return code, read.read().decode("utf-8", "replace")
+
+
+def _remedy(what: str, said: str, allowed: Limits) -> str:
+    if any(word in said for word in OUT_OF_MEMORY):
+        return f"it may use {allowed.memory / 2**30:.3g} GiB; let it make fewer cells, or set {MEMORY[0]} to more GiB"
+    if what.endswith(".msh"):
+        return "save it again from Gmsh"
+    return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
+
+
+def _end_of(code: int | None, said: str) -> str:
+    if code is not None and code < 0:
+        return f"Gmsh crashed (signal {-code})"
+    lines = said.strip().splitlines()
+    return f"Gmsh failed: {lines[-1] if lines else 'it ended without a mesh'}"

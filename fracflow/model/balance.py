@@ -1,0 +1,48 @@
+"""The balance of the rock but for inertia."""
+
+from __future__ import annotations
+
+from fracflow._petsc import PETSc
+from fracflow.mesh.data import Floats
+from fracflow.model.operators import Operators
+from fracflow.model.state import State
+
+
+def static_balance(
+    ops: Operators,
+    displacement: PETSc.Vec,
+    traction: Floats,
+    pressure: PETSc.Vec,
+    load: PETSc.Vec,
+    absorbed: PETSc.Vec | None = None,
+    damped: PETSc.Vec | None = None,
+) -> PETSc.Vec:
+    """S = K_s u + F_s(sigma_0) + G' W f - B p + what sides absorb and faults damp - R, in a new vector. Collective."""
+    result = ops.prestress.copy()
+    ops.stiffness.multAdd(displacement, result, result)
+    ops.joints.force(traction, result)
+    if ops.flow is not None:
+        term = result.duplicate()
+        ops.flow.push.mult(pressure, term)
+        result.axpy(-1.0, term)
+        term.destroy()
+    if absorbed is not None:
+        result.axpy(1.0, absorbed)
+    if damped is not None:
+        result.axpy(1.0, damped)
+    result.axpy(-1.0, load)
+    return result
+
+
+def static_balance_of(ops: Operators, state: State) -> PETSc.Vec:
+    """The same at a state. It is made from what the state has anyway, so a run that goes on makes it again bit by bit."""
+    forces = state.forces
+    return static_balance(
+        ops,
+        state.motion.displacement,
+        state.sections.traction,
+        state.pressure,
+        forces.load,
+        forces.absorbed,
+        forces.damped,
+    )

@@ -1,0 +1,115 @@
+"""What is prescribed: displacements of supports and pressures, each unknown by the first that names it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks, owner_of
+from fracflow.mesh.data import Floats, Ints
+from fracflow.scene.scene import Support
+from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
+
+Values = Callable[..., "float | Floats"]
+"""(time, around = AT_ONCE) -> one value or one for each; ``around`` tells which side of a jump counts."""
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each.
+
+    well  whose pressure it is, if that is a well's
+    """
+
+    numbers: Ints
+    value: Values
+    well: str = ""
+
+    def speed(self, time: float, around: Around) -> float | Floats:
+        """Mean velocity over the halves of the steps ``around`` a time: no ringing where it jumps, as Newmark's would."""
+        before, after = 0.5 * around[0], 0.5 * around[1]
+        return (self.value(time + after) - self.value(time - before)) / (before + after)
+
+    def acceleration(self, time: float, around: Around) -> float | Floats:
+        """Change of the mean velocity from the step before a time to that after it; none where a stage begins or ends."""
+        before, after = around
+        if before == 0.0 or after == 0.0:
+            return 0.0
+        here = self.value(time)
+        change = (self.value(time + after) - here) / after - (here - self.value(time - before)) / before
+        return 2.0 * change / (before + after)
+
+
+def supported(
+    blocks: Blocks, support: Support, name: str, points: Mapping[str, Ints]
+) -> dict[str, tuple[Ints, Floats]]:
+    """Unknowns (n,) of each supported component on a side, a rock or a point, of this rank's part, and their places (n, dim).
+
+    Raises InputError, on every rank.
+    """
+    block, dim = blocks.solid, blocks.sizes.dim
+    rotation = {"rotation": dim}
+    if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
+        bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
+        column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
+        return {
+            part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components
+        }
+    if name in block.sides:
+        nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
+    elif name in block.rocks:
+        nodes = np.unique(block.cells[block.cell_rock == block.rocks.index(name)])
+        nodes = nodes[nodes >= 0]
+    elif name in points:
+        nodes = np.flatnonzero(np.isin(block.node_ids, points[name]))
+    else:
+        known = ", ".join([*block.sides, *block.rocks, *points])
+        raise InputError(f'support: on = "{name}": no such side, rock or point (the mesh has: {known})')
+    turning = block.body[nodes] >= 0
+    if blocks.comm.allreduce(int(turning.any())):
+        raise InputError(f'support: on = "{name}": lies on a rigid rock; support the rock itself, by its name')
+    given = (
+        [part for part in support.components if part != "rotation"]
+        if "rotation" in support.components
+        else support.components
+    )
+    if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
+        raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
+    return {part: (block.unknown[nodes, AXES.index(part)], block.points[nodes]) for part in given}
+
+
+def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
+    """Local numbers of those that a rank owns."""
+    mine = np.unique(everywhere)
+    return mine[owner_of(starts, mine) == rank] - starts[rank]
+
+
+def prescribe(
+    starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[..., Any]
+) -> tuple[Prescribed, Ints]:
+    """What this rank holds of numbers (n,) found anywhere, but for those taken before; and all that is taken now.
+
+    value  of time, of what was found with each number (n, k), and of what is ``around`` that time
+    """
+    numbers, data = (np.concatenate(parts) for parts in zip(*comm.allgather(found), strict=True))
+    everywhere, first = np.unique(numbers, return_index=True)
+    is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
+    here = is_new & (owner_of(starts, everywhere) == comm.rank)
+    with_it = data[first[here]]
+    numbers = everywhere[here] - starts[comm.rank]
+    return Prescribed(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(taken, everywhere)
+
+
+def motion(support: Support, part: str) -> Callable[..., Any]:
+    """Displacement of a supported component over time at places (n, dim), jumps as ``TimeTable.around`` has them."""
+    base = (support.displacement or {}).get(part, TimeTable.constant(0.0))
+    if support.displacement_gradient is None or part not in AXES:
+        return lambda time, place, around: base(time, around)
+    row = support.displacement_gradient[AXES.index(part)]
+    return lambda time, place, around: base(time, around) + place @ np.array([entry(time, around) for entry in row])

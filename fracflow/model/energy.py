@@ -1,0 +1,220 @@
+"""The energy books: every term booked over each step with (2.33b), and what is left over.
+
+Running totals, per unit thickness. The balance that must close:
+kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
+    + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.mesh.data import Floats
+from fracflow.model.compressibility import taken_between
+from fracflow.model.energy_motion import Scheme, damping_part, motion_parts, side_parts
+from fracflow.model.operators import Operators
+from fracflow.model.state import State
+
+STORED = (
+    "kinetic",
+    "rock_strain",
+    "joint_normal",
+    "joint_shear",
+    "fluid_storage",
+    "friction",
+    "viscous",
+    "radiated",
+    "damping",
+    "scheme",
+    "spurious",
+    "dropped",
+)
+WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial")
+ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
+
+
+def empty_books() -> dict[str, float]:
+    """All entries at zero."""
+    return dict.fromkeys(ENTRIES, 0.0)
+
+
+def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
+    """Totals after a step of length ``dt`` from ``old`` to ``new``.
+
+    With ``scheme.storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
+    (``work_pressure``). Collective.
+    """
+    ops = operators
+    change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
+    mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
+    term = change.duplicate()
+    parts = {"scheme": 0.0, "work_boundaries": 0.0}
+    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | side_parts(ops, old, new, dt)
+    parts |= damping_part(ops, old, new)
+    mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
+    ops.stiffness.mult(mean_displacement, term)
+    parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
+    parts["work_boundaries"] += 0.5 * sum(
+        vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
+    )
+    if ops.flow is not None:
+        instants = (new,) if scheme.balance == "end" else (old, new)
+        parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme)
+        if ops.flow.compressibility > 0.0:
+            _add_compression(ops, parts, old, new, scheme.storage)
+        parts["scheme"] += parts.pop("fluid_scheme", 0.0)
+    for vector in (change, mean_pressure, mean_displacement, term):
+        vector.destroy()
+    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in ENTRIES}
+    return _with_residuals(totals)
+
+
+def _sum(first: float, a: PETSc.Vec, second: float, b: PETSc.Vec) -> PETSc.Vec:
+    result = a.copy()
+    result.scale(first)
+    result.axpy(second, b)
+    return result
+
+
+def switch(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
+    """Totals where a stage begins with another kinetic energy than the last one ended with: the rest is dropped."""
+    lost = totals["kinetic"] - kinetic
+    return _with_residuals({**totals, "kinetic": kinetic, "dropped": totals["dropped"] + lost})
+
+
+def pushed(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
+    """Totals where supports begin to move at once: what they put into the motion is work of boundaries."""
+    given = kinetic - totals["kinetic"]
+    return _with_residuals({**totals, "kinetic": kinetic, "work_boundaries": totals["work_boundaries"] + given})
+
+
+def jumped(totals: Mapping[str, float], stored: float) -> dict[str, float]:
+    """Totals where prescribed pressures jump as a stage begins: wells bring at once what the fluid stores there."""
+    stored_now, brought = totals["fluid_storage"] + stored, totals["work_wells"] + stored
+    return _with_residuals({**totals, "fluid_storage": stored_now, "work_wells": brought})
+
+
+def compressed(ops: Operators, old: State, new: State) -> float:
+    """Work of (2.33b) on a compressible fluid between two states, int h ds - p dd, with h of ``Flow.potential``.
+
+    Pressures p above those at rest; s is what the fracture of aperture d holds. Collective.
+    """
+    assert ops.flow is not None
+    room, taken = new.pressure.duplicate(), taken_between(ops, old, new)
+    change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
+    ops.flow.squeeze.multTranspose(change, room)
+    mean, driving = _potential(ops, (old, new)), _sum(0.5, new.pressure, 0.5, old.pressure)
+    driving.axpy(-1.0, ops.flow.resting)
+    driving.aypx(-1.0, mean)
+    work = float(mean.dot(taken)) + float(driving.dot(room))
+    for vector in (room, taken, change, mean, driving):
+        vector.destroy()
+    return work
+
+
+def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
+    """What a volume of fluid brings, as a mean over the instants, in a new vector [stress]."""
+    assert ops.flow is not None
+    if ops.flow.compressibility == 0.0:
+        balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)
+        for state in instants[1:]:
+            balanced.axpy(1.0 / len(instants), state.pressure)
+        return balanced
+    balanced, resting = ops.flow.resting.duplicate(), ops.flow.resting.getArray(readonly=True)
+    each = [ops.flow.potential(state.pressure.getArray(readonly=True) - resting) for state in instants]
+    balanced.setArray(sum(each) / len(instants))
+    return balanced
+
+
+def put_in(totals: Mapping[str, float]) -> dict[str, float]:
+    """Totals of a start away from rest: all that they do not account for was put in before the first step."""
+    held = _with_residuals({**totals, "scheme": 0.0})
+    return _with_residuals({**held, "work_initial": held["residual"]})
+
+
+def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
+    left = sum(totals[name] for name in STORED) - sum(totals[name] for name in WORK)
+    return {
+        **totals,
+        "residual": left,
+        "residual_closed": left - totals["joint_normal"] + totals["joint_normal_closed"],
+    }
+
+
+def spurious_share(totals: Mapping[str, float]) -> float:
+    """What a coupling of matrices that are not transposed has made of nothing, over the largest entry of the books."""
+    largest = max(abs(totals[name]) for name in (*STORED, *WORK))
+    return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
+
+
+def dissipated(old: State, new: State) -> Floats:
+    """(2.27b) with (2.33b): what friction has dissipated at each section (s,) after a step from ``old`` [energy/area]."""
+    work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
+    result: Floats = old.friction + 0.5 * work.sum(axis=1)
+    return result
+
+
+def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
+    """(2.27) with (2.33b): normal and elastic shear work, and the plastic one; and the closed form of the first two."""
+    weights, before, after = ops.joints.weights[:, None], old.sections, new.sections
+    traction = 0.5 * weights * (before.traction + after.traction)
+    plastic = traction * (after.inelastic - before.inelastic)
+    elastic = traction * (after.strain - before.strain) - plastic
+    stored = np.sum(ops.joints.weights * (after.stored - before.stored))
+    local = np.array([elastic[:, -1].sum(), elastic[:, :-1].sum(), plastic.sum(), stored])
+    normal, shear, friction, closed = ops.layout.comm.allreduce(local)
+    return {"joint_normal": normal, "joint_shear": shear, "friction": friction, "joint_normal_closed": closed - shear}
+
+
+def _fluid_parts(
+    ops: Operators, instants: tuple[State, ...], change: PETSc.Vec, pressure: PETSc.Vec, dt: float, scheme: Scheme
+) -> dict[str, float]:
+    """Terms of the balance (3.20) times the potential that drives, both as means over the ``instants`` where it holds.
+
+    The walls are pushed by the mean ``pressure`` of the step: what the storage of (3.20) and their motion make of these
+    two pressures and of the rule's velocities is the scheme's. The resting pressure is a dead load on the walls.
+    """
+    assert ops.flow is not None
+    rate, share, driving = pressure.duplicate(), dt / len(instants), _sum(1.0, pressure, -1.0, ops.flow.resting)
+    balanced = _potential(ops, instants)
+
+    def volume(matrix: PETSc.Mat, motion: PETSc.Vec, at: PETSc.Vec) -> float:
+        matrix.multTranspose(motion, rate)
+        return float(rate.dot(at))
+
+    pushed = volume(ops.flow.push, change, driving)
+    resting = float(rate.dot(ops.flow.resting))
+    parts = {
+        "viscous": share * sum(state.forces.conduction.dot(balanced) for state in instants),
+        "work_wells": share * sum(state.forces.source.dot(balanced) for state in instants),
+        "work_pressure": resting,
+    }
+    if scheme.storage:
+        swept = volume(ops.flow.squeeze, change, driving)
+        parts["spurious"] = swept - pushed
+        if scheme.balance == "step":  # of what the walls move
+            stored = volume(ops.flow.squeeze, change, balanced)
+        else:
+            stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity, balanced) for state in instants)
+        stored += share * sum(state.uptake.dot(balanced) for state in instants if state.uptake is not None)
+        parts["fluid_scheme"] = stored - swept
+    else:
+        parts["work_pressure"] += pushed
+    for vector in (rate, driving, balanced):
+        vector.destroy()
+    return parts
+
+
+def _add_compression(ops: Operators, parts: dict[str, float], old: State, new: State, storage: bool) -> None:
+    """Add what compression stores; what its term in (3.20), as above, makes of it beside is the scheme's.
+
+    Without storage no fluid is drawn for it, and its work is outer as that on the walls. Collective.
+    """
+    parts["fluid_storage"] = compressed(ops, old, new)
+    if storage:
+        parts["fluid_scheme"] -= parts["fluid_storage"]
+    else:
+        parts["work_pressure"] += parts["fluid_storage"]

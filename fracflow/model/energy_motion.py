@@ -1,0 +1,135 @@
+"""Terms that motion adds to the energy books in a step: kinetic energy, what a scheme and faults damp, what sides radiate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.integrators import Alphas
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.balance import static_balance_of
+from fracflow.model.operators import Operators
+from fracflow.model.state import State
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """What the books must know of a step; the first three as in ``stepping.Stepper``.
+
+    alphas  of a step with inertia; None of one that only puts a motion in, and of an explicit one
+    held    local numbers of the solid unknowns that are prescribed
+    """
+
+    inertia: bool = True
+    storage: bool = True
+    balance: str = "both"
+    alphas: Alphas | None = None
+    held: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
+def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
+    """(4.4a) v' M v / 2. Collective."""
+    momentum = velocity.duplicate()
+    operators.mass.mult(velocity, momentum)
+    energy = 0.5 * velocity.dot(momentum)
+    momentum.destroy()
+    return float(energy)
+
+
+def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
+    """Kinetic energy, what the scheme dissipates, work at supports beside half the sum of reactions; or what is dropped.
+
+    Over a step the rock moves by d, and half the sum of S before and after it does the work that the other entries book.
+    Where it is free, M w + (1 - f) S_new + f S = 0, w the acceleration that the mass meets; so the scheme dissipates
+    d.(M w - M dv/dt) + e.M dv/dt + (1/2 - f) d.(S_new - S), with d = dt (v + v_new)/2 + e and e of the accelerations alone.
+    Where it is held, its inertia takes up what its kinetic energy does. Without inertia the half of S that the last stage
+    left is dropped; M a is not -S there, where a scheme looks back. Collective.
+    """
+    change = _local(new.motion.displacement) - _local(old.motion.displacement)
+    before, after = old.motion.values(), new.motion.values()
+    mean = _times(ops, 0.5 * (before.acceleration + after.acceleration), new)
+    is_held = np.zeros(len(change), dtype=bool)
+    is_held[scheme.held] = True
+    if not scheme.inertia:  # what was out of balance in a stage before is let go in the first step
+        if old.motion.acceleration.norm() > 0.0:
+            mean = np.where(is_held, mean, -0.5 * _static(ops, old))
+        return {"dropped": _total(ops, change @ mean)}
+    kinetic = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
+    alphas = scheme.alphas
+    if alphas is None:
+        gained = 0.5 * (before.velocity + after.velocity) * _times(ops, after.velocity - before.velocity, new)
+        left = change * mean - gained
+        scheme_part, given_part = float(left[~is_held].sum()), -float(left[is_held].sum())
+        return {
+            "kinetic": kinetic,
+            "scheme": _total(ops, scheme_part),
+            "work_boundaries": _total(ops, given_part),
+        }
+    # e = e_new a_new + e_old a of (4.2e,f)
+    of_new, of_old = alphas.a1 / alphas.a0, alphas.a1 * alphas.a3 / alphas.a0 - alphas.a5
+    e_new, e_old = 1.0 / alphas.a0 - 0.5 * dt * of_new, alphas.a3 / alphas.a0 - 0.5 * dt * of_old
+    error = e_new * after.acceleration + e_old * before.acceleration
+    push = _times(ops, after.velocity - before.velocity, new) / dt
+    met = mean
+    if alphas.looks_back:
+        weighed = alphas.inertia * after.acceleration + alphas.inertia_old * before.acceleration
+        met = _times(ops, weighed, new) / (1.0 + alphas.balance_old)
+    each = change * (met - push) + error * push
+    if alphas.looks_back:
+        late = alphas.balance_old / (1.0 + alphas.balance_old)
+        each += (0.5 - late) * change * (_static(ops, new) - _static(ops, old))
+    given = 0.5 * dt * (before.velocity + after.velocity) * push - change * mean
+    return {
+        "kinetic": kinetic,
+        "scheme": _total(ops, float(each[~is_held].sum())),
+        "work_boundaries": _total(ops, float(given[is_held].sum())),
+    }
+
+
+def side_parts(ops: Operators, old: State, new: State, dt: float) -> dict[str, float]:
+    """What absorbing sides let out, and what waves bring in: mean forces times the motion, mean power times ``dt``."""
+    change, out = _local(new.motion.displacement) - _local(old.motion.displacement), 0.0
+    for state in (old, new):
+        if state.forces.absorbed is not None:
+            out += 0.5 * _total(ops, _local(state.forces.absorbed) @ change)
+    brought = 0.5 * dt * (old.forces.incident + new.forces.incident)
+    return {"radiated": out + brought, "work_incident": brought}
+
+
+def damping_part(ops: Operators, old: State, new: State) -> dict[str, float]:
+    """Energy that the damping at faults takes: its mean force times the motion. Collective."""
+    change, taken = _local(new.motion.displacement) - _local(old.motion.displacement), 0.0
+    for state in (old, new):
+        if state.forces.damped is not None:
+            taken += 0.5 * _total(ops, _local(state.forces.damped) @ change)
+    return {"damping": taken}
+
+
+def _static(ops: Operators, state: State) -> Floats:
+    balance = static_balance_of(ops, state)
+    local = balance.getArray().copy()
+    balance.destroy()
+    return local
+
+
+def _times(ops: Operators, values: Floats, like: State) -> Floats:
+    """M times local ``values``. Collective."""
+    vector, result = like.motion.velocity.duplicate(), like.motion.velocity.duplicate()
+    vector.setArray(values)
+    ops.mass.mult(vector, result)
+    local = result.getArray().copy()
+    vector.destroy()
+    result.destroy()
+    return local
+
+
+def _local(vector: PETSc.Vec) -> Floats:
+    values: Floats = vector.getArray(readonly=True)
+    return values
+
+
+def _total(ops: Operators, here: Any) -> float:
+    return float(ops.layout.comm.allreduce(float(here)))

@@ -1,0 +1,225 @@
+"""The network: flow through the fractures, what their walls push and are pushed.
+
+Everything is per unit thickness, with the pressure as unknown. Ends: each joint has two, numbered joint * 2 + end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.elements import flow, joint
+from fracflow.laws.cubic_flow import MEANS, conductance
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats
+from fracflow.model.jump import jump_matrix
+from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.properties import along_fractures, resting_pressure
+from fracflow.scene.scene import Scene
+
+STORAGE = {
+    "lumped": ("lumped", "lumped"),
+    "consistent": ("consistent", "consistent"),
+    "averaging": ("averaging", "averaging"),
+    "report": ("consistent", "averaging"),
+    "consistent-lumped": ("consistent", "lumped"),
+}
+"""Matrices of the pressure force and of the wall motion: one for both, or, as in the report's (2.37) with (3.16), two."""
+
+
+def is_transposed(storage: str) -> bool:
+    """Whether a pair is one matrix and its transpose: then what the fluid does to the walls they do to the fluid."""
+    force, volume = STORAGE[storage]
+    return force == volume
+
+
+@dataclass(frozen=True)
+class Compression:
+    """What a compressible fluid holds at the joint ends (j, 2) beyond the room between the walls.
+
+    Counted, as flow rates are, in volumes at its initial pressure: s = d exp(c_f (p - p0)) is what a fracture holds.
+
+    held    (s - d) L/2, nothing where the walls meet [volume per thickness]
+    weight  its derivative by the pressure of its end, c_f s L/2
+    slope   its derivative by the opening of its end
+    """
+
+    held: Floats
+    weight: Floats
+    slope: Floats
+
+
+@dataclass(frozen=True)
+class Conduction:
+    """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2).
+
+    ``compression`` is None where the fluid is incompressible.
+    """
+
+    conductance: Floats
+    slope: Floats
+    pressure: Floats
+    compression: Compression | None = None
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Operators of the network.
+
+    opening     displacement unknowns -> normal jump at the joint ends
+    pick        pressures of the flow nodes -> joint ends
+    push        B of (2.38): pressures -> forces on the solid unknowns
+    squeeze     B_F of (3.20): its transpose makes volume rates of velocities; the same as B but for the report's pair
+    aperture    (j, 2) initial aperture d0 at the ends [length]
+    least       (j, 2) minimum hydraulic aperture, for conduction only [length]
+    length      (j,) [length]
+    given       (j,) conductance times length that the scene gives in place of the cubic law; NaN where it does not
+    resting     the pressure at which the fluid is at rest, zero but for its change with depth, at the flow nodes
+    resting_end (j, 2) the same at the joint ends [stress]
+    counted     the pressure above rest at which volumes of a compressible fluid are counted [stress]
+    """
+
+    opening: PETSc.Mat
+    pick: PETSc.Mat
+    push: PETSc.Mat
+    squeeze: PETSc.Mat
+    pattern: PETSc.Mat
+    aperture: Floats
+    least: Floats
+    length: Floats
+    given: Floats
+    resting: PETSc.Vec
+    resting_end: Floats
+    mean: str
+    viscosity: float
+    compressibility: float = 0.0
+    counted: float = 0.0
+
+    def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
+        """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
+        jump = _apply(self.opening, displacement).reshape(-1, 2) if opening is None else opening
+        return self.aperture + jump
+
+    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
+        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
+        mechanical = self.apertures(displacement, opening)
+        hydraulic = np.maximum(mechanical, self.least)
+        mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
+        slope = np.stack([slope_1, slope_2], axis=1) * (mechanical >= self.least)
+        cubic, is_cubic = conductance(mean, self.length, self.viscosity), np.isnan(self.given)
+        driving = self.driving(pressure)
+        return Conduction(
+            np.where(is_cubic, cubic, self.given / self.length),
+            np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
+            driving,
+            self.compress(mechanical, driving) if self.compressibility > 0.0 else None,
+        )
+
+    def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
+        """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
+        return np.asarray(
+            (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & np.isnan(self.given)[:, None]
+        )
+
+    def compress(self, aperture: Floats, driving: Floats) -> Compression:
+        """What the fluid holds at apertures (j, 2) under pressures above rest (j, 2)."""
+        half = 0.5 * self.length[:, None] * (aperture > 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial out of reach is refused for what comes of it
+            denser = np.expm1(self.compressibility * (driving - self.counted))
+            held = half * aperture * denser
+            return Compression(held, self.compressibility * (half * aperture + held), half * denser)
+
+    def potential(self, driving: Floats) -> Floats:
+        """Work that a volume as it is counted brings, int dp/(s/d), at pressures above rest [stress]: those, without c_f."""
+        if self.compressibility == 0.0:
+            return driving
+        lighter = np.expm1(self.compressibility * (self.counted - driving))
+        result: Floats = self.counted - lighter / self.compressibility
+        return result
+
+    def taken_up(self, at_ends: Floats, result: PETSc.Vec) -> None:
+        """``result`` += volume rates (j, 2) at the joint ends, brought to the flow nodes. Collective."""
+        ends = self.pick.createVecLeft()
+        ends.setArray(at_ends.ravel())
+        self.pick.multTransposeAdd(ends, result, result)
+        ends.destroy()
+
+    def at_ends(self, nodes: PETSc.Vec) -> Floats:
+        """Values of the flow nodes at the joint ends (j, 2). Collective."""
+        return _apply(self.pick, nodes).reshape(-1, 2)
+
+    def driving(self, pressure: PETSc.Vec) -> Floats:
+        """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""
+        return self.at_ends(pressure) - self.resting_end
+
+    def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
+        """(3.20) ``result`` += K_F p, what each flow node sends into its elements. Collective."""
+        through = flow.element_flow(state.conductance, state.pressure)
+        self.taken_up(np.stack([through, -through], axis=1), result)
+
+
+def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
+    result = matrix.createVecLeft()
+    matrix.mult(vector, result)
+    local = result.getArray().copy()
+    result.destroy()
+    return local
+
+
+def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flow:
+    """Operators of the network of a scene that has a fluid. Collective."""
+    assert scene.fluid is not None
+    comm, block, dim = blocks.comm, blocks.joints, blocks.sizes.dim
+    ends = np.arange(2 * len(block.ids)).reshape(-1, 2)
+    end_layout = (ends.size, 2 * blocks.sizes.joints)
+    node_layout = (len(blocks.flow.ids), blocks.sizes.flow_nodes)
+
+    normal = create_matrix((end_layout, (ends.size * dim, 2 * blocks.sizes.joints * dim)), 1, comm)
+    first = normal.getOwnershipRange()[0]
+    rows = (first + ends).reshape(-1, 1)
+    add_blocks(normal, rows, rows * dim + dim - 1, np.ones((rows.size, 1, 1)))
+    normal.assemble()
+    jump = jump_matrix(blocks, np.array([-1.0, 1.0]), expand)
+    opening = normal.matMult(jump)
+    normal.destroy()
+    jump.destroy()
+
+    pick = create_matrix((end_layout, node_layout), 1, comm)
+    add_blocks(pick, rows, block.flow.reshape(-1, 1), np.ones((rows.size, 1, 1)))
+    pick.assemble()
+    _, length = joint.frame(blocks.solid.points[block.bottom])
+
+    def weighted(kind: str) -> PETSc.Mat:
+        matrix = create_matrix((end_layout, node_layout), 2, comm)
+        numbers = first + ends
+        add_blocks(matrix, numbers, block.flow, flow.storage_matrix(kind, length))
+        matrix.assemble()
+        product = opening.transposeMatMult(matrix)
+        matrix.destroy()
+        return product
+
+    kinds = STORAGE[scene.method.storage]
+    push = weighted(kinds[0])
+    squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
+    natural = np.array([-1.0, 1.0])
+    resting = PETSc.Vec().createMPI(node_layout, comm=comm)
+    resting.setArray(resting_pressure(scene, blocks.flow.points))
+    return Flow(
+        opening,
+        pick,
+        push,
+        squeeze,
+        push if kinds[0] == "consistent" else weighted("consistent"),
+        along_fractures(blocks, scene, "aperture", natural),
+        along_fractures(blocks, scene, "minimum_hydraulic_aperture", natural),
+        length,
+        along_fractures(blocks, scene, "conductance", np.zeros(1))[:, 0],
+        resting,
+        _apply(pick, resting).reshape(-1, 2),
+        scene.method.conductance,
+        scene.fluid.viscosity,
+        scene.fluid.compressibility,
+        scene.fluid.initial_pressure,
+    )

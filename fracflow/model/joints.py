@@ -1,0 +1,277 @@
+"""The joints: one sparse jump operator G for all sections, and the laws that answer its strains.
+
+residual  G' W f(G u)      tangent  G' W D G
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.elements import joint
+from fracflow.elements.shape import line_shape
+from fracflow.errors import InputError
+from fracflow.laws import JOINT_LAWS, JointLaw, make_law, parameters_of
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.model.jump import SectionGroup, entry_sizes, jump_matrix, section_groups
+from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
+from fracflow.model.state import Past, Sections
+from fracflow.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class LawGroup:
+    """Sections that follow one law: their numbers (n,), and the law with its parameters (n,)."""
+
+    sections: Ints
+    law: JointLaw
+
+
+@dataclass(frozen=True)
+class Massless:
+    """Strains (s, dim) in which a wall has no mass; ``jump`` is G P, the strains of what carries its mass."""
+
+    components: Bools
+    jump: PETSc.Mat
+
+
+@dataclass(frozen=True)
+class Joints:
+    """All joint sections of a rank; section = joint * rule points + point.
+
+    jump      G: displacement unknowns -> strains, rows section * dim + component
+    sizes     |G|, entry by entry
+    weights   (s,) length a section stands for [length]
+    initial   (s, dim) initial effective traction, joint frame [stress]
+    groups    sections by unknowns, for the tangent
+    laws      sections by law
+    natural   natural coordinates of a joint's sections
+    massless  where walls have no mass of their own; None where all have
+    """
+
+    dim: int
+    jump: PETSc.Mat
+    sizes: PETSc.Mat
+    weights: Floats
+    initial: Floats
+    groups: tuple[SectionGroup, ...]
+    laws: tuple[LawGroup, ...]
+    natural: Floats
+    massless: Massless | None = None
+
+    @property
+    def points(self) -> int:
+        """Sections of a joint."""
+        return len(self.natural)
+
+    def rest(self) -> Past:
+        """Histories of all laws at the initial state."""
+        return tuple(group.law.rest(len(group.sections), self.dim) for group in self.laws)
+
+    def strain(self, displacement: PETSc.Vec) -> Floats:
+        """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
+        return self._apply(self.jump, displacement)
+
+    def carried(self, displacement: PETSc.Vec) -> Floats:
+        """Strains (s, dim) that there were if walls without mass moved as what carries it does. Collective."""
+        return self._apply(self.jump if self.massless is None else self.massless.jump, displacement)
+
+    def moved(self, displacement: PETSc.Vec) -> Floats:
+        """Sums of sizes (s, dim) of what the strains are the differences of, whose digits cancel [length]. Collective."""
+        size = displacement.copy()
+        size.abs()
+        result = self._apply(self.sizes, size)
+        size.destroy()
+        return result
+
+    def _apply(self, matrix: PETSc.Mat, displacement: PETSc.Vec) -> Floats:
+        strains = matrix.createVecLeft()
+        matrix.mult(displacement, strains)
+        local = strains.getArray().reshape(-1, self.dim).copy()
+        strains.destroy()
+        return local
+
+    def openings(self, strain: Floats) -> Floats | None:
+        """Normal jumps (j, 2) at the joint ends of strains (s, dim); None of the one-point rule, which does not tell."""
+        normal = strain[:, -1].reshape(-1, self.points)
+        if self.points == 1:
+            return None
+        return np.asarray(normal @ line_shape(1.0 / self.natural).T)
+
+    def respond(self, strain: Floats, past: Past, hold: bool = False) -> Sections:
+        """What the laws answer to strains (s, dim) after ``past``, which stays as it is; ``hold`` keeps every status."""
+        count = len(strain)
+        whole = {
+            "strain": strain,
+            "traction": np.zeros((count, self.dim)),
+            "tangent": np.zeros((count, self.dim, self.dim)),
+            "stored": np.zeros(count),
+            "inelastic": np.zeros((count, self.dim)),
+            "strength": np.full(count, np.inf),
+            "utilisation": np.zeros(count),
+            "is_sliding": np.zeros(count, dtype=bool),
+            "is_open": np.zeros(count, dtype=bool),
+            "margin": np.full(count, np.inf),
+            "blur": np.zeros((count, self.dim)),
+            "record": np.zeros(count),
+        }
+        new = []
+        for group, history in zip(self.laws, past, strict=True):
+            answer = group.law.respond(strain[group.sections], history, hold)
+            for name, values in whole.items():
+                if name not in ("strain", "blur", "record"):
+                    values[group.sections] = getattr(answer, name)
+            new.append(answer.past)
+        return Sections(past=tuple(new), **whole)
+
+    def follow(self, past: Past, branch: Past) -> Past:
+        """``past`` with the statuses of ``branch``: the histories from which the next iteration starts."""
+        return tuple(
+            {**start, **{name: reached[name] for name in group.law.status}}
+            for group, start, reached in zip(self.laws, past, branch, strict=True)
+        )
+
+    def have_changed(self, old: Past, new: Past) -> Bools:
+        """Which (s,) of this rank's sections have another status in ``new`` than in ``old``."""
+        changed = np.zeros(len(self.weights), dtype=bool)
+        for group, before, after in zip(self.laws, old, new, strict=True):
+            if group.law.status:
+                changed[group.sections] = group.law.has_changed(before, after)
+        return changed
+
+    def step_limit(self, strain: Floats, increment: Floats) -> float:
+        """Largest fraction of an increment that every law of this rank allows; at most 1."""
+        limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
+        return min([1.0, *(float(np.min(limit)) for limit in limits)])
+
+    def change_at(self, strain: Floats, increment: Floats) -> float:
+        """Fraction of an increment at which the first section of this rank opens or closes; inf where none does."""
+        places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
+        return min([np.inf, *(float(np.min(place)) for place in places)])
+
+    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+        """Distances (s, 2) of this rank's sections from their next event, of friction and of contact; see ``JointLaw``."""
+        result = np.full((len(strain), 2), np.inf)
+        for group, history in zip(self.laws, past, strict=True):
+            result[group.sections] = group.law.approach(strain[group.sections], change[group.sections], history)
+        return result
+
+    def flip(self, strain: Floats, past: Past, chosen: Bools) -> Past:
+        """``past`` with the other status of friction at the chosen sections (s,)."""
+        return tuple(
+            group.law.flip(strain[group.sections], history, chosen[group.sections])
+            for group, history in zip(self.laws, past, strict=True)
+        )
+
+    def force(self, traction: Floats, result: PETSc.Vec) -> None:
+        """(2.15)-(2.19), (2.31) ``result`` += G' W f: forces that resist, tension's +n on top. Collective."""
+        tractions = self.jump.createVecLeft()
+        tractions.setArray((self.weights[:, None] * traction).ravel())
+        self.jump.multTransposeAdd(tractions, result, result)
+        tractions.destroy()
+
+    def tangent(self, moduli: Floats) -> list[tuple[Ints, Floats]]:
+        """(2.32) Blocks W g' D g of each group: unknowns (n, k), values (n, k, k)."""
+        return [
+            (g.unknowns, joint.tangent(g.jump[:, None], moduli[g.sections, None], self.weights[g.sections, None]))
+            for g in self.groups
+        ]
+
+
+def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
+    """(2.14) Effective tractions (s, dim) that the initial stress and the initial pressure make, joint frame [stress]."""
+    block, dim, points = blocks.joints, blocks.sizes.dim, len(natural)
+    ends = blocks.solid.points[block.bottom]
+    frame, _ = joint.frame(ends)
+    place = on_joints(ends, natural).reshape(-1, dim)
+    sigma = initial_stress(scene, place)[:, :dim, :dim]
+    traction = joint.traction_from_stress(np.repeat(frame, points, axis=0), sigma)
+    traction[:, -1] += initial_pressure(scene, place)
+    return traction
+
+
+def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
+    """Initial effective tractions (s, dim): those implied (2.14), or what the fractures' tables give in their place."""
+    traction = implied_tractions(blocks, scene, natural)
+    normal, shear = (
+        along_fractures(blocks, scene, f"initial_{part}_traction", natural).ravel() for part in ("normal", "shear")
+    )
+    traction[:, -1] = np.where(np.isnan(normal), traction[:, -1], normal)
+    traction[:, :-1] = np.where(np.isnan(shear)[:, None], traction[:, :-1], shear[:, None])
+    if scene.equilibrates:
+        traction[traction[:, -1] > 0.0] = 0.0  # a joint carries no tension: it starts open, and what pulled lets go
+    return traction
+
+
+def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -> tuple[LawGroup, ...]:
+    """One group a law, its parameters as arrays over the sections of every fracture that names it."""
+    block = blocks.joints
+    tables = [scene.fracture_named(name) for name in block.fractures]
+    fracture = np.repeat(block.fracture, len(natural))
+    choices = {
+        "coupled_tangent": scene.method.tangent == "consistent",
+        "strength_when_open": scene.method.open_strength == "cohesion",
+    }
+    groups = []
+    for name in sorted({table.law for table in tables}):
+        sections = np.flatnonzero(np.array([table.law == name for table in tables], dtype=bool)[fracture])
+        given: dict[str, Any] = {
+            "initial_normal_traction": initial[sections, -1],
+            "initial_shear_traction": initial[sections, :-1],
+        }
+        for field in parameters_of(JOINT_LAWS[name]):
+            if field.name in choices:
+                given[field.name] = choices[field.name]
+            elif field.name not in given:
+                key = "friction" if field.name == "friction_coefficient" else field.name
+                given[field.name] = along_fractures(blocks, scene, key, natural).ravel()[sections]
+        groups.append(LawGroup(sections, make_law(name, **given)))
+    return tuple(groups)
+
+
+def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int, carried: bool) -> None:
+    """Raise InputError, on every rank, that lists fractures under initial tension or past their strength. Collective.
+
+    With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
+    """
+    fracture = np.repeat(blocks.joints.fracture, points)
+    tension, failed = set(), set()
+    scale = float(np.abs(initial).max(initial=0.0))
+    tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
+    for group in () if carried or blocks.comm.allreduce(len(tension)) else groups:
+        dim = initial.shape[1]
+        answer = group.law.respond(np.zeros((len(group.sections), dim)), group.law.rest(len(group.sections), dim))
+        failed.update(fracture[group.sections[answer.is_sliding | (answer.utilisation >= 1.0)]].tolist())
+    names = blocks.joints.fractures
+    bad_tension = sorted({names[i] for part in blocks.comm.allgather(tension) for i in part})
+    bad_failed = sorted({names[i] for part in blocks.comm.allgather(failed) for i in part})
+    if bad_tension:
+        raise InputError(
+            f"initial state: effective normal traction is tensile on {', '.join(bad_tension)}: compress the rock"
+            " (initial_stress; compression is negative), lower fluid.initial_pressure, give initial_normal_traction <= 0,"
+            ' or let a first [[stage]] with kind = "equilibrate" open them'
+        )
+    if bad_failed:
+        raise InputError(
+            f"initial state: initial shear traction reaches the strength of {', '.join(bad_failed)}: lower the shear"
+            " stress (initial_stress), raise friction or cohesion, or let a first [[stage]] with kind ="
+            ' "equilibrate" make them slip'
+        )
+
+
+def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Joints:
+    """Operators and laws of the joints. Collective."""
+    xi, weight = joint.RULES[scene.method.quadrature]
+    _, length = joint.frame(blocks.solid.points[blocks.joints.bottom])
+    weights = joint.section_length(length, weight).ravel()
+    initial = initial_tractions(blocks, scene, xi)
+    groups = law_groups(blocks, scene, initial, xi)
+    if not scene.equilibrates:
+        refuse_bad_start(blocks, groups, initial, len(xi), scene.carries_unbalanced)
+    jump = jump_matrix(blocks, xi, expand)
+    sizes = entry_sizes(jump)
+    return Joints(blocks.sizes.dim, jump, sizes, weights, initial, section_groups(jump, blocks.sizes.dim), groups, xi)

@@ -1,0 +1,300 @@
+"""What acts from outside: supports, loads on sides, wells; each a constant pattern times a function of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.elements import solid
+from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.absorbing import Wave, resting_unknowns, waves_of
+from fracflow.model.dirichlet import Prescribed, motion, own, prescribe, supported
+from fracflow.model.layout import Layout
+from fracflow.model.network_parts import Closure
+from fracflow.model.properties import initial_pressure, initial_stress
+from fracflow.model.sides import outward, side_facets
+from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
+from fracflow.scene.profiles import Pressures
+from fracflow.scene.scene import Load, Scene, Well
+from fracflow.scene.time_table import AT_ONCE, Around, Rates
+from fracflow.scene.values import TimeTable
+
+TimeFunction = Callable[[float], float]
+Controls = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A vector times a function of time, times a load factor where one is named; of the initial stress, or of a well."""
+
+    vector: PETSc.Vec
+    value: TimeFunction
+    control: str | None
+    initial: bool = False
+    well: str | None = None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A pressure that a well's flow rate must not bring about: ``sign`` +1 if it is the highest, -1 if the lowest.
+
+    node     joined number of the well's pressure
+    local    its local number on the rank that owns it, empty elsewhere
+    """
+
+    well: str
+    sign: float
+    pressure: float
+    node: int
+    local: Ints = field(compare=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
+
+    ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
+    Of absorbing sides: ``waves`` that come in with inertia, ``resting`` unknowns (local, and ``fixed_resting`` joined of all
+    ranks) that stay where they are without, and ``at_rest``, which of the two holds.
+    """
+
+    supports: tuple[Prescribed, ...]
+    forces: tuple[Pattern, ...]
+    pressures: tuple[Prescribed, ...]
+    wells: tuple[Pattern, ...]
+    fixed_solid: Ints
+    fixed_flow: Ints
+    limits: tuple[Limit, ...] = ()
+    closures: tuple[Closure, ...] = ()
+    waves: tuple[Wave, ...] = ()
+    resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    fixed_resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    at_rest: bool = False
+
+    @property
+    def held(self) -> Ints:
+        """Local numbers of the solid unknowns that are prescribed, or stay where they are."""
+        parts = [part.numbers for part in self.supports] + ([self.resting] if self.at_rest else [])
+        return np.concatenate(parts) if parts else self.resting[:0]
+
+    def standing(self) -> Loads:
+        """The same for a stage without inertia: absorbing sides stay where they are."""
+        return replace(self, at_rest=True, fixed_solid=np.union1d(self.fixed_solid, self.fixed_resting))
+
+    @property
+    def given_pressures(self) -> Ints:
+        """Local numbers of the flow nodes of this rank whose pressure is prescribed."""
+        return np.concatenate([part.numbers for part in self.pressures] or [np.zeros(0, dtype=np.int64)])
+
+    def at_limit(self, reached: Collection[Limit]) -> Loads:
+        """The same with some wells kept at the pressure of a limit, in place of their flow rates."""
+        names = {limit.well for limit in reached}
+        kept = [Prescribed(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in reached]
+        return replace(
+            self,
+            pressures=(*self.pressures, *kept),
+            wells=tuple(pattern for pattern in self.wells if pattern.well not in names),
+            fixed_flow=np.union1d(self.fixed_flow, np.array([limit.node for limit in reached], dtype=np.int64)),
+        )
+
+    def demanded(
+        self,
+        well: str,
+        time: float,
+        controls: Controls,
+        around: Around = AT_ONCE,
+        rates: Rates | None = None,
+    ) -> float:
+        """Flow rate that a well asks for, over the whole depth, as ``source`` samples it."""
+        return _factor(next(each for each in self.wells if each.well == well), time, controls, around, rates)
+
+    def force(
+        self, time: float, controls: Controls, result: PETSc.Vec, around: Around = AT_ONCE, rates: Rates | None = None
+    ) -> None:
+        """``result`` = R(t) of (2.38), jumps and bends in time as ``TimeTable.around`` and ``bent`` say, or ``rates``."""
+        _sum(self.forces, time, controls, result, around, rates)
+
+    def initial_force(self, result: PETSc.Vec) -> None:
+        """``result`` = the part of R that the initial stress of the cut-off rock makes."""
+        _sum(tuple(pattern for pattern in self.forces if pattern.initial), 0.0, {}, result)
+
+    def source(
+        self, time: float, controls: Controls, result: PETSc.Vec, around: Around = AT_ONCE, rates: Rates | None = None
+    ) -> None:
+        """``result`` = Q(t) of (3.20), per unit thickness; as above."""
+        _sum(self.wells, time, controls, result, around, rates)
+
+    def integral(self, begin: float, end: float, controls: Controls) -> float:
+        """Volume that the wells of given flow rates bring between two times, over the whole depth."""
+        mean = Rates(now=1.0, share=0.0, begin=begin)
+        return (end - begin) * sum(_factor(pattern, end, controls, AT_ONCE, mean) for pattern in self.wells)
+
+    def release(self, vector: PETSc.Vec) -> None:
+        """Set a vector on the solid unknowns to zero where they are held."""
+        vector.getArray()[self.held] = 0.0
+
+    def impose(
+        self,
+        time: float,
+        displacement: PETSc.Vec,
+        pressure: PETSc.Vec,
+        around: Around = AT_ONCE,
+        rates: Rates | None = None,
+    ) -> None:
+        """Write the prescribed values into both vectors, jumps as above; those of supports at once where there is inertia."""
+        side = AT_ONCE if rates is None or rates.of_forces else around
+        for part in self.supports:
+            displacement.getArray()[part.numbers] = part.value(time, side)
+        for part in self.pressures:
+            pressure.getArray()[part.numbers] = part.value(time, around)
+
+
+def _sum(
+    patterns: tuple[Pattern, ...],
+    time: float,
+    controls: Controls,
+    result: PETSc.Vec,
+    around: Around = AT_ONCE,
+    rates: Rates | None = None,
+) -> None:
+    result.set(0.0)
+    for pattern in patterns:
+        result.axpy(_factor(pattern, time, controls, around, rates), pattern.vector)
+
+
+def _factor(pattern: Pattern, time: float, controls: Controls, around: Around, rates: Rates | None = None) -> float:
+    return (rates or Rates(around=around)).of(pattern.value, time, pattern.control, controls, pattern.well)
+
+
+def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
+    nodes = blocks.solid.side_facets[facets]
+    return nodal_force(blocks, nodes, solid.traction_force(blocks.solid.points[nodes], traction), expand)
+
+
+def _rock_area(blocks: Blocks, rock: int) -> float:
+    cells = blocks.solid.cells[blocks.solid.cell_rock == rock]
+    return float(blocks.comm.allreduce(sum(solid.area(blocks.solid.points[n]).sum() for _, n in by_shape(cells))))
+
+
+def _force_patterns(blocks: Blocks, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
+    patterns = []
+    for name in load.on:
+        rock = blocks.solid.rocks.index(name)
+        for axis, value in enumerate(load.force or ()):
+            each = np.zeros((len(blocks.solid.rocks), 2))
+            each[rock, axis] = 1.0 / _rock_area(blocks, rock)
+            patterns.append(Pattern(forces_in_rocks(blocks, each, expand), value, load.control))
+    return patterns
+
+
+def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
+    if load.force is not None:
+        return _force_patterns(blocks, load, expand)
+    names = [load.on] if isinstance(load.on, str) else list(load.on)
+    known = blocks.solid.sides
+    for name in names:
+        if name not in known:
+            raise InputError(f'load: on = "{name}": no such side (the mesh has: {", ".join(known) or "none"})')
+    facets = np.concatenate([side_facets(blocks, name) for name in names])
+    normal = outward(blocks, facets)
+    if load.pressure is not None:
+        return [Pattern(_side_force(blocks, facets, -normal, expand), load.pressure, load.control)]
+    if load.traction == "initial-stress":
+        at_nodes = initial_stress(scene, blocks.solid.points[blocks.solid.side_facets[facets]])[..., :2, :2]
+        traction = np.einsum("saij,sj->sai", at_nodes, normal)
+        return [Pattern(_side_force(blocks, facets, traction, expand), lambda time: 1.0, load.control, True)]
+    assert load.traction is not None and not isinstance(load.traction, str)
+    patterns = []
+    for axis, value in enumerate(load.traction):
+        unit = np.zeros((len(facets), 2))
+        unit[:, axis] = 1.0
+        patterns.append(Pattern(_side_force(blocks, facets, unit, expand), value, load.control))
+    return patterns
+
+
+def _swapped(pressure: Pressures) -> Callable[..., Any]:
+    return lambda time, along, around: pressure(along, time)
+
+
+def _well_pressure(
+    blocks: Blocks, scene: Scene, layout: Layout, node: int, well: Well, held: Ints
+) -> tuple[Prescribed, Ints]:
+    """The pressure kept at a well; "initial" is p0 there."""
+    local = own(layout.flow_starts, blocks.comm.rank, np.array([node]))
+    if isinstance(well.pressure, TimeTable):
+        return Prescribed(local, well.pressure, well.name), np.union1d(held, [node])
+    initial = initial_pressure(scene, blocks.flow.points[local])
+    return Prescribed(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, [node])
+
+
+def assemble_loads(
+    blocks: Blocks,
+    scene: Scene,
+    layout: Layout,
+    expand: PETSc.Mat | None,
+    points: Mapping[str, Ints],
+    well_nodes: Mapping[str, int],
+) -> Loads:
+    """Patterns of all loads.
+
+    points      name -> split nodes of a named point
+    well_nodes  name of a well -> PETSc number of its flow node
+    Collective. Raises InputError, on every rank, for names the mesh does not have.
+    """
+    comm, starts = blocks.comm, blocks.solid.unknown_starts
+    taken = blocks.solid.unused
+    supports = [Prescribed(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
+    for support in scene.support:
+        for name in support.on:
+            for part, found in supported(blocks, support, name, points).items():
+                here, taken = prescribe(starts, comm, found, taken, motion(support, part))
+                supports.append(here)
+    resting, at_rest = prescribe(starts, comm, resting_unknowns(blocks, scene), taken, lambda time, place, around: 0.0)
+    forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
+    if scene.body_force is not None:
+        forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
+
+    pressures, wells, limits = [], [], []
+    held = np.zeros(0, dtype=np.int64)
+    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    for well in scene.well if scene.has_flow else ():
+        node = well_nodes[well.name]
+        if well.pressure is not None:
+            here, held = _well_pressure(blocks, scene, layout, node, well, held)
+            pressures.append(here)
+        else:
+            vector = layout.flow_vector()
+            vector.setValue(node, 1.0 / depth if comm.rank == 0 else 0.0, addv=PETSc.InsertMode.ADD)
+            vector.assemble()
+            assert well.flow_rate is not None
+            wells.append(Pattern(vector, well.flow_rate, well.control, well=well.name))
+            local = own(layout.flow_starts, comm.rank, np.array([node]))
+            joined = int(layout.flow_numbers(np.array([node]))[0])
+            for sign, limit in ((1.0, well.maximum_pressure), (-1.0, well.minimum_pressure)):
+                if limit is not None:
+                    limits.append(Limit(well.name, sign, limit, joined, local))
+    for name, table in scene.fracture.items() if scene.has_flow else ():
+        if table.pressure is not None:
+            chosen = np.flatnonzero([scene.is_of(fracture, name) for fracture in blocks.joints.fractures])
+            ends = np.isin(blocks.joints.fracture, chosen)
+            found = (blocks.joints.flow[ends].ravel(), blocks.joints.along[ends].ravel())
+            here, held = prescribe(layout.flow_starts, comm, found, held, _swapped(table.pressure))
+            pressures.append(here)
+    return Loads(
+        tuple(supports),
+        tuple(forces),
+        tuple(pressures),
+        tuple(wells),
+        layout.solid_numbers(taken.astype(np.int64)),
+        layout.flow_numbers(held),
+        tuple(limits),
+        waves=waves_of(blocks, scene, expand),
+        resting=resting.numbers,
+        fixed_resting=layout.solid_numbers(np.setdiff1d(at_rest, taken).astype(np.int64)),
+    )

@@ -1,0 +1,185 @@
+"""Parts of the network whose nodes exchange fluid, and what settles the pressure of one that nothing drains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.flow import Compression
+from fracflow.model.layout import Layout, local_rows
+from fracflow.model.operators import Operators
+
+CONDUCTS = 1e-15
+"""Of what the elements at its ends conduct together: an element with less is pinched, for the balance at its ends does not
+see it. Not of all elements: a thin fracture far from a wide one conducts what it conducts."""
+FREE = 1e-10  # of what single nodes take up of a wall's motion: less is round-off
+
+
+def label_parts(links: Ints, conducts: np.ndarray, count: int) -> Ints:
+    """The part (count,) that each node belongs to, by links (m, 2) of which those that conduct (m,) join."""
+    joined = links[conducts]
+    graph = sparse.coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the network, the same on every rank.
+
+    nodes      (n,) numbers of its flow nodes
+    fractures  names of the fractures that its elements are of
+    center     (dim,) mean of its nodes [length]
+    """
+
+    nodes: Ints
+    fractures: tuple[str, ...]
+    center: Floats
+
+    def __str__(self) -> str:
+        names = ", ".join(self.fractures)
+        return f"{names} ({len(self.nodes)} nodes around ({', '.join(f'{x:.6g}' for x in self.center)}))"
+
+
+@dataclass(frozen=True)
+class Closure:
+    """What stands for the balance at one node of a part that nothing drains and where nothing is stored.
+
+    The balances of its nodes add up to nothing, so one says what the others do, and the level is left open.
+
+    by       "walls": the part keeps its volume; "fluid": the fluid it holds, which is compressible; "level": its mean
+             pressure, where its walls cannot move, or where it is one node that is pinched on all sides, which must be
+             free to open again
+    row      local number of the node on the rank that owns it, empty elsewhere
+    weights  change of the volume with the displacements, or shares of the pressures in the mean
+    size     of a volume, by which that of "walls" and "fluid" is divided [area]
+    nodes    (n,) numbers of the flow nodes of the part, the first has the row
+    touched  local numbers of the displacements that weights may depend on
+    """
+
+    by: Literal["walls", "fluid", "level"]
+    row: Ints
+    weights: PETSc.Vec
+    size: float
+    nodes: Ints
+    touched: Ints
+
+
+def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
+    """Which elements (j,) of this rank conduct. Collective."""
+    network = operators.flow
+    assert network is not None
+    nodes, ends = operators.layout.flow_vector(), network.pick.createVecLeft()
+    ends.setArray(np.repeat(conductance, 2))
+    network.pick.multTranspose(ends, nodes)
+    network.pick.mult(nodes, ends)
+    beside = ends.getArray().reshape(-1, 2).max(axis=1)
+    nodes.destroy()
+    ends.destroy()
+    return np.asarray(conductance > CONDUCTS * beside)
+
+
+def holding(operators: Operators, compression: Compression | None) -> np.ndarray:
+    """Which of all flow nodes (n,) hold fluid that is compressible: none where walls meet. Collective."""
+    network, layout = operators.flow, operators.layout
+    assert network is not None
+    if compression is None:
+        return np.zeros(int(layout.flow_starts[-1]), dtype=bool)
+    found, here = [], 0.5 * network.compressibility * network.length[:, None] * np.abs(network.aperture)
+    for at_ends in (compression.weight, here):
+        nodes = layout.flow_vector()
+        network.taken_up(at_ends, nodes)
+        found.append(nodes.getArray().copy())
+        nodes.destroy()
+    return np.concatenate(layout.comm.allgather(found[0] > CONDUCTS * found[1]))
+
+
+def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
+    """All parts, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
+    blocks = operators.blocks
+    comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
+    links = np.concatenate(comm.allgather(joints.flow))
+    label = label_parts(links, np.concatenate(comm.allgather(conducts)), count)
+    points = np.concatenate(comm.allgather(blocks.flow.points))
+    pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
+    here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}
+    names: dict[int, list[str]] = {}
+    for part, name in sorted(set().union(*comm.allgather(here))):
+        names.setdefault(part, []).append(name)
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if count else []
+    return tuple(
+        Part(nodes, tuple(names.get(int(label[nodes[0]]), [])), points[nodes].mean(axis=0)) for nodes in groups
+    )
+
+
+def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -> np.ndarray:
+    """Whether the volume of each part changes when its walls move, with some displacements held. Collective.
+
+    It does not, too, where walls move in such a way only that they make as much room as they take: a rigid block afloat.
+    """
+    layout, network = operators.layout, operators.flow
+    assert network is not None
+    part_of = np.zeros(int(layout.flow_starts[-1]), dtype=np.int64)
+    part_of[np.concatenate([part.nodes for part in parts])] = np.repeat(
+        np.arange(len(parts)), [len(part.nodes) for part in parts]
+    )
+    walls = local_rows(network.squeeze)
+    joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
+    free = ~np.isin(joined, fixed_solid)[walls.rows]
+    keys, inverse = np.unique(walls.rows[free] * len(parts) + part_of[walls.cols[free]], return_inverse=True)
+    room, size = np.zeros(len(keys)), np.zeros(len(keys))
+    np.add.at(room, inverse, walls.values[free])
+    np.add.at(size, inverse, np.abs(walls.values[free]))
+    largest, gives = np.zeros(len(parts)), np.zeros(len(parts), dtype=bool)
+    np.maximum.at(largest, keys % len(parts), size)
+    layout.comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+    np.logical_or.at(gives, keys % len(parts), np.abs(room) > FREE * largest[keys % len(parts)])
+    layout.comm.Allreduce(MPI.IN_PLACE, gives, op=MPI.LOR)
+    return gives
+
+
+def close(operators: Operators, part: Part, gives: bool, holds: bool = False) -> Closure:
+    """The closure of a part that nothing drains, by whether its walls give way. The caller owns its weights. Collective.
+
+    holds  whether it holds a fluid that is compressible, in a step that stores nothing
+    """
+    layout, network, scales = operators.layout, operators.flow, operators.scales
+    assert network is not None
+    inside = layout.flow_vector()
+    first = int(layout.flow_starts[layout.comm.rank])
+    local = part.nodes[(part.nodes >= first) & (part.nodes < first + layout.flow_count)] - first
+    row = local[local + first == part.nodes[0]]
+    size, nothing = scales.length * scales.displacement, np.zeros(0, dtype=np.int64)
+    if not holds and (len(part.nodes) == 1 or not gives):
+        inside.getArray()[local] = 1.0 / len(part.nodes)
+        return Closure("level", row, inside, size, part.nodes, nothing)
+    inside.getArray()[local] = 1.0
+    weights = layout.solid_vector()
+    network.squeeze.mult(inside, weights)
+    inside.destroy()
+    if not holds:
+        return Closure("walls", row, weights, size, part.nodes, nothing)
+    walls, here = local_rows(network.squeeze), np.isin(operators.blocks.joints.flow, part.nodes)
+    volume = float(np.sum(np.where(here, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
+    soft = network.compressibility * scales.pressure * layout.comm.allreduce(volume)
+    touched = np.unique(walls.rows[np.isin(walls.cols, part.nodes)])
+    return Closure("fluid", row, weights, max(size if gives else 0.0, soft) or size, part.nodes, touched)
+
+
+def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
+    """Joined numbers of the unknowns in a closure's row, and their weights; the same on every rank. Collective."""
+    local = closure.weights.getArray(readonly=True)
+    first = closure.weights.getOwnershipRange()[0]
+    entries = np.union1d(np.flatnonzero(local), closure.touched)
+    number = layout.flow_numbers if closure.by == "level" else layout.solid_numbers
+    gathered = layout.comm.allgather((number(entries + first), local[entries].copy()))
+    cols, values = (np.concatenate(each) for each in zip(*gathered, strict=True))
+    if closure.by != "fluid":
+        return cols, values
+    return np.concatenate([cols, layout.flow_numbers(closure.nodes)]), np.append(values, np.zeros(len(closure.nodes)))

@@ -1,0 +1,104 @@
+"""All constant operators of a scene, made once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.mesh.blocks import Blocks
+from fracflow.model.absorbing import damping
+from fracflow.model.flow import Flow, assemble_flow
+from fracflow.model.joints import Joints, assemble_joints
+from fracflow.model.layout import Layout, layout_of
+from fracflow.model.properties import along_fractures, initial_stress
+from fracflow.model.softening import refuse_steep_start
+from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness
+from fracflow.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Natural sizes that make both balances O(1): force and displacement of a node, pressure, length.
+
+    stiffness  largest diagonal entry of K_s [force/length per thickness]
+    """
+
+    force: float
+    displacement: float
+    pressure: float
+    length: float
+    stiffness: float
+
+    def energy_noise(self, unknowns: int) -> float:
+        """Round-off of a work of initial forces on displacements, summed over so many unknowns [energy per thickness]."""
+        return float(np.finfo(float).eps) * self.force * self.displacement * unknowns
+
+
+@dataclass(frozen=True)
+class Operators:
+    """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid.
+
+    ``damping`` is C of absorbing sides, blocks of dim x dim at nodes; None where there are none. ``inward`` is P of
+    ``contact_mass``, which ``mass`` has in it; None where every node carries its own mass.
+    """
+
+    blocks: Blocks
+    layout: Layout
+    expand: PETSc.Mat | None
+    stiffness: PETSc.Mat
+    mass: PETSc.Mat
+    prestress: PETSc.Vec
+    joints: Joints
+    flow: Flow | None
+    scales: Scales
+    damping: PETSc.Mat | None = None
+    inward: PETSc.Mat | None = None
+
+    def nodal(self, unknowns: PETSc.Vec) -> PETSc.Vec:
+        """Nodal values of a vector of solid unknowns: u = E q. The caller destroys the result. Collective."""
+        if self.expand is None:
+            return unknowns.copy()
+        result = self.expand.createVecLeft()
+        self.expand.mult(unknowns, result)
+        return result
+
+
+def natural_scales(blocks: Blocks, scene: Scene, joints: Joints, stiff: PETSc.Mat) -> Scales:
+    """Scales from the data: the largest initial stress or joint law stress k_n0 d0, the mean joint length. Collective."""
+    comm = blocks.comm
+    total, count = comm.allreduce(joints.weights.sum()), comm.allreduce(len(joints.weights))
+    length = float(total / count) if count else 1.0
+    candidates = [float(np.abs(joints.initial).max(initial=0.0))]
+    stiffness_scale = float(along_fractures(blocks, scene, "normal_stiffness", np.array([-1.0, 1.0])).max(initial=0.0))
+    candidates.append(float(np.abs(initial_stress(scene, blocks.solid.points)[..., :2, :2]).max(initial=0.0)))
+    stress = max(comm.allgather(max(candidates)))
+    diagonal = stiff.getDiagonal()
+    rock = float(diagonal.max()[1]) if diagonal.getSize() else 0.0
+    stiffness_scale = max(max(comm.allgather(stiffness_scale)) * length, rock)
+    diagonal.destroy()
+    stress = stress if stress > 0.0 else max(stiffness_scale, 1.0) * 1e-3 / length
+    force = stress * length
+    return Scales(force, force / stiffness_scale if stiffness_scale > 0.0 else 1.0, stress, length, rock)
+
+
+def assemble(blocks: Blocks, scene: Scene) -> Operators:
+    """Make every operator. Collective."""
+    expand = expansion(blocks)
+    joints = assemble_joints(blocks, scene, expand)
+    if not scene.equilibrates:
+        refuse_steep_start(blocks, joints)
+    stiff = stiffness(blocks, scene, expand)
+    return Operators(
+        blocks,
+        layout_of(blocks, scene.has_flow),
+        expand,
+        stiff,
+        mass(blocks, scene, expand),
+        initial_stress_force(blocks, scene, expand),
+        joints,
+        assemble_flow(blocks, scene, expand) if scene.has_flow else None,
+        natural_scales(blocks, scene, joints, stiff),
+        damping(blocks, scene, expand),
+    )

@@ -1,0 +1,295 @@
+"""From a scene to operators and loads: everything that stays the same during a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.diagnostics.hydraulic import told_apart
+from fracflow.diagnostics.meeting import meeting_supports, refuse_two_pressures
+from fracflow.errors import DiskError, InputError
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.distribute import distribute
+from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place
+from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
+from fracflow.mesh.refine import refined
+from fracflow.mesh.split import split
+from fracflow.mesh.ties import tied_nodes
+from fracflow.model.absorbing import describe
+from fracflow.model.contact_mass import redistributed, redistributes
+from fracflow.model.loads import Loads, assemble_loads
+from fracflow.model.network_parts import label_parts
+from fracflow.model.operators import Operators, assemble
+from fracflow.output.probes import refuse_missing
+from fracflow.reduction.decision import Facts
+from fracflow.reduction.mesh_size import proposed, unresolved
+from fracflow.scene.scene import Scene
+from fracflow.scene.values import FractureEnd, Place
+from fracflow.solve.options import set_defaults
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where the scene's names sit on the mesh.
+
+    wells   name -> flow node
+    probes  name -> place
+    points  name -> split nodes
+    ties    (m, 2) pairs of node * dim + component that move alike
+    notes   what the log should tell
+    apart   parts of the network that have wells and never meet, where there is more than one; on rank 0
+    """
+
+    wells: Mapping[str, int]
+    probes: Mapping[str, FracturePlace | RockPlace]
+    points: Mapping[str, Ints]
+    ties: Ints
+    notes: tuple[str, ...]
+    apart: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Model:
+    """A scene made ready: ``mesh`` is on rank 0 only; ``facts`` are what its plan was made from.
+
+    ``whole`` is the model with the fractures that the plan ties; None where it ties none.
+    """
+
+    scene: Scene
+    mesh: SplitMesh | None
+    placed: Placed
+    operators: Operators
+    loads: Loads
+    facts: Facts | None = None
+    whole: Model | None = None
+
+    @property
+    def stated(self) -> Scene:
+        """The scene as its file has it, where ``scene`` is what the plan leaves of it."""
+        return self.scene if self.facts is None else self.facts.scene
+
+    @property
+    def stated_mesh(self) -> SplitMesh:
+        """The mesh with all fractures, on rank 0."""
+        mesh = (self.whole or self).mesh
+        assert mesh is not None
+        return mesh
+
+
+def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
+    """Do ``work`` on rank 0; an InputError there is raised on every rank, what the system said as a DiskError. Collective."""
+    result, failure = None, None
+    if comm.rank == 0:
+        try:
+            result = work()
+        except (InputError, DiskError) as error:
+            failure = error
+        except OSError as error:
+            failure = DiskError.of(error, "the run folder")
+    kind, message = comm.bcast((type(failure), str(failure)), root=0)
+    if issubclass(kind, Exception):
+        raise kind(message)
+    return result
+
+
+@contextmanager
+def naming(scene: Scene) -> Iterator[None]:
+    """Let every InputError of what is done inside name the scene's file."""
+    try:
+        yield
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if scene.source in text else f"{scene.source}: {text}") from None
+
+
+def read_split(scene: Scene) -> SplitMesh:
+    """Read or build the mesh, of sizes that fit the scene where it states none, and split it. Raises InputError."""
+    with naming(scene):
+        return _read_split(scene.with_geometry(_open_sizes(scene)[0]))
+
+
+def with_sizes(scene: Scene, comm: MPI.Comm) -> Scene:
+    """The scene with the mesh sizes that it leaves open, and notes why they are so. Raises InputError, on every rank.
+
+    Collective.
+    """
+    with naming(scene):
+        keys, notes = comm.bcast(on_root(comm, lambda: _open_sizes(scene)), root=0)
+    return scene.with_geometry(keys, notes)
+
+
+def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
+    def build(trial: Scene) -> tuple[SplitMesh, Mapping[str, int]]:
+        mesh = _read_split(trial)
+        return mesh, place(trial, mesh).wells
+
+    return proposed(scene, build)
+
+
+def _read_split(scene: Scene) -> SplitMesh:
+    names = [name for name in scene.fracture if name != "default"]
+    if scene.mesh_path is not None:
+        wanted = [*names, *(["default"] if "default" in scene.fracture else [])]
+        raw = read_mesh(scene.mesh_path, wanted, scene.trust, scene.folder)
+    else:
+        raw = build_mesh(geometry_of(scene))
+    for _ in range(scene.refine):
+        raw = refined(raw)
+    mesh = split(raw)
+    scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
+    return mesh
+
+
+def geometry_of(scene: Scene) -> GeometrySpec:
+    """The geometry of a scene that has one, with its sizes known."""
+    geometry = scene.geometry
+    assert geometry is not None and geometry.size is not None
+    return GeometrySpec(
+        np.array(geometry.domain, dtype=float),
+        tuple((f.name, np.array(f.points, dtype=float)) for f in geometry.fracture),
+        geometry.size,
+        geometry.size_at_fractures,
+        geometry.cells,
+        next(iter(scene.rock)),
+        size_at_tips=geometry.size_at_tips,
+        growth=GROWTH if geometry.growth is None else geometry.growth,
+        snap=geometry.snap,
+    )
+
+
+def place(scene: Scene, mesh: SplitMesh) -> Placed:
+    """Find wells, probes and points on the mesh. Raises InputError."""
+
+    def at(where: object) -> object:
+        return (where.fracture, where.end) if isinstance(where, FractureEnd) else where
+
+    wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
+    probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
+    refuse_missing(scene, mesh, probes)
+    refuse_lone_wells(scene, mesh, wells)
+    refuse_two_pressures(scene, wells)
+    points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
+    spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
+    spots |= {f"probe.{name}": found.point for name, found in probes.items()}
+    asked = {f"{kind}.{entry.name}": entry.at for kind in ("well", "probe") for entry in getattr(scene, kind)}
+    return Placed(
+        wells,
+        probes,
+        points,
+        tied_components(scene, mesh),
+        (
+            *(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
+            *(of_well(mesh, w.name, wells[w.name]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
+            *meeting_supports(scene, mesh, points),
+        ),
+    )
+
+
+def of_well(mesh: SplitMesh, name: str, node: int) -> str:
+    """Say on which fractures the physical point of a well lies: Gmsh may have given its number to another point."""
+    on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[np.any(mesh.joint_flow == node, axis=1)])]
+    x, y = mesh.points[mesh.flow_origin[node]]
+    return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
+
+
+def is_moved(mesh: SplitMesh, asked: Place, spot: Floats) -> bool:
+    """Whether a place given by coordinates is not where its node is."""
+    near = 1e-6 * float(np.ptp(mesh.points, axis=0).max())
+    return isinstance(asked, tuple) and float(np.linalg.norm(np.asarray(asked) - spot)) > near
+
+
+def moved(name: str, asked: Place, spot: Floats) -> str:
+    """Say where a well or probe sits, and how far from where it was asked."""
+    away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot))
+    return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
+
+
+def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
+    """Pairs (m, 2) of node * dim + component that [[tie]] joins. Raises InputError."""
+    dim = mesh.points.shape[1]
+    rigid = np.isin(mesh.rocks, [name for name, rock in scene.rock.items() if rock.rigid])
+    on_rigid = np.unique(mesh.cells[rigid[mesh.cell_rock]])
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for tie in scene.tie:
+        nodes = tied_nodes(mesh, tie.on)
+        if np.isin(nodes, on_rigid).any():
+            raise InputError(f"tie: on = {list(tie.on)}: lies on a rigid rock, whose nodes already move as one")
+        pairs += [nodes * dim + ("x", "y").index(part) for part in tie.components]
+    return np.concatenate(pairs)
+
+
+def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> None:
+    """Raise InputError where a steady stage would have to pump, by one well alone, into what nothing drains."""
+    count = len(mesh.flow_origin)
+    if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
+        return
+    label = label_parts(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
+    drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
+    held = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
+    drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
+    pumped: dict[int, list[str]] = {}
+    limited = {w.name for w in scene.well if w.maximum_pressure is not None or w.minimum_pressure is not None}
+    for well in scene.well:
+        if well.pressure is None:
+            pumped.setdefault(int(label[wells[well.name]]), []).append(well.name)
+    for component, names in pumped.items():
+        if component not in drained and len(names) == 1 and names[0] not in limited:
+            inside = np.unique(mesh.joint_fracture[label[mesh.joint_flow[:, 0]] == component])
+            fractures = ", ".join(mesh.fractures[i] for i in inside)
+            raise InputError(
+                f"well.{names[0]}: a steady stage pumps into {fractures}, which no [[well]] with a pressure drains:"
+                ' give one, or use kind = "quasi-static", whose walls store the fluid'
+            )
+
+
+def prepare(
+    scene: Scene,
+    comm: MPI.Comm,
+    saved: SplitMesh | None = None,
+    cell_rank: Ints | None = None,
+    begins: bool = True,
+) -> Model:
+    """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
+
+    saved, cell_rank  mesh and partition of an earlier run, on rank 0
+    begins            whether the run begins, and notes tell what its mesh does not resolve
+    """
+    with naming(scene):
+        set_defaults(scene.petsc)
+        return _prepare(scene, comm, saved, cell_rank, begins)
+
+
+def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:
+    scene = with_sizes(scene, comm)
+    mesh = on_root(comm, lambda: saved or _read_split(scene))
+    placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
+    assert placed is not None
+    wells_at = placed.wells
+    coarse = on_root(comm, lambda: unresolved(scene, mesh, wells_at) if mesh is not None and begins else []) or []
+    apart = on_root(comm, lambda: told_apart(scene, mesh, wells_at) if mesh is not None else []) or []
+    blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
+    operators = assemble(blocks, scene)
+    wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
+    numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
+    loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
+    if redistributes(scene):
+        operators = redistributed(operators, scene, loads, mesh)
+    notes = (*scene.notes, *coarse, *apart, *placed.notes, *describe(blocks, scene))
+    placed = replace(placed, notes=notes, apart=tuple(apart))
+    return Model(scene, mesh, placed, operators, loads)
+
+
+def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:
+    """PETSc numbers of flow nodes given by their original numbers. Collective."""
+    own = blocks.flow.starts[blocks.comm.rank] + np.arange(len(blocks.flow.ids))
+    parts = blocks.comm.allgather([(i, own[blocks.flow.ids == i][0]) for i in np.intersect1d(ids, blocks.flow.ids)])
+    known = {int(i): int(n) for part in parts for i, n in part}
+    return np.array([known[int(i)] for i in ids], dtype=np.int64)

@@ -1,0 +1,126 @@
+"""Strain, stress and energy of the rock, cell by cell; plain NumPy on rank 0, which has the whole mesh.
+
+Four components are xx, yy, zz, xy; xy of a strain is half the engineering shear, so that both turn alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow.elements import solid
+from fracflow.laws.elastic import out_of_plane_stress, plane_strain_stiffness
+from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.model.properties import initial_stress
+from fracflow.model.solid import by_shape
+from fracflow.scene.scene import Scene
+
+Data = dict[str, NDArray[Any]]
+
+
+def deforms(mesh: SplitMesh, scene: Scene) -> NDArray[np.bool_]:
+    """Which cells (m,) are of rock that is not rigid."""
+    return ~np.array([scene.rock[name].rigid for name in mesh.rocks], dtype=bool)[mesh.cell_rock]
+
+
+def per_cell(cells: Ints, kernel: Callable[[Ints, Ints], Floats], *shape: int) -> Floats:
+    """Values (m, *shape) that ``kernel`` gives for cells of one number of nodes: (which cells, their nodes)."""
+    result = np.zeros((len(cells), *shape))
+    for chosen, nodes in by_shape(cells):
+        result[chosen] = kernel(chosen, nodes)
+    return result
+
+
+def strain(points: Floats, cells: Ints, displacement: Floats) -> Floats:
+    """Strains (m, 4) at the centres of cells (m, k), -1 pads, from displacements (n, 2) of the points (n, 2)."""
+    engineering = per_cell(cells, lambda _, nodes: solid.strain_at_centroid(points[nodes], displacement[nodes]), 3)
+    return np.stack([engineering[:, 0], engineering[:, 1], np.zeros(len(cells)), 0.5 * engineering[:, 2]], axis=1)
+
+
+def stress_change(strains: Floats, youngs_modulus: Floats, poissons_ratio: Floats) -> Floats:
+    """(2.13) Stress (m, 4) that strains (m, 4) add to the initial stress [stress]; zz keeps the strain plane."""
+    voigt = strains[:, [0, 1, 3]] * np.array([1.0, 1.0, 2.0])
+    plane = solid.stress(voigt, plane_strain_stiffness(youngs_modulus, poissons_ratio))
+    return np.stack([plane[:, 0], plane[:, 1], out_of_plane_stress(plane, poissons_ratio), plane[:, 2]], axis=1)
+
+
+def initial_components(scene: Scene, points: Floats) -> Floats:
+    """sigma_0 (..., 4) at points (..., 2) [stress]."""
+    sigma = initial_stress(scene, points)
+    return np.stack([sigma[..., 0, 0], sigma[..., 1, 1], sigma[..., 2, 2], sigma[..., 0, 1]], axis=-1)
+
+
+def tensors(values: Floats) -> Floats:
+    """Four components (m, 4) as tensors (m, 3, 3)."""
+    result = np.zeros((len(values), 3, 3))
+    for part, (row, column) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1))):
+        result[:, row, column] = result[:, column, row] = values[:, part]
+    return result
+
+
+def properties(mesh: SplitMesh, scene: Scene, key: str, cells: Ints | slice = slice(None)) -> Floats:
+    """A property of the rock in cells; 0 where the scene leaves it out."""
+    return np.array([getattr(scene.rock[name], key) or 0.0 for name in mesh.rocks])[mesh.cell_rock[cells]]
+
+
+def total_stress(mesh: SplitMesh, scene: Scene, strains: Floats) -> Floats:
+    """Stress (m, 4) at the centres of all cells, with the initial one [stress]; zero in rigid rock."""
+
+    def centre(_: Ints, nodes: Ints) -> Floats:
+        return mesh.points[nodes].mean(axis=1)
+
+    able, result = np.flatnonzero(deforms(mesh, scene)), np.zeros((len(mesh.cells), 4))
+    moduli = (properties(mesh, scene, key, able) for key in ("youngs_modulus", "poissons_ratio"))
+    centres = per_cell(mesh.cells[able], centre, 2)
+    result[able] = stress_change(strains[able], *moduli) + initial_components(scene, centres)
+    return result
+
+
+def strain_energy_density(mesh: SplitMesh, scene: Scene, displacement: Floats) -> Floats:
+    """Energy (m,) that each cell stored since the initial state, the work against the initial stress with it [energy/volume].
+
+    Times the areas it adds up to the book ``rock_strain``; under a stress that changes with depth but for what the
+    start takes up in the rock beside fractures. Zero in rigid rock.
+    """
+    able, result = np.flatnonzero(deforms(mesh, scene)), np.zeros(len(mesh.cells))
+    young, poisson = (properties(mesh, scene, key, able) for key in ("youngs_modulus", "poissons_ratio"))
+
+    def kernel(chosen: Ints, nodes: Ints) -> Floats:
+        points = mesh.points[nodes]
+        initial = initial_components(scene, solid.stiffness_points(points))[..., [0, 1, 3]]
+        moduli = plane_strain_stiffness(young[chosen], poisson[chosen])
+        return solid.strain_energy(points, displacement[nodes], moduli, initial) / solid.area(points)
+
+    result[able] = per_cell(mesh.cells[able], kernel)
+    return result
+
+
+def kinetic_energy_density(mesh: SplitMesh, scene: Scene, velocity: Floats) -> Floats:
+    """Kinetic energy (m,) of the mass that the run has, spread over the cells it comes from [energy/volume]."""
+    density, lumped = properties(mesh, scene, "density"), scene.method.mass == "lumped"
+
+    def kernel(chosen: Ints, nodes: Ints) -> Floats:
+        points = mesh.points[nodes]
+        return solid.kinetic_energy(points, velocity[nodes], density[chosen], lumped) / solid.area(points)
+
+    return per_cell(mesh.cells, kernel)
+
+
+def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, kinetic: bool) -> tuple[Data, Data]:
+    """Point and cell data of the rock from displacement and velocity (n, 2, 2) of all nodes.
+
+    ``kinetic`` False leaves the kinetic energy at zero, as the books do in stages without inertia.
+    """
+    displacement, velocity = motion[:, 0], motion[:, 1]
+    strains = strain(mesh.points, mesh.cells, displacement)
+    moving = kinetic_energy_density(mesh, scene, velocity) if kinetic else np.zeros(len(mesh.cells))
+    return {"displacement": displacement, "velocity": velocity}, {
+        "stress": tensors(total_stress(mesh, scene, strains)),
+        "strain": tensors(strains),
+        "strain_energy_density": strain_energy_density(mesh, scene, displacement),
+        "kinetic_energy_density": moving,
+        "rock": mesh.cell_rock,
+    }

@@ -1,0 +1,318 @@
+"""What the pictures show, read from a run folder; every part may be missing but the history."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow.errors import InputError
+from fracflow.output.events import read_events
+from fracflow.output.fields import list_steps, read_mesh, read_step, read_time
+from fracflow.output.folder import check_own
+from fracflow.output.history import read_attributes, read_history, read_table, read_units
+from fracflow.output.plot_style import plain
+from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
+from fracflow.storage.files import steers
+
+Floats = NDArray[np.float64]
+Profile = tuple[Floats, Floats | None, Floats]
+
+# quantity of a probe -> kind of its unit
+PROBE_QUANTITIES = {
+    "displacement": "length",
+    "slip": "length",
+    "plastic_slip": "length",
+    "slip_rate": "velocity",
+    "opening": "length",
+    "aperture": "length",
+    "shear_traction": "stress",
+    "normal_traction": "stress",
+    "pressure": "stress",
+    "flow_rate": "flow rate",
+}
+_DYNAMIC, _EQUILIBRATE = 2, 3
+
+
+@dataclass(frozen=True)
+class FractureFields:
+    """Fracture fields at the start of the dynamics, and the last that were written.
+
+    points    (n, 2)     node coordinates [length]
+    cells     (m, 2)     nodes of each piece
+    fracture  (m,)       index into ``names``
+    before, after        point data; ``before`` empty if only one step was written
+    begins, time         times of these two [time]
+    step                 number of the state that ``after`` is of, counted from 0
+    """
+
+    points: Floats
+    cells: NDArray[np.int64]
+    fracture: NDArray[np.int64]
+    names: list[str]
+    before: dict[str, NDArray[Any]]
+    after: dict[str, NDArray[Any]]
+    begins: float = 0.0
+    time: float = 0.0
+    step: int = 0
+
+    @property
+    def segments(self) -> Floats:
+        """(m, 2, 2) ends of the pieces."""
+        return self.points[self.cells]
+
+    @property
+    def has_before(self) -> bool:
+        """Whether two different steps are there."""
+        return bool(self.before)
+
+    def has(self, key: str) -> bool:
+        """Whether the field was written as point data."""
+        return key in self.after
+
+    def on_segments(self, key: str) -> Floats:
+        """(m,) mean over a piece's ends of the last scalar field; zero if it was not written."""
+        if not self.has(key):
+            return np.zeros(len(self.cells))
+        return np.asarray(self.after[key].reshape(len(self.points), -1)[:, 0][self.cells].mean(axis=1))
+
+    def label_places(self) -> dict[str, tuple[float, float]]:
+        """A point beside the middle piece of each fracture, where its name can stand."""
+        places = {}
+        size = float(np.ptp(self.points, axis=0).max(initial=0.0))
+        for i, name in enumerate(self.names):
+            pieces = np.flatnonzero(self.fracture == i)
+            if len(pieces):
+                ends = self.segments[pieces[len(pieces) // 3]]
+                along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-300)
+                x, y = ends.mean(axis=0) + 0.025 * size * np.array([-along[1], along[0]])
+                places[name] = (float(x), float(y))
+        return places
+
+    def profiles(self, key: str, most: int) -> dict[str, Profile]:
+        """Name -> (distance along the trace, field before or None, field after), longest fractures first."""
+        found: dict[str, Profile] = {}
+        for i, name in enumerate(self.names):
+            nodes = self._trace(self.cells[self.fracture == i])
+            if len(nodes):
+                steps = np.linalg.norm(np.diff(self.points[nodes], axis=0), axis=1)
+                before = self.before[key][nodes] if key in self.before else None
+                found[name] = (np.concatenate([[0.0], np.cumsum(steps)]), before, self.after[key][nodes])
+        longest = sorted(found, key=lambda name: -found[name][0][-1])[:most]
+        return {name: found[name] for name in found if name in longest}
+
+    def _trace(self, pieces: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Nodes of one fracture in the order of its trace, by the coordinate along its longest extent.
+
+        Pieces may have nodes of their own, several at one place; the direction is that of the first piece.
+        """
+        if not len(pieces):
+            return np.array([], dtype=np.int64)
+        following = dict(zip(pieces[:, 0].tolist(), pieces[:, 1].tolist(), strict=True))
+        starts = sorted(set(following) - set(following.values()))
+        if len(following) == len(pieces) and len(starts) == 1:
+            order = [starts[0]]
+            while order[-1] in following:
+                order.append(following[order[-1]])
+            return np.array(order)
+        nodes = np.unique(pieces)
+        centred = self.points[nodes] - self.points[nodes].mean(axis=0)
+        axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+        ends = self.points[pieces[0]]
+        along = centred @ axis * np.sign((ends[1] - ends[0]) @ axis)
+        return np.asarray(nodes[np.argsort(along, kind="stable")])
+
+
+@dataclass(frozen=True)
+class RunData:
+    """All that is drawn. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium."""
+
+    title: str
+    units: dict[str, str]
+    history: dict[str, NDArray[Any]]
+    probes: dict[str, tuple[float, float]]
+    wells: dict[str, tuple[float, float]]
+    events: list[dict[str, Any]]
+    rock: list[Floats] | None
+    fractures: FractureFields | None
+    start: int
+    has_dynamics: bool
+    status: Status
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether the histories go on after the last fields that were written."""
+        return self.fractures is not None and self.fractures.step < len(self.history["time"]) - 1
+
+    def slipped_since(self) -> list[str]:
+        """Names of the fractures that began to slip after the last fields that were written."""
+        since = self.fractures.time if self.fractures is not None else -np.inf
+        return sorted({e["fracture"] for e in self.events if e["kind"] == "slip" and e["start"] >= since})
+
+    @property
+    def account(self) -> str:
+        """A line on how the run stands, and of which times its pictures are."""
+        reached = self.at(float(self.history["time"][-1]))
+        words = {
+            "": f"Histories to {reached}",
+            RUNNING: f"Under way: histories to {reached}",
+            ENDED: f"Ended at {reached}",
+            STOPPED: f"Stopped at {reached}; fracflow resume goes on",
+            FAILED: f"Failed after {reached}: no state beyond it was found",
+            CUT_OFF: f"Cut off (killed): histories to {reached}; fracflow resume goes on",
+        }
+        line = words.get(self.status.word, words[""])
+        if not self.is_behind or self.fractures is None:
+            return line
+        return f"{line}. Map and profiles are older: of {self.at(self.fractures.time)}, step {self.fractures.step}"
+
+    def at(self, time: float) -> str:
+        """A time with its unit."""
+        return f"{time:.6g} {self.units.get('time', '')}".rstrip()
+
+    @property
+    def settled(self) -> slice:
+        """The steps from the last one at the time the run began: a search that takes no time comes before it."""
+        time = self.history["time"]
+        return slice(int(np.flatnonzero(time == time[0])[-1]) if np.ptp(time) > 0.0 else 0, None)
+
+    def label(self, word: str, kind: str) -> str:
+        """Axis label with the run's unit of a kind: length, time, stress, velocity, energy or flow rate."""
+        length, force, time = (self.units.get(key, "") for key in ("length", "force", "time"))
+        if not (length and force and time):
+            return word
+        units = {
+            "length": length,
+            "time": time,
+            "stress": f"{force}/{length}²",
+            "velocity": f"{length}/{time}",
+            "energy": f"{force}·{length}/{length}",
+            "flow rate": f"{length}³/{time}",
+        }
+        return f"{word} [{units[kind]}]"
+
+    def axis(self, span: slice) -> tuple[Floats, str]:
+        """Abscissa of histories: time, or the step's number if no time passes."""
+        time = self.history["time"][span]
+        if len(time) and np.ptp(time) > 0.0:
+            return time, self.label("time", "time")
+        return np.arange(len(self.history["time"]), dtype=float)[span], "step"
+
+    def probes_with(self, quantity: str) -> list[str]:
+        """Names of the probes that have a quantity, in the order of the file."""
+        tail = f"/{quantity}"
+        keys = (key for key in self.history if key.startswith("probe/") and key.endswith(tail))
+        return [key[len("probe/") : -len(tail)] for key in keys]
+
+    def probe(self, name: str, quantity: str) -> Floats:
+        """(steps,) a probe's quantity; of a vector, its length with the sign of the largest component."""
+        values = self.history[f"probe/{name}/{quantity}"]
+        if values.ndim == 1:
+            return values
+        flat = values.reshape(len(values), -1)
+        main = int(np.abs(flat).max(axis=0, initial=0.0).argmax())
+        return np.asarray(np.linalg.norm(flat, axis=1) * np.where(flat[:, main] < 0, -1.0, 1.0))
+
+    def first_events(self) -> list[dict[str, Any]]:
+        """The events of slip that started first."""
+        slips = [event for event in self.events if event["kind"] == "slip"]
+        earliest = min((event["start"] for event in slips), default=0.0)
+        return [event for event in slips if event["start"] == earliest]
+
+
+def load_run_data(folder: str | Path) -> RunData:
+    """Read a run folder. Raises InputError if it has no history with a step in it."""
+    folder = Path(folder)
+    check_own(folder)
+    history, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
+    if not len(history.get("time", ())):
+        raise InputError(f"{folder}: has no finished step; run it first")
+    kind = history.get("step/kind", np.array([]))
+    dynamic, found = np.flatnonzero(kind == _DYNAMIC), np.flatnonzero(kind == _EQUILIBRATE)
+    start = (
+        max(0, int(dynamic[0]) - 1) if len(dynamic) else int(found[-1]) if len(found) < len(kind) and len(found) else 0
+    )
+    events = read_events(folder / "events.csv") if (folder / "events.csv").exists() else []
+    seen = {event["probe"]: (event["x"], event["y"]) for event in events if event["probe"]}
+    return RunData(
+        title=str(attrs.get("title") or folder.resolve().name),
+        units={key: plain(unit) for key, unit in read_units(folder / "history.h5", attrs).items()},
+        history=history,
+        probes=_places(folder, attrs, "probes") or seen,
+        wells=_places(folder, attrs, "wells"),
+        events=events,
+        rock=_rock(folder),
+        fractures=_fractures(folder, float(history["time"][start])),
+        start=start,
+        has_dynamics=bool(len(dynamic)),
+        status=read_status(folder),
+    )
+
+
+def _places(folder: Path, attrs: dict[str, Any], key: str) -> dict[str, tuple[float, float]]:
+    try:
+        found = read_table(folder / "history.h5", key, attrs)
+        return {name: (float(at[0]), float(at[1])) for name, at in found.items()}
+    except (TypeError, ValueError, LookupError):
+        raise InputError(
+            f"{folder / 'history.h5'}: its attribute {key} holds no places; name the folder of a run"
+        ) from None
+
+
+def _rock(folder: Path) -> list[Floats] | None:
+    if not (folder / "fields" / "rock_mesh.h5").exists():
+        return None
+    points, cells, _ = read_mesh(folder, "rock")
+    sizes = (cells >= 0).sum(axis=1)
+    blocks = [points[cells[sizes == size, :size], :2] for size in np.unique(sizes)]
+    return [cell for block in blocks for cell in block]
+
+
+def _fractures(folder: Path, start: float) -> FractureFields | None:
+    steps = list_steps(folder, "fractures")
+    if not steps or not (folder / "fields" / "fractures_mesh.h5").exists():
+        return None
+    points, cells, attrs = read_mesh(folder, "fractures")
+    times = np.array([read_time(path) for _, path in steps])
+    # The steps of a steady stage may share their time: the last of them is where the dynamics begin.
+    first = max(0, int(np.searchsorted(times, start, side="right")) - 1)
+    time, after, cell_data = read_step(steps[-1][1])
+    before = read_step(steps[first][1])[1] if first < len(steps) - 1 else {}
+    for path, data, rows in (
+        (steps[-1][1], after, len(points)),
+        (steps[-1][1], cell_data, len(cells)),
+        (steps[first][1], before, len(points)),
+    ):
+        _check_rows(path, data, rows)
+    fracture = np.asarray(cell_data.get("fracture", np.zeros(len(cells))), dtype=np.int64)
+    highest = int(fracture.max(initial=-1)) + 1
+    names = _names(folder, attrs) or [f"fracture {i + 1}" for i in range(highest)]
+    begins, step = float(times[first]), steps[-1][0]
+    return FractureFields(points[:, :2], cells[:, :2], fracture, names, before, after, begins, time, step)
+
+
+def _check_rows(path: Path, data: dict[str, NDArray[Any]], rows: int) -> None:
+    for name, values in data.items():
+        if values.shape[:1] != (rows,) or (rows and not values.size):
+            raise InputError(
+                f"{path}: {name} has the shape {values.shape}, not {rows} rows; put back a copy of the file"
+            )
+
+
+def _names(folder: Path, attrs: dict[str, Any]) -> list[str]:
+    """Names of fractures as the mesh of the fields has them; none where it has none. Raises InputError for what is no name."""
+    stored = attrs.get("fractures", attrs.get("names"))
+    if not stored:
+        return []
+    try:
+        found = json.loads(stored)
+    except (ValueError, TypeError, RecursionError):
+        found = None
+    if isinstance(found, list) and all(isinstance(name, str) and not steers(name) for name in found):
+        return found
+    path = folder / "fields" / "fractures_mesh.h5"
+    raise InputError(f"{path}: its fractures are no names; put back a copy of the file")

@@ -1,0 +1,58 @@
+"""What a scene needs and what it does not: model no more than that, say so, and look again while it runs.
+
+What would save no work is not left out: the record says so. What is decided, each in a function of DECISIONS:
+
+flow       the pressures; what walls that move do to them; storage of the film; compressibility; inertia of the fluid
+inertia    of the rock, in stages whose loads are slow; the run begins anew with it where one swings, slips or opens
+tied       fractures that can neither slip, open nor conduct; the run begins anew with them where one might
+parts      of the rock, which nothing loads; exact
+solver     factors of matrices that joints have changed since; the unknowns of the rock, condensed to the joints; exact
+outputs    fields of steps that nobody asks for; rock beyond absorbing sides
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, replace
+
+from fracflow.reduction import flow, outputs, solver
+from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.inertia import decide_inertia
+from fracflow.reduction.solver import factorisations
+from fracflow.reduction.tied_fractures import decide_tied
+from fracflow.reduction.unloaded import decide_parts
+
+__all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations"]
+
+DECISIONS = (
+    flow.flow_block, flow.one_way, flow.film_storage, flow.compressibility, flow.fluid_inertia,
+    decide_inertia, decide_tied, decide_parts, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
+)  # fmt: skip
+
+
+def decide(facts: Facts) -> list[Decision]:
+    """All decisions, before the first step; not left out is what was put back in an earlier try."""
+    found = [decision for find in DECISIONS for decision in find(facts)]
+    keys = ((each, f"{each.part}, {each.stage}" if each.stage else each.part) for each in found)
+    return [
+        replace(each, left_out=False, undone=facts.undone[key]) if key in facts.undone else each for each, key in keys
+    ]
+
+
+def as_records(decisions: Iterable[Decision]) -> list[dict[str, object]]:
+    """For plan.json and ``check --json``."""
+    return [asdict(decision) | {"verdict": decision.verdict} for decision in decisions]
+
+
+def as_lines(decisions: Iterable[Decision]) -> list[str]:
+    """For the terminal and the log."""
+    return [_line(decision) for decision in decisions]
+
+
+def _line(decision: Decision) -> str:
+    where = f" in stage {decision.stage}" if decision.stage else ""
+    value, limit = (f"{x:.3g}" if isinstance(x, float) else x for x in (decision.value, decision.limit))
+    line = f"plan: {decision.part}{where}: {decision.verdict}; {decision.criterion}: {value}, limit {limit}"
+    if decision.left_out or not decision.asked:
+        line += f"; error: {decision.error}"
+    return f"{line}; saves {decision.saves}" + (f"; undone at {decision.undone}" if decision.undone else "")

@@ -1,0 +1,327 @@
+"""A mesh no finer than a scene needs: sizes where the scene states none, and what a stated mesh does not resolve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow.diagnostics import slip
+from fracflow.diagnostics.film import EVENT_STEPS
+from fracflow.diagnostics.joints import cell_rocks, gather
+from fracflow.diagnostics.number import View, spans
+from fracflow.laws import JOINT_LAWS
+from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.mesh.quality import cell_areas
+from fracflow.mesh.read import GROWTH as USUAL
+from fracflow.mesh.snap import natural_snap
+from fracflow.mesh.traces import polygon_area
+from fracflow.reduction.coarse_rock import GENTLE, coarse_beside
+from fracflow.reduction.lengths import (
+    affordable,
+    cell_count,
+    corner_period,
+    front_length,
+    mean_spacing,
+    shortest_period,
+    typical_length,
+)
+from fracflow.scene.method import Geometry
+from fracflow.scene.scene import Scene
+from fracflow.scene.units import LENGTH, TIME
+
+PER_LENGTH = 16  # joints along a fracture that ends in the rock
+PER_SPACING = 4  # joints, in the mean distance of fractures
+PER_FRONT = 8  # joints, in the reach of a pressure
+PER_WAVE = 10  # cells: lumped mass and trapezoid are 4.6 % slow there (where each wave takes one step through a cell)
+PER_TIP = 128  # joints at tips
+GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
+ACROSS = 20  # cells across the domain, far from all fractures
+MOST_CELLS = 100_000
+MOST_NAMES = 8  # fractures told of
+ROUNDS = 5  # of meshing and measuring
+FEWEST = 4  # joints along a fracture of the first mesh
+LATE = "beside fractures that weaken with slip, cells that grow faster let it run away late, and send its waves back"
+SAME = 0.99  # sizes that differ by less need no new mesh
+MARGIN = 0.95  # cells of a size asked for differ from it
+
+Build = Callable[[Scene], tuple[SplitMesh, Mapping[str, int]]]
+"""scene -> its mesh, and the flow nodes of its wells by name"""
+
+
+@dataclass(frozen=True)
+class Need:
+    """A length that a mesh must resolve, where the mesh is worst at it.
+
+    what     the length and the number of cells in it
+    size     the largest joint or cell that resolves it there [length]
+    found    the one there [length]
+    along    whether it is joints that must be so short, else cells
+    is_told  whether ``unresolved`` tells: the card tells of others, or no stated mesh need be like that
+    where    fracture or rock, and place
+    """
+
+    what: str
+    size: float
+    found: float
+    along: bool
+    is_told: bool = True
+    where: str = ""
+
+
+def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
+    """A line for each length that a mesh does not resolve, but for those of the scene card. On one process."""
+    view = View(scene, gather(scene, mesh, wells))
+    unit = view.unit(LENGTH)
+    coarse = coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
+    return (
+        [
+            f"mesh: {what} is not resolved: how slip begins and how far it runs depends on the mesh in {of_fractures(names)}"
+            for what, names in coarse.items()
+        ]
+        + [
+            f"mesh: {need.what} is not resolved: it needs {'joints' if need.along else 'cells'} of {need.size:.3g}{unit}, and"
+            f" has {need.found:.3g}{unit}, {need.where}"
+            for need in needs(view, mesh)
+            if need.is_told and SAME * need.found > need.size
+        ]
+        + coarse_beside(view, mesh, cell_sizes(mesh))
+    )
+
+
+def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
+    """Each length of slip that a mesh does not resolve -> the fractures where it does not, the worst first. On one process."""
+    joints = (view := View(scene, gather(scene, mesh, wells))).joints
+    found = {}
+    for what, size in slip.longest_joints(view).items():
+        worst = np.zeros(len(joints.names))
+        np.maximum.at(worst, joints.fracture, joints.length / size)
+        order = np.argsort(-worst, kind="stable")
+        if named := tuple(joints.names[f] for f in order if SAME * worst[f] > 1.0):
+            found[what] = named
+    return found
+
+
+def of_fractures(names: Sequence[str]) -> str:
+    """The first of some names of fractures, and how many more there are."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more fractures" if more > 0 else "")
+
+
+def needs(view: View, mesh: SplitMesh) -> list[Need]:
+    """All lengths of a scene, each where its mesh is worst at it."""
+    return [*_along_fractures(view, mesh), *_in_rock(view, mesh)]
+
+
+def _along_fractures(view: View, mesh: SplitMesh) -> Iterator[Need]:
+    joints = view.joints
+    if not len(joints.length):
+        return
+    middle, limits = mesh.points[mesh.joint_bottom].mean(axis=1), slip.longest_joints(view)
+
+    def need(what: str, size: Floats, is_told: bool = True) -> Iterator[Need]:
+        worst = int(np.argmax(joints.length / size))
+        if np.isfinite(size[worst]):
+            where = f"{joints.names[joints.fracture[worst]]} at {_spot(middle[worst])}"
+            yield Need(what, float(size[worst]), float(joints.length[worst]), True, is_told, where)
+
+    for what, size in limits.items():
+        yield from need(what, size, is_told=False)
+    each = np.bincount(joints.fracture, joints.length, len(joints.names))
+    tipped = np.unique(joints.fracture[np.any(mesh.joint_bottom == mesh.joint_top, axis=1)])
+    typical = np.where(np.isin(joints.fracture, tipped), typical_length(each[tipped]), np.inf)
+    yield from need(f"length of fractures / {PER_LENGTH}", typical / PER_LENGTH)
+    spacing = mean_spacing(float(cell_areas(mesh.points, mesh.cells).sum()), float(joints.length.sum()))
+    yield from need(
+        f"spacing of fractures / {PER_SPACING}", np.full_like(joints.length, spacing / PER_SPACING), len(tipped) > 0
+    )
+    lasts = [end - start for stage, start, end in spans(view.scene) if stage.kind in ("quasi-static", "auto")]
+    if view.flows and max(lasts, default=0.0) > 0.0:
+        assert view.scene.fluid is not None
+        time = min(each for each in lasts if each > 0.0)
+        held = view.scene.fluid.compressibility * np.nan_to_num(joints.aperture)
+        reach = front_length(joints.conducting, joints.normal, held, time).min(axis=1)
+        what = f"reach of a pressure in {time:.3g}{view.unit(TIME)} / {PER_FRONT}"
+        yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
+
+
+def _in_rock(view: View, mesh: SplitMesh) -> Iterator[Need]:
+    edges = cell_sizes(mesh)
+
+    def need(what: str, size: Floats, is_told: bool) -> Iterator[Need]:
+        worst = int(np.argmax(edges / size))
+        if np.isfinite(size[worst]):
+            rock, nodes = mesh.rocks[mesh.cell_rock[worst]], mesh.cells[worst]
+            where = f"{rock} at {_spot(mesh.points[nodes[nodes >= 0]].mean(axis=0))}"
+            yield Need(what, float(size[worst]), float(edges[worst]), False, is_told, where)
+
+    speed = cell_rocks(view.scene, mesh)["shear_speed"]
+    speed = np.where(np.isnan(speed), np.inf, speed)
+    for what, period, is_told in _periods(view, float(speed.min())):
+        yield from need(
+            f"wave of {period:.3g}{view.unit(TIME)}, {what}, / {PER_WAVE}", period * speed / PER_WAVE, is_told
+        )
+
+
+def _periods(view: View, speed: float) -> Iterator[tuple[str, float, bool]]:
+    """Periods of waves in each stage with inertia, none under ten of its steps: of loads, of slip; of jumps if of neither.
+
+    speed  the lowest shear speed
+    """
+    joints, scene = view.joints, view.scene
+    slips = bool(view.drops.any() or view.weakens.any())
+    of_slip = (
+        corner_period(typical_length(np.bincount(joints.fracture, joints.length).astype(float)), speed)
+        if slips
+        else np.inf
+    )
+    for stage, start, end in spans(scene):
+        if stage.kind in ("dynamic", "auto"):
+            step = stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step
+            of_steps, of_loads = EVENT_STEPS * (step or 0.0), shortest_period(scene.driving_tables, start, end)
+            name = f"stage {stage.title}"
+            if of_steps < of_loads < np.inf:
+                yield f"a load in {name}", of_loads, True
+            if of_steps < of_slip < np.inf:
+                yield f"of slip in {name}", of_slip, False
+            if of_steps > 0.0 and (min(of_loads, of_slip) <= of_steps or (of_loads == of_slip == np.inf)):
+                yield f"{EVENT_STEPS} steps of {name}", of_steps, False
+
+
+def cell_sizes(mesh: SplitMesh) -> Floats:
+    """Mean edge (m,) of each cell [length]."""
+    corners = mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])]
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    return np.asarray(edges.sum(axis=1) / np.sum(mesh.cells >= 0, axis=1))
+
+
+def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
+    """Keys of [geometry] that a scene leaves open, as its lengths ask, and why; of a mesh file none.
+
+    The snap follows from the traces, and the growth from what fractures do. Where no ``size`` is stated, meshes the scene by
+    ``build``, finer each time, until it resolves all lengths or has MOST_CELLS. On one process.
+    """
+    geometry = scene.geometry
+    if geometry is None:
+        return {}, []
+    snap, why = _snap(scene, geometry)
+    domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
+    area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
+    if geometry.size is not None:
+        if geometry.growth is not None:
+            return snap, why
+        if not _weakens(scene):
+            return snap | ({"growth": USUAL} if len(traces) else {}), why
+        fine = geometry.size_at_fractures or geometry.size
+        if cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
+            return snap, [
+                *why,
+                f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}",
+            ]
+        return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
+    size = float(np.ptp(domain, axis=0).min()) / ACROSS
+    width = Need(f"width of the domain / {ACROSS}", size, size, False, is_told=False)
+    fine = min(size, typical / FEWEST, mean_spacing(area, total) / PER_SPACING)
+    at_tips, growth = typical / PER_TIP, _growth(scene, geometry)
+    size, fine = _with_stated(geometry, size, fine)
+    for _ in range(ROUNDS):
+        keys = snap | _keys(geometry, size, fine, at_tips, growth, traces)
+        trial = scene.with_geometry({**keys, "refine": 0})
+        mesh, wells = build(trial)
+        view = View(trial, gather(trial, mesh, wells))
+        found = [width, *needs(view, mesh)]
+        crowding = len(mesh.cells) / cell_count(size, fine, area, total, growth)
+        finer = _finer(size, found, along=False), _finer(fine, found, along=True)
+        is_dear = crowding * cell_count(*finer, area, total, growth) > MOST_CELLS and np.isfinite(at_tips)
+        if is_dear:
+            at_tips, growth, crowding = np.inf, max(growth, THRIFTY), 1.0
+        finer = _with_stated(geometry, *affordable(*finer, area, total, growth, MOST_CELLS / crowding))
+        if not is_dear and finer[0] >= SAME * size and finer[1] >= SAME * fine:
+            break
+        size, fine = finer
+    if not np.any(mesh.joint_bottom == mesh.joint_top):
+        keys.pop("size_at_tips", None)  # no tip is in the rock: the same mesh
+    unit = {key: view.unit(LENGTH) for key in keys} | {"growth": ""}
+    sizes = {key: value for key, value in keys.items() if key not in snap}
+    return keys, [*why, *(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}" for key, value in sizes.items())]
+
+
+def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]]:
+    """The snap of traces that state none, and why it is so."""
+    if geometry.snap is not None or not geometry.fracture:
+        return {}, []
+    traces = [(trace.name, np.array(trace.points, dtype=float)) for trace in geometry.fracture]
+    snap, why = natural_snap(np.array(geometry.domain, dtype=float), traces)
+    unit = f" {scene.unit_system.unit(LENGTH)}" if scene.units != "none" else ""
+    return {"snap": snap}, [f"geometry.snap = {snap:g}{unit}: {why}"]
+
+
+def _growth(scene: Scene, geometry: Geometry) -> float:
+    if geometry.growth is not None:
+        return geometry.growth
+    return GENTLE if _weakens(scene) else GROWTH
+
+
+def _weakens(scene: Scene) -> bool:
+    """Whether the strength of a fracture falls over a length of slip."""
+    assert scene.geometry is not None
+    return any(JOINT_LAWS[scene.fracture_named(trace.name).law].weakens_over for trace in scene.geometry.fracture)
+
+
+def _trace_lengths(geometry: Geometry) -> Floats:
+    points = [np.array(trace.points, dtype=float) for trace in geometry.fracture]
+    return np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in points])
+
+
+def _with_stated(geometry: Geometry, size: float, fine: float) -> tuple[float, float]:
+    """Sizes of three digits that do not contradict what the scene does state."""
+    size, fine = _three_digits(size), _three_digits(fine)
+    stated = geometry.size_at_fractures
+    fine = stated or max(min(fine, size), geometry.size_at_tips or 0.0, 2.0 * (geometry.snap or 0.0))
+    return max(size, fine), fine
+
+
+def _three_digits(size: float) -> float:
+    """A size no larger."""
+    unit = 10.0 ** (np.floor(np.log10(size)) - 2.0)
+    return float(f"{np.floor(size / unit + 1e-9) * unit:.3g}")
+
+
+def _keys(
+    geometry: Geometry, size: float, fine: float, at_tips: float, growth: float, traces: Floats
+) -> dict[str, float]:
+    keys = {"size": size}
+    if not len(traces):
+        return keys
+    if geometry.size_at_fractures is None:
+        keys["size_at_fractures"] = fine
+        if geometry.size_at_tips is None and at_tips < fine:
+            keys["size_at_tips"] = _three_digits(at_tips)
+    if growth != geometry.growth:
+        keys["growth"] = growth
+    return keys
+
+
+def _finer(size: float, found: list[Need], along: bool) -> float:
+    """The least size asked for, or less where cells of that size are too large all the same."""
+    needed = [need for need in found if need.along == along]
+    asked = min([size, *(need.size for need in needed)])
+    return min([asked, *(MARGIN * size * need.size / need.found for need in needed if need.found > need.size >= size)])
+
+
+def _why(key: str, found: list[Need]) -> str:
+    fixed = {
+        "size_at_tips": f"length of fractures / {PER_TIP}",
+        "growth": "rock far from a tip is as coarse as its strains are smooth",
+    }
+    if key in fixed:
+        return fixed[key]
+    asked = [need for need in found if key == "size_at_fractures" or not need.along]
+    least = min(asked, key=lambda need: need.size)
+    short = f"; {MOST_CELLS} cells, the most that are proposed, do not reach it" if least.found > least.size else ""
+    return f"{least.what} = {least.size:.3g}{least.where and f', {least.where}'}{short}"
+
+
+def _spot(point: Floats) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"

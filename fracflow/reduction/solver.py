@@ -1,0 +1,68 @@
+"""How little the solvers need: factors that serve on, and rock that is condensed to its joints. Neither changes results."""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+
+from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.inertia import reduced
+from fracflow.scene.scene import Scene
+from fracflow.solve.condensed_cost import USUAL, solves_per_factor
+from fracflow.solve.condensed_plan import AT_LEAST, condensing, is_chosen, planned
+from fracflow.solve.kept_factors import LEAST_WORTH, are_kept
+
+
+def condensed_rock(facts: Facts) -> list[Decision]:
+    """The unknowns of the rock, which is linear: the choice is the coupling's, for the stages that the plan leaves."""
+    scene = reduced(facts)
+    if not facts.jumps or not _solves(scene):
+        return []
+    plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
+    chosen = scene.method.coupling == "condensed" or is_chosen(scene, facts.unknowns, plan)
+    steps = inf if plan.has_events else max(plan.steps.values(), default=0.0)
+    told = f"{steps:.0f} steps of one length" if isfinite(steps) else "as many steps as events take"
+    saves = (
+        "a factorisation in every step" if chosen else "nothing: kept, condensing would not pay, or was not asked for"
+    )
+    limit = f"{AT_LEAST * plan.pays:.0f}" if isfinite(plan.pays) else "never pays"
+    return [
+        Decision(
+            "rock, condensed to its joints",
+            chosen,
+            "steps of one length, to pay twice over",
+            told,
+            limit,
+            "none: exact",
+            saves,
+        )
+    ]
+
+
+def new_factors(facts: Facts) -> list[Decision]:
+    """Factors of a matrix that joints have changed since."""
+    if not _solves(reduced(facts)):
+        return []
+    total = facts.unknowns + facts.pressures
+    kept, worth = are_kept(facts.scene, total), solves_per_factor(total)
+    criterion = "solves in the time of a factorisation"
+    saves = (
+        f"a factorisation where {USUAL} solves serve"
+        if kept
+        else "nothing: kept, new factors cost no more than they save"
+    )
+    error = "none: Newton's method ends at the same residual, with new factors where old ones do not serve"
+    return [Decision("new factors in every iteration", kept, criterion, worth, f"> {LEAST_WORTH:g}", error, saves)]
+
+
+def _solves(scene: Scene) -> bool:
+    """Whether any stage solves for all unknowns at once: explicit steps do not."""
+    return next(planned(scene), None) is not None
+
+
+def factorisations(solves: int, made: int) -> Decision:
+    """The record of a run that has ended."""
+    return Decision(
+        "factorisations", made < solves, "matrix the same, or old factors serve",
+        f"{made} factorisations in {solves} Newton iterations", "1 while nothing changes state", "none",
+        f"{max(solves - made, 0)} factorisations",
+    )  # fmt: skip

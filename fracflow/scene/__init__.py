@@ -1,0 +1,5 @@
+"""What is asked: the scene file, validated, with units."""
+
+from fracflow.scene.scene import Scene, load
+
+__all__ = ["Scene", "load"]

@@ -1,0 +1,47 @@
+"""The table of a scene that says which sides let waves out and in."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from fracflow.scene.boundary import Names
+from fracflow.scene.method import Part
+from fracflow.scene.units import VELOCITY, Quantity, fault
+from fracflow.scene.values import Tabled, TimeTable
+
+
+class Wave(Part):
+    """[absorbing.wave] A plane wave that comes in through absorbing sides."""
+
+    kind: Literal["p", "s"] = Field(
+        default="p", description="p: the rock moves along the way of the wave; s: across it"
+    )
+    velocity: Annotated[TimeTable, Tabled(VELOCITY)] = Field(
+        description="velocity that it gives the rock where it arrives first: along its way, or of an s wave to the left of"
+        " it [length/time]"
+    )
+    direction: tuple[Annotated[float, Quantity()], Annotated[float, Quantity()]] | None = Field(
+        default=None,
+        description="[x, y], the way the wave goes, of any length: it arrives along the sides as it passes them; straight into"
+        " the side if not given [1]",
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Wave:
+        if self.direction is not None and not any(self.direction):
+            raise fault("is no direction: give [x, y] other than [0, 0]", key="direction")
+        return self
+
+
+class Absorbing(Part):
+    """[[absorbing]] Sides that waves leave through: dashpots rho c_p across and rho c_s along the side, of its own rock."""
+
+    on: Names = Field(description="names of sides: one or a list")
+    wave: Wave | None = Field(default=None, description="a wave that comes in")
+    without_inertia: Literal["held", "free"] = Field(
+        default="held",
+        description="in stages without inertia: held where they are, their reactions becoming loads when inertia comes in,"
+        " or free, where loads and supports must hold the rock",
+    )

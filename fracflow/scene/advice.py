@@ -1,0 +1,239 @@
+"""What is allowed but unusual: a unit may have been forgotten, a step may be too long."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from fracflow.laws import JOINT_LAWS
+from fracflow.scene.petsc import SOLVERS, reaches_a_solver
+from fracflow.scene.profiles import Profile
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import JUST_AFTER, TimeTable
+from fracflow.scene.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
+from fracflow.scene.values import FractureEnd
+
+GENTLE = 0.1  # growth of cells beside ruptures
+AT_ONCE = 1e-3  # of a pressure: less is no jump
+TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
+
+# key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
+USUAL = {
+    "rock": {"youngs_modulus": (STRESS, 1e7, 1e12), "density": (DENSITY, 500.0, 1e4)},
+    "fracture": {
+        "normal_stiffness": (STIFFNESS, 1e6, 1e16),
+        "shear_stiffness": (STIFFNESS, 1e5, 1e16),
+        "aperture": (LENGTH, 1e-7, 0.1),
+        "friction_coefficient": ("", 0.01, 2.0),
+    },
+    "fluid": {
+        "viscosity": (VISCOSITY, 1e-5, 0.5),
+        "density": (DENSITY, 0.1, 3e3),
+        "compressibility": (COMPRESSIBILITY, 1e-11, 1e-4),
+    },
+}
+
+
+def advice(scene: Scene) -> list[str]:
+    """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
+    return [
+        *_idle(scene),
+        *_reflecting(scene),
+        *_too_long(scene),
+        *_ringing(scene),
+        *_let_go(scene),
+        *_bouncing(scene),
+        *_growing(scene),
+        *_jagged(scene),
+        *(_unusual(scene) if scene.units != "none" else ()),
+    ]
+
+
+def _idle(scene: Scene) -> Iterator[str]:
+    for kind in ("well", "load"):
+        for entry in getattr(scene, kind):
+            name = getattr(entry, "control", None)
+            if name is None or scene.control[name].initial or any(stage.control == name for stage in scene.stage):
+                continue
+            label = getattr(entry, "name", None)
+            where = f"{kind}.{label}" if label else kind
+            yield f'{where}: control "{name}" stays at 0 in every stage: give control.{name}.initial = 1, or stage.control'
+    for name, table in scene.fracture.items():
+        least, aperture = table.minimum_hydraulic_aperture, table.aperture
+        if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:
+            yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture: it conducts by it from the start"
+    for option in scene.petsc:
+        if not reaches_a_solver(option):
+            yield f"petsc.{option} reaches no solver: begin it with the name of one and _: {', '.join(SOLVERS)}"
+
+
+def _reflecting(scene: Scene) -> Iterator[str]:
+    """Sides that absorb nothing since supports hold them, and events whose waves cannot leave."""
+    if not scene.has_dynamics:
+        return
+    held = {side for support in scene.support if {"x", "y"} <= {*support.components} for side in support.on}
+    absorbing = {side for each in scene.absorbing for side in each.on}
+    for side in sorted(held & absorbing):
+        yield f"{side} is held by a [[support]]: its [[absorbing]] dashpots never move, and all waves come back from there"
+    method, damps = scene.method, bool(absorbing - held)
+    damps |= method.stepper in ("implicit-euler", "hht") or (
+        method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
+    )
+    if not damps and any(stage.kind == "auto" for stage in scene.stage):
+        yield (
+            "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides,"
+            ' or method.stepper = "generalised-alpha" with a rho_infinity below 1, for waves that the steps do not resolve'
+        )
+
+
+def _too_long(scene: Scene) -> Iterator[str]:
+    """Steps of dynamic stages that lose a wave between two samples, or that the rule is not stable for whatever they are."""
+    longest = max((stage.time_step or 0.0 for stage in scene.stage if stage.kind == "dynamic"), default=0.0)
+    for absorbing in scene.absorbing:
+        times = absorbing.wave.velocity.times if absorbing.wave is not None else ()
+        shortest = min((after - time for time, after in pairwise(times) if after > time), default=math.inf)
+        if longest > shortest:
+            yield (
+                f"absorbing {', '.join(absorbing.on)}: time_step = {longest:g} is longer than {shortest:g}, the shortest"
+                " interval of the wave's table: what happens within a step is lost"
+            )
+    method = scene.method
+    if scene.has_dynamics and method.stepper == "newmark" and 2.0 * method.newmark_beta < method.newmark_gamma:
+        factor = (0.5 * method.newmark_gamma - method.newmark_beta) ** -0.5
+        yield (
+            f"method.newmark_beta = {method.newmark_beta:g} is below newmark_gamma/2: stable only for time_step below"
+            f" {factor:.3g}/omega of the fastest mode, which nothing keeps to; at {method.newmark_gamma / 2:g} any is stable"
+        )
+
+
+def _ringing(scene: Scene) -> Iterator[str]:
+    """Ruptures by a rule that damps no cells at faults, whose walls [geometry] does not mesh as mirror images."""
+    geometry, method = scene.geometry, scene.method
+    ruptures = [name for name, table in scene.fracture.items() if JOINT_LAWS[table.law].weakens_over]
+    unlike = geometry is not None and bool(ruptures)
+    damps = method.stepper == "explicit" and method.fault_damping != 0.0
+    if unlike and not damps and scene.model != "report" and scene.has_dynamics:
+        remedy = (
+            "method.fault_damping above 0"
+            if method.stepper == "explicit"
+            else 'method.stepper = "explicit", which damps it'
+        )
+        yield (
+            f"fracture.{ruptures[0]}: behind a rupture on walls that are not meshed as mirror images the normal traction rings"
+            f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {remedy}, or a [mesh]"
+            " that mirrors itself in the fault"
+        )
+
+
+def _let_go(scene: Scene) -> Iterator[str]:
+    """Fractures that lose strength at once, by a rule that damps no cells at faults."""
+    method = scene.method
+    if scene.model == "report" or not scene.has_dynamics or not any(not rock.rigid for rock in scene.rock.values()):
+        return
+    if method.stepper == "explicit" and method.fault_damping != 0.0:
+        return
+    remedy = "" if method.stepper == "explicit" else 'method.stepper = "explicit" with '
+    steps = [(stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step) or 0.0 for stage in scene.stage]
+    for name, table in scene.fracture.items():
+        slides = "sliding" in JOINT_LAWS[table.law].status
+        pressure = table.pressure if scene.has_flow and slides else None
+        if pressure is not None and pressure.is_quick(max(steps)):
+            yield (
+                f"fracture.{name}.pressure changes within a step: where it takes strength away at once, walls come too far and"
+                " stick there, and slip comes out too large, by 20 % and more, whatever the mesh: use"
+                f' {remedy}method.fault_damping = "auto"'
+            )
+
+
+def _bouncing(scene: Scene) -> Iterator[str]:
+    """Pressures that jump in the first instant of a dynamic stage, by a rule that does not damp what this sets going."""
+    fluid, steppers = scene.fluid, ("explicit", "newmark", "generalised-alpha")
+    begins = bool(scene.stage) and scene.stage[0].kind == "dynamic" and scene.model != "report"
+    if fluid is None or fluid.pressure_gradient or not begins or scene.method.stepper not in steppers:
+        return
+    if not scene.has_flow or not any(not rock.rigid for rock in scene.rock.values()):
+        return
+    given_start = None if scene.initial is None else scene.initial.pressure
+    start = fluid.initial_pressure if given_start is None else given_start
+    kept = {f"well.{well.name}": well.pressure for well in scene.well}
+    given = {at: [table(0.0, JUST_AFTER)] for at, table in kept.items() if isinstance(table, TimeTable)}
+    for name, fracture in scene.fracture.items():
+        if fracture.pressure is not None:
+            given[f"fracture.{name}"] = fracture.pressure(np.array(fracture.pressure.along), 0.0).tolist()
+    unit = "" if scene.units == "none" else f" {scene.unit_system.unit(STRESS)}"
+    for at, values in given.items():
+        jump = max(values, key=lambda value: abs(value - start)) - start
+        if abs(jump) > AT_ONCE * max(abs(start), abs(start + jump)):
+            yield (
+                f"{at}.pressure jumps by {jump:.4g}{unit} in the first instant of a dynamic stage:"
+                " walls bounce on their joints, whose normal traction swings by as much from step to step, long after: let it"
+                " rise from the pressure at the start over some steps"
+            )
+
+
+def _growing(scene: Scene) -> Iterator[str]:
+    """A growth that is stated, of cells beside a rupture that explicit steps damp."""
+    geometry, method = scene.geometry, scene.method
+    if geometry is None or method.stepper != "explicit" or method.fault_damping == 0.0 or not scene.has_dynamics:
+        return
+    ruptures = [name for name, table in scene.fracture.items() if table.law == "slip-weakening"]
+    if geometry.growth is not None and ruptures and geometry.growth > GENTLE:
+        yield (
+            f"geometry.growth = {geometry.growth:g}: beside fracture.{ruptures[0]}, cells that grow so send waves back to it:"
+            f" the error of its slip falls with their size, and by about the power 1.4 of it at a growth of {GENTLE:g}"
+        )
+
+
+def _jagged(scene: Scene) -> Iterator[str]:
+    """Slip rates that probes record where waves run: those of an instant are not to be read."""
+    slides = any("sliding" in JOINT_LAWS[table.law].status for table in scene.fracture.values())
+    names = [
+        probe.name
+        for probe in scene.probe
+        if (probe.quantities is None and (isinstance(probe.at, FractureEnd) or (probe.on or "") in scene.fracture))
+        or "slip_rate" in (probe.quantities or ())
+    ]
+    deforms = any(not rock.rigid for rock in scene.rock.values())
+    if not (scene.has_dynamics and slides and names and deforms):
+        return
+    least = _transit(scene)
+    here = (
+        "" if least is None else f" = {TRANSITS * least:.3g} {scene.unit_system.unit(TIME)} by the sizes of [geometry]"
+    )
+    yield (
+        f"probe.{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: behind sharp fronts slip_rate rings with"
+        " periods of a few cell transits h/c_s, and finer cells do not lessen it: read slip, or its increase over a time of at"
+        f" least {TRANSITS} h/c_s{here}, kept as cells are refined"
+    )
+
+
+def _transit(scene: Scene) -> float | None:
+    """Longest time in which a shear wave passes a cell at a fracture [time]; None where the scene states no mesh size."""
+    geometry, slowness = scene.geometry, 0.0
+    size = None if geometry is None else geometry.size_at_fractures or geometry.size
+    if geometry is None or size is None:
+        return None
+    for rock in scene.rock.values():
+        if not rock.rigid and rock.youngs_modulus and rock.density:
+            shear = 0.5 * rock.youngs_modulus / (1.0 + (rock.poissons_ratio or 0.0))
+            slowness = max(slowness, math.sqrt(rock.density / shear))
+    return size / 2**geometry.refine * slowness
+
+
+def _unusual(scene: Scene) -> Iterator[str]:
+    tables = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
+    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]  # type: ignore[misc]
+    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []  # type: ignore[list-item]
+    for path, table, kind in tables:
+        for key, (dimension, least, most) in USUAL[kind].items():
+            value = getattr(table, key)
+            if value is None or isinstance(value, Profile) or value == 0.0:
+                continue
+            in_si = value * scene.unit_system.to_si(dimension)
+            if not least <= in_si <= most:
+                unit = scene.unit_system.unit(dimension)
+                few = "small" if in_si < least else "large"
+                yield f"{path}.{key} = {value:g} {unit} is unusually {few}: is its unit right?"

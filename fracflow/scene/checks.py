@@ -1,0 +1,269 @@
+"""What must hold between the tables of a scene, and between a scene and its mesh."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from fracflow.errors import InputError
+from fracflow.integrators import WITH_INERTIA, keys_of
+from fracflow.scene.messages import nearest
+from fracflow.scene.method import LONGEST_NAME
+from fracflow.scene.petsc import refusal
+from fracflow.scene.units import COMPRESSIBILITY
+from fracflow.scene.values import FractureEnd, Place
+from fracflow.storage.files import PLAIN_TEXT
+
+if TYPE_CHECKING:
+    from fracflow.scene.scene import Scene
+
+MOST_STEPS = 1e9
+MOST_COMPRESSIBLE = 1e-2  # 1/Pa, 1/p of an ideal gas at a thousandth of the atmosphere's pressure
+Fault = tuple[tuple[int | str, ...], str]
+
+
+def contradictions(scene: Scene) -> Iterator[Fault]:
+    """List what contradicts, is missing or unknown between tables: (path of the key, what is wrong)."""
+    if not scene.stage:
+        yield ("stage",), "missing; a run needs at least one [[stage]]"
+    yield from _method(scene)
+    yield from _absorbing(scene)
+    yield from _geometry(scene)
+    yield from _materials(scene)
+    yield from _controls(scene)
+    yield from _actions(scene)
+    for key in ("well", "probe", "stage"):
+        names = [entry.name for entry in getattr(scene, key)]
+        for index in _repeated(names):
+            yield (key, index, "name"), "stands twice; names must differ"
+    for key in ("rock", "fracture", "control"):
+        for name in getattr(scene, key):
+            if not re.fullmatch(PLAIN_TEXT, name) or len(name) > LONGEST_NAME:
+                yield (key, name), f"must be one line without control characters, of at most {LONGEST_NAME} letters"
+    for option, value in scene.petsc.items():
+        if why := refusal(option, value):
+            yield ("petsc", option), why
+    in_history = [(("probe", i, "name"), probe.name) for i, probe in enumerate(scene.probe)]
+    for path, name in (*in_history, *((("control", name), name) for name in scene.control)):
+        if not {"", ".", ".."}.isdisjoint(name.split("/")):
+            yield path, "is no name for the history, where / divides; put more than dots before and after it"
+
+
+def _repeated(names: Sequence[str | None]) -> Iterator[int]:
+    """Places of the names that stand before them too."""
+    seen = set[str]()
+    for place, name in enumerate(names):
+        if name is not None:
+            if name in seen:
+                yield place
+            seen.add(name)
+
+
+def _method(scene: Scene) -> Iterator[Fault]:
+    method = scene.method
+    needs = {"mass": "lumped", "quadrature": "nodal", "storage": "lumped"}
+    if scene.has_dynamics:
+        needs["contact"] = "lumped"
+    for key, value in needs.items() if method.stepper == "explicit" else ():
+        if getattr(method, key) != value:
+            yield (
+                ("method", key),
+                f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"',
+            )
+    for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
+        names = " or ".join(f'"{value}"' for value in allowed)
+        yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
+    if method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
+        yield (
+            ("method", "contact"),
+            'is "redistributed" in a scene with a fluid: walls without mass have no first velocity to squeeze it by, and the'
+            ' fluid damps them as it is; use "lumped"',
+        )
+    keys = {name: keys_of({name: kind}) for name, kind in WITH_INERTIA.items()}
+    for key, (default, _, _) in keys_of(WITH_INERTIA).items():
+        if key not in keys[method.stepper] and getattr(method, key) != default:  # a scene written back has all defaults
+            users = ", ".join(name for name, own in keys.items() if key in own)
+            yield (
+                ("method", key),
+                f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper',
+            )
+
+
+def against_condensing(scene: Scene) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Keys of [method] with which the rock cannot be condensed, and the values that they would need."""
+    needs = {"overshoot": ("hold",), "newton_test": ("residual", "out-of-balance")}
+    if scene.has_flow:
+        needs |= {"quadrature": ("nodal",), "storage": ("lumped",)}
+    for key, allowed in needs.items():
+        if getattr(scene.method, key) not in allowed:
+            yield key, allowed
+
+
+def _absorbing(scene: Scene) -> Iterator[Fault]:
+    held = {name for support in scene.support for name in support.on}
+    for index, absorbing in enumerate(scene.absorbing):
+        for name in absorbing.on if absorbing.wave is not None else ():
+            if name in held:
+                yield (
+                    ("absorbing", index, "on"),
+                    f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one',
+                )
+
+
+def _geometry(scene: Scene) -> Iterator[Fault]:
+    geometry = scene.geometry
+    if (geometry is None) == (scene.mesh is None):
+        both = geometry is not None
+        yield (
+            ("geometry",),
+            "contradicts [mesh]; give one of them" if both else "missing; give [geometry] or [mesh]",
+        )
+    if geometry is None:
+        return
+    traces = [trace.name for trace in geometry.fracture]
+    for index in _repeated(traces):
+        yield ("geometry", "fracture", index, "name"), "stands twice; names must differ"
+    for index, name in enumerate(traces):
+        if name == "default":
+            yield (
+                ("geometry", "fracture", index, "name"),
+                "is kept for [fracture.default]; choose another name",
+            )
+        if name not in scene.fracture and "default" not in scene.fracture:
+            yield ("fracture", name), f'missing; the fracture "{name}" needs a table, or [fracture.default]'
+    fine = geometry.size_at_fractures or geometry.size or math.inf  # what is not given follows later, from what is
+    if geometry.size is not None and fine > geometry.size:
+        yield ("geometry", "size_at_fractures"), f"must be at most size = {geometry.size:g}"
+    if geometry.size_at_tips is not None and geometry.size_at_tips > fine:
+        yield ("geometry", "size_at_tips"), f"must be at most the size at fractures, {fine:g}"
+    known = {*traces, "default"}
+    for name in scene.fracture:
+        if name not in known:
+            yield ("fracture", name), f"no fracture of that name in [geometry]; {nearest(name, traces)}"
+    for name in list(scene.rock)[1:]:
+        yield ("rock", name), f"is one too many; [geometry] has one rock, here {next(iter(scene.rock))}"
+
+
+def _materials(scene: Scene) -> Iterator[Fault]:
+    if not scene.rock:
+        yield ("rock",), "missing; a scene needs [rock.NAME]"
+    for name, rock in scene.rock.items():
+        if rock.density is None and scene.has_dynamics:
+            yield ("rock", name, "density"), "missing; dynamic stages need it"
+        if rock.density is None and scene.body_force is not None and scene.body_force.gravity:
+            yield ("rock", name, "density"), "missing; body_force.gravity needs it"
+    for name, fracture in scene.fracture.items():
+        if scene.has_flow and fracture.aperture is None and fracture.conductance is None:
+            yield ("fracture", name, "aperture"), "missing; the fluid needs it, or conductance"
+        elif scene.has_flow and scene.fluid is not None and scene.fluid.compressibility and fracture.aperture is None:
+            yield ("fracture", name, "aperture"), "missing; a fluid with compressibility needs the volume it fills"
+        if fracture.pressure is not None and not scene.has_flow:
+            yield ("fracture", name, "pressure"), "needs [fluid] with a viscosity: without it no fluid is modelled"
+    if scene.fluid is not None and scene.fluid.compressibility and scene.units != "none":
+        in_si = scene.fluid.compressibility * scene.unit_system.to_si(COMPRESSIBILITY)
+        if in_si > MOST_COMPRESSIBLE:
+            yield (
+                ("fluid", "compressibility"),
+                f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water",
+            )
+    if scene.fluid is None and scene.well:
+        yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
+
+
+def _controls(scene: Scene) -> Iterator[Fault]:
+    followers = {well.control for well in scene.well} | {load.control for load in scene.load}
+    for key in ("well", "load", "stage"):
+        for index, entry in enumerate(getattr(scene, key)):
+            if entry.control is not None and entry.control not in scene.control:
+                yield (
+                    (key, index, "control"),
+                    f"no [control] of that name; {nearest(entry.control, scene.control)}",
+                )
+            elif entry.control is not None and entry.control not in followers:
+                yield (key, index, "control"), "no well or load has this control: give one control = ..."
+
+
+def _actions(scene: Scene) -> Iterator[Fault]:
+    for index, load in enumerate(scene.load):
+        if load.traction == "initial-stress" and scene.initial_stress is None:
+            yield ("load", index, "traction"), "needs the table [initial_stress]"
+    rigid = {name for name, rock in scene.rock.items() if rock.rigid}
+    for index, support in enumerate(scene.support):
+        if "rotation" in support.components and rigid.isdisjoint(support.on):
+            yield ("support", index, "components"), "only a rigid rock has a rotation; leave it out"
+    seen = set[str]()
+    for index, entry in enumerate(scene.absorbing):
+        for name in entry.on:
+            if name in seen:
+                yield ("absorbing", index, "on"), f'names "{name}" again; a side absorbs once'
+            seen.add(name)
+    clock: float | None = 0.0
+    for index, stage in enumerate(scene.stage):
+        if index and stage.kind == "equilibrate":
+            yield ("stage", index, "kind"), "only the first stage can equilibrate: later states are in balance"
+        if stage.takes_no_time:
+            continue
+        if clock is not None and stage.end is not None and stage.end <= clock:
+            yield ("stage", index, "end"), f"must be later than the start of the stage, {clock:g}"
+        bounded = clock is not None and stage.until is None
+        steps = stage.step_count(clock) if bounded and clock is not None else None
+        if steps is not None and steps > MOST_STEPS:
+            yield ("stage", index, "time_step"), f"would take {steps:.2g} steps; raise it, or end the stage earlier"
+        clock = stage.finish(clock) if clock is not None and steps else None
+
+
+def check_mesh_names(
+    scene: Scene,
+    rocks: Collection[str],
+    fractures: Collection[str],
+    sides: Collection[str],
+    points: Collection[str],
+) -> None:
+    """Compare the names a scene uses with those its mesh has; raises InputError for the first stranger."""
+    for place, name, allowed in _used_names(scene, rocks, fractures, sides, points):
+        if name not in allowed:
+            raise InputError(f'{scene.source}: {place} = "{name}": not in the mesh; {nearest(name, allowed)}')
+    for kind, names, known in (("rock", rocks, scene.rock), ("fracture", fractures, scene.fracture)):
+        for name in names:
+            if name not in known and not (kind == "fracture" and "default" in known):
+                raise InputError(f'{scene.source}: {kind}.{name}: missing; the mesh has a {kind} "{name}"')
+
+
+def _used_names(
+    scene: Scene,
+    rocks: Collection[str],
+    fractures: Collection[str],
+    sides: Collection[str],
+    points: Collection[str],
+) -> Iterator[tuple[str, str, Collection[str]]]:
+    """List (key, name, allowed names) of all names that the mesh must have."""
+    for name in scene.rock:
+        yield "rock", name, rocks
+    for name in scene.fracture:
+        yield "fracture", name, (*fractures, "default")
+    for index, support in enumerate(scene.support):
+        for name in support.on:
+            yield f"support.{index}.on", name, (*sides, *points, *rocks)
+    for key in ("load", "tie", "absorbing"):
+        for index, entry in enumerate(getattr(scene, key)):
+            for name in entry.on:
+                yield f"{key}.{index}.on", name, rocks if getattr(entry, "force", None) is not None else sides
+    for name in scene.initial.rock if scene.initial is not None else ():
+        yield "initial.rock", name, rocks
+    for well in scene.well:
+        yield from _place(f"well.{well.name}.at", well.at, fractures, points)
+    for probe in scene.probe:
+        yield from _place(f"probe.{probe.name}.at", probe.at, fractures, points)
+        if probe.on is not None:
+            yield f"probe.{probe.name}.on", probe.on, (*fractures, *rocks)
+
+
+def _place(
+    key: str, at: Place, fractures: Collection[str], points: Collection[str]
+) -> Iterator[tuple[str, str, Collection[str]]]:
+    if isinstance(at, FractureEnd):
+        yield f"{key}.fracture", at.fracture, fractures
+    elif isinstance(at, str):
+        yield key, at, points

@@ -1,0 +1,100 @@
+"""Keys of a fracture's table that the joint laws themselves declare."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING
+from difflib import get_close_matches
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from fracflow.laws import JOINT_LAWS, Key, keys_of, parameters_of
+from fracflow.scene.profiles import Along, Profile
+from fracflow.scene.units import Quantity, fault
+
+Property = float | Profile
+KEYS: dict[str, dict[str, Key]] = {name: keys_of(law) for name, law in JOINT_LAWS.items()}
+OTHERWISE = {"friction_angle_deg": "friction_coefficient"}
+"""Keys of a table that stand for one of a law's."""
+
+
+def known_law(name: str) -> str:
+    """The name of a law; a fault that tells those there are, for another."""
+    if name not in JOINT_LAWS:
+        allowed = ", ".join(JOINT_LAWS)
+        near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)
+        raise fault(f"unknown; allowed: {allowed}" + (f'; did you mean "{near[0]}"?' if near else ""))
+    return name
+
+
+def law_fields() -> dict[str, Any]:
+    """Name -> (annotation, Field) of all keys that laws declare; None where a table has none of it."""
+    found: dict[str, Any] = {}
+    for name in dict.fromkeys(name for keys in KEYS.values() for name in keys):
+        meanings: dict[str, list[str]] = {}
+        for law, keys in KEYS.items():
+            if name in keys:
+                meanings.setdefault(keys[name].meaning, []).append(law)
+        key = next(keys[name] for keys in KEYS.values() if name in keys)
+        text = "; ".join(f"{meaning} ({', '.join(laws)})" for meaning, laws in meanings.items())
+        value = next((defaults(law)[name] for law in KEYS if name in defaults(law)), None)
+        unit = "" if key.dimension == "1" else f" [{key.dimension}]"
+        along = Along(Quantity(key.dimension, **key.limits))
+        described = Field(default=None, description=text + unit, json_schema_extra={"default": value})
+        found[name] = (Annotated[Property | None, along], described)
+    return found
+
+
+def describe_laws() -> str:
+    """What each law is, by the first line of its own documentation."""
+    return "; ".join(f"{name}: {(law.__doc__ or '').splitlines()[0].rstrip('.')}" for name, law in JOINT_LAWS.items())
+
+
+def foreign_keys(law: Any) -> set[str]:
+    """Keys of a table that other laws declare, and this one has no use for; none where there is no such law."""
+    if not isinstance(law, str) or law not in JOINT_LAWS:
+        return set()
+    declared = {name for keys in KEYS.values() for name in keys} - set(KEYS[law])
+    return declared | {key for key, meant in OTHERWISE.items() if meant in declared}
+
+
+def defaults(law: str) -> dict[str, float]:
+    """What a law takes for its own keys where a table has none; friction has to be given."""
+    given = {field.name: field.default for field in parameters_of(JOINT_LAWS[law]) if field.name in KEYS[law]}
+    return {name: v for name, v in given.items() if v is not MISSING and name not in OTHERWISE.values()}
+
+
+def check(law: str, table: Mapping[str, Any]) -> None:
+    """Raise the fault of a table that has too little, too much, or what contradicts itself, for its law."""
+    for name in sorted(() if JOINT_LAWS[law].passes_over else foreign_keys(law)):
+        if table.get(name) is not None:
+            users = ", ".join(each for each, keys in KEYS.items() if OTHERWISE.get(name, name) in keys)
+            raise fault(f'is no key of law = "{law}", but of {users}; remove it, or set law', key=name)
+    for other, name in OTHERWISE.items():
+        if table.get(other) is not None and table.get(name) is not None:
+            raise fault(f"contradicts {name}; give one of them", key=other)
+    for field in parameters_of(JOINT_LAWS[law]):
+        other = next((other for other, meant in OTHERWISE.items() if meant == field.name), "")
+        if other and table.get(other) is None and table.get(field.name) is None:
+            raise fault(f"missing; give it or {field.name}", key=other)
+        if not other and field.default is MISSING and table.get(field.name) is None:
+            raise fault(f"missing; the law {law} needs it", key=field.name)
+
+
+def check_order(law: str, values: Mapping[str, Any]) -> None:
+    """Raise the fault of a value above one that its law says it may not exceed; ``values`` of the law's own names."""
+    for name, key in KEYS[law].items():
+        if key.not_above and _exceeds(values[name], values[key.not_above]):
+            raise fault(f"must not exceed {key.not_above}", key=name)
+
+
+def _exceeds(one: Property, other: Property) -> bool:
+    """Whether a value is above another anywhere along the fracture: both are linear between rows."""
+    tables = [value for value in (one, other) if isinstance(value, Profile)]
+    places = sorted({place for table in tables for place in table.along}) or [0.0]
+
+    def at(value: Property, place: float) -> float:
+        return float(value(place)) if isinstance(value, Profile) else value  # type: ignore[arg-type]
+
+    return any(at(one, place) > at(other, place) for place in places)

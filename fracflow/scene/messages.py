@@ -1,0 +1,122 @@
+"""What pydantic found, as one line: file, key, value, and what would be right."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from fracflow.scene.toml import write_value
+
+Path = tuple[int | str, ...]
+MOST_LETTERS, MOST_NAMES = 100, 300  # that a misspelt name is compared by, and with
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """Say which allowed name was probably meant, or list them all."""
+    names = sorted(allowed)
+    match = get_close_matches(name[:MOST_LETTERS], names[:MOST_NAMES], n=1)
+    if match:
+        return f'did you mean "{match[0]}"?'
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f"allowed: {', '.join(names[:MOST_NAMES])}{more}" if names else "none is allowed here"
+
+
+def one_line(error: ValidationError, data: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """Turn the errors of a scene into ``key = value: what is wrong``: the first, and how many more.
+
+    Unknown keys come first and missing ones last: a misspelt key is both, and its spelling is what helps.
+    """
+    order = {"extra_forbidden": 0, "missing": 2}
+    errors = sorted(error.errors(include_url=False), key=lambda entry: order.get(entry["type"], 1))
+    first = errors[0]
+    path: Path = first["loc"]
+    context = first.get("ctx", {})
+    if "path" in context:
+        path = tuple(context["path"])
+    elif "key" in context:
+        path = (*path, context["key"])
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    whole = first["type"] == "fracflow" and path == first["loc"] and "text" in context
+    return f"{written(path, data, whole)}: {_what(first, path, data, model)}{more}"
+
+
+def written(path: Path, data: Mapping[str, Any], tables: bool = False) -> str:
+    """Write ``well.node2.flow_rate = 3``: the key as ``--set`` takes it, and its value (a table if asked)."""
+    here: Any = data
+    words: list[str] = []
+    for key in path:
+        inside = isinstance(here, Mapping) and key in here
+        inside = inside or (isinstance(here, list) and isinstance(key, int) and key < len(here))
+        here = here[key] if inside else None
+        name = here.get("name") if isinstance(key, int) and isinstance(here, Mapping) else None
+        words.append((name if isinstance(name, str) and name else str(key))[:MOST_LETTERS])
+    if here is None or (isinstance(here, Mapping) and not tables):
+        return ".".join(words)
+    value = " ".join(write_value(here).split())
+    return f"{'.'.join(words)} = {value if len(value) <= 60 else value[:57] + '...'}"
+
+
+def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """Say what is wrong with a key and what would be right."""
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "fracflow":
+        return str(context["text"])
+    if kind == "extra_forbidden":
+        return f"unknown key; {nearest(str(path[-1]), _model_at(model, path[:-1]).model_fields)}"
+    if kind == "missing":
+        if not isinstance(path[-1], str):
+            return f"missing; the list must be longer by entry {path[-1]}"
+        field = _model_at(model, path[:-1]).model_fields[path[-1]]
+        return f"missing; required: {field.description}"
+    if kind == "literal_error":
+        allowed = str(context["expected"]).replace("'", '"').replace(" or ", ", ")
+        close = get_close_matches(str(error["input"]), [word.strip('"') for word in allowed.split(", ")], 1, 0.5)
+        return f"unknown; allowed: {allowed}" + (f'; did you mean "{close[0]}"?' if close else "")
+    simple = {
+        "string_type": "must be a string",
+        "int_type": "must be a whole number",
+        "bool_type": "must be true or false",
+        "dict_type": "must be a table",
+        "model_type": "must be a table",
+        "model_attributes_type": "must be a table",
+        "string_too_short": "must not be empty",
+        "string_too_long": f"must have at most {context.get('max_length')} letters",
+        "too_short": "must not be empty",
+        "string_pattern_mismatch": "must be one line without control characters",
+        "too_long": f"must have at most {context.get('max_length')} entries",
+        "greater_than_equal": f"out of range; must be at least {context.get('ge')}",
+        "less_than_equal": f"out of range; must be at most {context.get('le')}",
+    }
+    if kind == "tuple_type":
+        tables = _model_at(model, path) is not BaseModel
+        return f"must be an array of tables [[{'.'.join(map(str, path))}]]" if tables else "must be a list"
+    return simple.get(kind, " ".join(error["msg"].split()).lower())
+
+
+def _model_at(model: Any, path: Path) -> type[BaseModel]:
+    """Find the model of the table at ``path``: through optional, dict and tuple types; else BaseModel."""
+    for key in path:
+        inner = _inner(model)
+        if isinstance(inner, type) and issubclass(inner, BaseModel) and str(key) in inner.model_fields:
+            model = inner.model_fields[str(key)].annotation
+        elif get_origin(inner) in (dict, tuple):
+            model = next(arg for arg in reversed(get_args(inner)) if arg is not ...)
+        else:
+            return BaseModel
+    inner = _inner(model)
+    if get_origin(inner) is tuple:
+        inner = get_args(inner)[0]
+    return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else BaseModel
+
+
+def _inner(annotation: Any) -> Any:
+    """Strip ``| None`` from a type."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        rest: Sequence[Any] = [arg for arg in get_args(annotation) if arg is not type(None)]
+        return rest[0] if len(rest) == 1 else annotation
+    return annotation

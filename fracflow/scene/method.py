@@ -1,0 +1,303 @@
+"""The tables of a scene that say where it happens, how to compute, and what to write."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    StrictStr,
+    create_model,
+)
+
+from fracflow.integrators import OF_FILMS, WITH_INERTIA, keys_of
+from fracflow.scene.laws import OTHERWISE, foreign_keys
+from fracflow.scene.units import (
+    LENGTH,
+    STRESS,
+    Quantity,
+    fault,
+)
+from fracflow.scene.values import Domain, Polyline
+from fracflow.storage.files import PLAIN_TEXT
+
+Points = tuple[tuple[float, float], ...]
+Count = Annotated[int, Field(strict=True, ge=1, le=10**12)]  # of steps: less than floats count exactly
+LONGEST_NAME, LONGEST_PATH = 250, 4000
+Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=f"^{PLAIN_TEXT}$")]
+FileName = Annotated[str, Field(min_length=1, max_length=LONGEST_PATH, pattern=f"^{PLAIN_TEXT}$")]
+Line = Annotated[str, Field(max_length=1000, pattern=f"^({PLAIN_TEXT})?$")]
+Fraction = Annotated[float, Quantity(above=0.0, below=1.0)]
+Stress = Annotated[float, Quantity(STRESS)]
+Size = Annotated[float, Quantity(LENGTH, above=0.0)]
+MOST_REFINED = 12
+Refine = Annotated[int, Field(strict=True, ge=0, le=MOST_REFINED)]
+REFINED = "times that every cell of the mesh is cut in four like ones, which leaves its nodes where they are"
+
+
+def _option(value: object) -> object:
+    if not isinstance(value, bool | int | float | str):
+        raise fault("must be a string, a number, or true or false")
+    return value
+
+
+Option = Annotated[StrictBool | StrictInt | StrictFloat | StrictStr, BeforeValidator(_option)]
+
+
+class Part(BaseModel):
+    """A table of a scene: frozen, and refuses keys it does not know."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+if TYPE_CHECKING:
+    InertiaStepper: TypeAlias = str
+    FilmStepper: TypeAlias = str
+    StepperKeys: Any = Part
+else:
+    InertiaStepper, FilmStepper = Literal[tuple(WITH_INERTIA)], Literal[tuple(OF_FILMS)]
+    StepperKeys = create_model(
+        "StepperKeys",
+        __base__=Part,
+        **{
+            key: (Annotated[float, Quantity(**limits)], Field(default=default, description=meaning))
+            for key, (default, meaning, limits) in keys_of(WITH_INERTIA).items()
+        },
+    )
+
+
+class Method(StepperKeys):
+    """[method] How the equations are discretised and solved; defaults follow from ``model``."""
+
+    quadrature: Literal["nodal", "gauss2", "one-point"] = Field(
+        default="nodal",
+        description="points where a joint keeps its state: its ends (2.30), two Gauss points, its middle",
+    )
+    storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = Field(
+        default="lumped",
+        description="matrices of pressure force and film storage; lumped, consistent (2.37) and averaging (3.16) use one for"
+        " both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: what these two make of nothing is booked",
+    )
+    conductance: Literal["exact", "report"] = Field(
+        default="exact",
+        description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
+    )
+    mass: Literal["lumped", "consistent"] = Field(default="lumped", description="mass matrix of the rock")
+    contact: Literal["redistributed", "lumped"] = Field(
+        default="redistributed",
+        description="inertia of fracture walls along their normal in dynamic stages: carried by the nodes next to them inside"
+        " the rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which"
+        ' damps them, of explicit steps, and of model = "report"',
+    )
+    film: FilmStepper = Field(
+        default="backward-euler",
+        description="time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of"
+        " scenes that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a"
+        " stage is one of backward Euler",
+    )
+    stepper: InertiaStepper = Field(
+        default="newmark",
+        description="time integrator of dynamic stages: newmark (4.1)-(4.3); hht and generalised-alpha, which damp what the"
+        " time step does not resolve and are of second order; implicit-euler, of first order, which damps all; explicit,"
+        " central differences of the rock with joints and film solved at the end of each step, in parts no longer than stable",
+    )
+    fault_damping: Literal["auto"] | Annotated[float, Quantity(at_least=0.0)] = Field(
+        default="auto",
+        description="damping of the fastest vibration of the cells at fractures that can slide, over the critical one, in"
+        " explicit steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a"
+        " prescribed pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is"
+        ' none, and the default of model = "report"; booked as damping [1]',
+    )
+    coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
+        default="auto",
+        description="how rock and fluid are solved together: at once, by iterations over both parts (monolithic), by one direct"
+        " solve (whole-lu); by turns (4.5); on the fractures alone, with the rock condensed to them once for each length of"
+        " time step; or by auto: condensed where enough steps are planned for it to pay, else whole-lu, but monolithic from two"
+        " million displacements on, where options are given to it, and where the direct solve does not converge",
+    )
+    fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = Field(
+        default="plain",
+        description="how the pressures of the fixed point (4.5) go on: as the flow gives them, relaxed by Aitken or Anderson,"
+        " or with storage added to the flow",
+    )
+    on_divergence: Literal["refuse", "monolithic"] = Field(
+        default="refuse",
+        description="what to do with a step whose fixed point (4.5) diverges, by prediction or by measurement",
+    )
+    events: Literal["auto", "located", "at-step-ends"] = Field(
+        default="auto",
+        description="changes of friction, opening and closing in dynamic stages: each ends a part of its step (located), or is"
+        " taken as the end of a step finds it; auto: located where no rock deforms, and while fewer"
+        " than 16 sections slide, twice as many for each refine",
+    )
+    newton: Literal["newton", "modified", "secant"] = Field(
+        default="newton",
+        description="stiffness that an iteration corrects by: the tangent (4.7), that of the step's start (4.10), the secant",
+    )
+    factors: Literal["kept", "new"] = Field(
+        default="kept",
+        description="factors of a matrix that joints have changed since: they precondition GMRES as long as that is cheaper, or"
+        ' new ones are made in every iteration, as in model = "full" and "report"',
+    )
+    overshoot: Literal["hold", "one-change"] = Field(
+        default="hold",
+        description="when joints may change between sticking and sliding: once the balances hold with the statuses there"
+        " were, or in every iteration, but each section once only (5.1): an overshoot may then end in a sliding state where an"
+        " elastic one exists",
+    )
+    line_search: Literal["none", "residual", "energy"] = Field(
+        default="energy",
+        description="what shortens a step of Newton once joints open and close in circles, or whole steps do not converge:"
+        " nothing, the size of the residual, or the work that the unbalanced forces do along the step",
+    )
+    newton_test: Literal["residual", "out-of-balance", "displacement"] = Field(
+        default="residual", description="when Newton stops: scaled residuals, (4.9a), or (4.9b)"
+    )
+    tangent: Literal["consistent", "decoupled"] = Field(
+        default="consistent", description="joint tangent with d f_s/d opening, or k_s and k_n alone"
+    )
+    open_strength: Literal["none", "cohesion"] = Field(
+        default="none", description="shear strength of an open joint: none, or the cohesion (2.12)"
+    )
+
+    PRESETS: ClassVar[dict[str, dict[str, str | float]]] = {
+        "default": {},
+        "full": {"events": "located", "factors": "new"},
+        "report": {
+            "factors": "new",
+            "storage": "report",
+            "conductance": "report",
+            "events": "at-step-ends",
+            "contact": "lumped",
+            "fault_damping": 0.0,
+            "newton_test": "out-of-balance",
+            "tangent": "decoupled",
+            "open_strength": "cohesion",
+        },
+    }
+
+
+class Output(Part):
+    """[output] What a run writes beside its histories."""
+
+    fields_every: Annotated[int, Field(strict=True, ge=0)] = Field(
+        default=0,
+        description="write whole fields every so many steps; 0 writes the first and the last state only",
+    )
+    checkpoint_every: Annotated[int, Field(strict=True, ge=0)] = Field(
+        default=0,
+        description="save the state every so many steps; 0 leaves it to the clock, to signals and to failures",
+    )
+    checkpoint_seconds: Annotated[float, Quantity(above=0.0)] = Field(
+        default=60.0, description="save the state when so many seconds of wall clock have passed [s]"
+    )
+    event_length: Size | None = Field(
+        default=None, description="width of events of a stage auto across the plane, for magnitudes [length]"
+    )
+    pictures: StrictBool = Field(default=True, description="draw pictures for the report page")
+
+
+class Trace(Part):
+    """[[geometry.fracture]] A fracture as a polyline."""
+
+    name: Name = Field(description="name that [fracture.NAME] refers to")
+    points: Annotated[Points, Polyline()] = Field(description="[[x, y], ...] from its start to its end [length]")
+
+
+class Geometry(Part):
+    """[geometry] A domain with fracture traces, meshed by the program; its rock is called "rock"."""
+
+    domain: Annotated[Points, Domain()] = Field(
+        description="[xmin, ymin, xmax, ymax] or the corners [[x, y], ...] [length]"
+    )
+    fracture: tuple[Trace, ...] = Field(
+        default=(), description="fracture traces; they may cross, and reach the boundary"
+    )
+    fractures_csv: FileName | None = Field(
+        default=None,
+        description="file of more traces and their properties, relative to the scene; a loaded scene has them in its place",
+    )
+    size: Size | None = Field(
+        default=None,
+        description="mesh size away from fractures [length]; if not given, both sizes follow from the lengths of the scene",
+    )
+    size_at_fractures: Size | None = Field(
+        default=None, description="mesh size at fractures [length]; as size if only that is given"
+    )
+    size_at_tips: Size | None = Field(
+        default=None,
+        description="mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given",
+    )
+    growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = Field(
+        default=None,
+        description="growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken"
+        " with slip [1]",
+    )
+    snap: Size | None = Field(
+        default=None,
+        description="points nearer than this to another, a trace or a side become one with it, and cells between near traces"
+        " are never under twice as long [length]; if not given, 0.4 % of the median length of traces, whatever the mesh",
+    )
+    cells: Literal["triangles", "quads"] = Field(default="triangles", description="shape of the cells")
+    refine: Refine = Field(default=0, description=REFINED)
+
+
+class Mesh(Part):
+    """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
+
+    file: FileName = Field(description=".geo or .msh file, relative to the scene")
+    refine: Refine = Field(default=0, description=REFINED)
+
+
+def with_preset(data: dict[str, Any]) -> dict[str, Any]:
+    """Fill the keys of [method] that a scene leaves open from its model, its stepper, its fluid and its accuracy."""
+    preset, method = Method.PRESETS.get(str(data.get("model", "default")), {}), data.get("method", {})
+    if not isinstance(method, dict):
+        return data
+    if "fluid" in data or method.get("stepper") == "explicit":  # both take velocities of walls from their mass
+        preset = {**preset, "contact": "lumped"}
+    accuracy = data.get("accuracy", {})
+    if isinstance(accuracy, dict) and {"tolerance", "step_error"} & accuracy.keys() and data.get("model") != "report":
+        preset = {**preset, "film": "bdf2"}  # whose overshoot is below what errors may be, for a fraction of the steps
+    return {**data, "method": {**preset, **method}}
+
+
+ALTERNATIVES = tuple(OTHERWISE.items())
+
+
+def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
+    """Fill the keys that a fracture's own table leaves open from [fracture.default]."""
+    tables = data.get("fracture")
+    default = tables.get("default") if isinstance(tables, dict) else None
+    if not isinstance(tables, dict) or not isinstance(default, dict):
+        return data
+
+    def filled(table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        shut = {key for pair in ALTERNATIVES if set(pair) & set(table) for key in pair}
+        shut |= foreign_keys(table.get("law"))
+        return {key: value for key, value in default.items() if key not in shut} | table
+
+    whole = {name: filled(table) for name, table in tables.items()}
+    if _is_spare(data, tables, default):
+        del whole["default"]
+    return {**data, "fracture": whole}
+
+
+def _is_spare(data: dict[str, Any], tables: dict[str, Any], default: dict[str, Any]) -> bool:
+    """Whether [fracture.default] only fills: every trace has a table of its own with a key that it has not."""
+    geometry = data.get("geometry")
+    traces = geometry.get("fracture", ()) if isinstance(geometry, dict) else ()
+    names = (
+        [trace.get("name") for trace in traces if isinstance(trace, dict)] if isinstance(traces, list | tuple) else []
+    )
+    own = [tables.get(name) for name in names if isinstance(name, str)]
+    more = [set(table) - set(default) for table in own if isinstance(table, dict)]
+    return bool(names) and len(more) == len(names) and bool(set.intersection(*more))

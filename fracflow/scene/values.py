@@ -1,0 +1,258 @@
+"""Values that change in time, tractions made of them, and places on the mesh, as a scene writes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar, Literal
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from fracflow.scene.time_table import TimeTable
+from fracflow.scene.units import EXAMPLES, LENGTH, PLAIN, TIME, Quantity, fault, number_schema, system_of, what_fits
+
+
+@dataclass(frozen=True)
+class FractureEnd:
+    """The start or the end of a fracture trace."""
+
+    fracture: str
+    end: Literal["start", "end"]
+
+
+Place = tuple[float, float] | str | FractureEnd
+
+
+def plain(value: Any) -> Any:
+    """Turn a value back into what a scene file holds."""
+    if isinstance(value, TimeTable):
+        if value == TimeTable.constant(value.values[0]):
+            return value.values[0]
+        return {"time": list(value.times), "value": list(value.values), "interpolation": value.interpolation}
+    if isinstance(value, FractureEnd):
+        return {"fracture": value.fracture, "end": value.end}
+    if isinstance(value, dict):
+        return {key: plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, tuple | list) else value
+
+
+class _Annotation:
+    """What the annotations of this file share: pydantic calls ``read`` and writes with ``plain``."""
+
+    def read(self, value: object, info: ValidationInfo) -> Any:
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        writer = core_schema.plain_serializer_function_ser_schema(plain)
+        return core_schema.with_info_plain_validator_function(self.read, serialization=writer)
+
+
+@dataclass(frozen=True)
+class Tabled(_Annotation):
+    """Annotation of a value that may change in time; ``word`` is a name that may stand in its place."""
+
+    dimension: str = PLAIN
+    word: str | None = None
+
+    def read(self, value: object, info: ValidationInfo) -> TimeTable | str:
+        """Read a number, a string with unit, [[t, v], ...] or {time, value, interpolation}."""
+        if self.word is not None and value == self.word:
+            return self.word
+        if isinstance(value, dict):
+            return self._from_columns(value, info)
+        if isinstance(value, list):
+            wrong = [n for n, row in enumerate(value) if not (isinstance(row, list) and len(row) == 2)]
+            if wrong:
+                raise fault(f"row {wrong[0] + 1} is no pair [time, value]; {self._fits(info)}")
+            return self._table([row[0] for row in value], [row[1] for row in value], "linear", info)
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise fault(self._fits(info))
+        try:
+            return TimeTable.constant(Quantity(self.dimension).read(value, info))
+        except PydanticCustomError as error:
+            if isinstance(value, str) and value.lstrip().startswith(("[", "(", "{")):
+                raise fault(f"is text, or a bracket or comma is missing; {self._fits(info)}") from None
+            or_word = f', or "{self.word}"' if self.word and isinstance(value, str) else ""
+            raise fault(f"{error}{or_word}") from None
+
+    def _fits(self, info: ValidationInfo) -> str:
+        word = f', or "{self.word}"' if self.word else ""
+        table = f"[[t, v], ...] such as [[0, 0], [10, {self._one(info)}]], or {{time = [...], value = [...]}}"
+        return f"must be {what_fits(self.dimension, system_of(info))}, or a time table {table}{word}"
+
+    def _one(self, info: ValidationInfo) -> str:
+        """A value as an example, in the units of the scene."""
+        system = system_of(info)
+        has_units = self.dimension != PLAIN and system is not None and system.name != "none"
+        return f'"{EXAMPLES[self.dimension]}"' if has_units else "1"
+
+    def _from_columns(self, value: dict[str, Any], info: ValidationInfo) -> TimeTable:
+        unknown = sorted(set(value) - {"time", "value", "interpolation"})
+        if unknown:
+            raise fault(f'unknown key "{unknown[0]}" in a time table; allowed: time, value, interpolation')
+        times, values = value.get("time"), value.get("value")
+        if not isinstance(times, list) or not isinstance(values, list) or len(times) != len(values):
+            counts = (f"{len(part) if isinstance(part, list) else 'no list'}" for part in (times, values))
+            what = "a time table needs lists time and value of the same length, here {} and {}".format(*counts)
+            raise fault(f"{what}; such as {{time = [0, 10], value = [0, {self._one(info)}]}}")
+        interpolation = value.get("interpolation", "linear")
+        if interpolation not in ("linear", "step"):
+            raise fault(f'interpolation = "{interpolation}" is unknown; allowed: "linear", "step"')
+        return self._table(times, values, interpolation, info)
+
+    def _table(
+        self,
+        times: list[Any],
+        values: list[Any],
+        interpolation: Literal["linear", "step"],
+        info: ValidationInfo,
+    ) -> TimeTable:
+        if not times:
+            raise fault(f"a time table needs at least one row; {self._fits(info)}")
+        t = self._column("time", TIME, times, info)
+        v = self._column("value", self.dimension, values, info)
+        fallen = [f"{later:g} after {earlier:g}" for earlier, later in pairwise(t) if later < earlier]
+        if fallen:
+            raise fault(f"the times of a table must ascend, here {fallen[0]}")
+        if any(third == first for first, third in zip(t, t[2:], strict=False)):
+            raise fault("a time may stand at most twice in a table (a jump)")
+        if interpolation == "step" and len(set(t)) < len(t):
+            raise fault("the times of a step table must differ; a step needs no second row")
+        return TimeTable(t, v, interpolation)
+
+    def _column(self, name: str, dimension: str, column: list[Any], info: ValidationInfo) -> tuple[float, ...]:
+        found = list[float]()
+        for entry in column:
+            try:
+                found.append(Quantity(dimension).read(entry, info))
+            except PydanticCustomError as error:
+                raise fault(f"row {len(found) + 1} of the table [[t, v], ...], its {name}: {error}") from None
+        return tuple(found)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        columns = {"type": "object", "properties": {"interpolation": {"enum": ["linear", "step"]}}}
+        words = [{"const": self.word}] if self.word else []
+        return {"anyOf": [number_schema(self.dimension), {"type": "array"}, columns, *words]}
+
+
+@dataclass(frozen=True)
+class TabledVector(_Annotation):
+    """Annotation of a vector [x, y] of values that may change in time, or one word, if not empty, in its place."""
+
+    EXAMPLE: ClassVar[str] = "[[[0, 0], [10, 1]], 0]"
+    dimension: str
+    word: str = ""
+
+    def read(self, value: object, info: ValidationInfo) -> tuple[TimeTable, TimeTable] | str:
+        """Read ``[x, y]`` or the word."""
+        if self.word and value == self.word:
+            return self.word
+        if not isinstance(value, list) or len(value) != 2:
+            or_word = f', or "{self.word}"' if self.word else ""
+            raise fault(f"must be [x, y], each a number or a time table, such as {self.EXAMPLE}{or_word}")
+        found = []
+        for name, part in zip("xy", value, strict=True):
+            try:
+                found.append(Tabled(self.dimension).read(part, info))
+            except PydanticCustomError as error:
+                raise fault(f"its {name}: {error}; [x, y] with a time table is such as {self.EXAMPLE}") from None
+        x, y = found
+        assert isinstance(x, TimeTable) and isinstance(y, TimeTable)
+        return x, y
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        vector = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": self.dimension}
+        return {"anyOf": [vector, {"const": self.word}]} if self.word else vector
+
+
+@dataclass(frozen=True)
+class Displaced(_Annotation):
+    """Annotation of prescribed displacements: a table over time for each component that is moved."""
+
+    def read(self, value: object, info: ValidationInfo) -> dict[str, TimeTable]:
+        """Read ``{x = ..., y = ...}``; the rotation is in radians."""
+        if not isinstance(value, dict) or not value or not set(value) <= {"x", "y", "rotation"}:
+            raise fault("must be a table of x, y or rotation, such as {y = [[0, 0], [1, 2]]}")
+        tables: dict[str, TimeTable] = {}
+        for part, motion in value.items():
+            table = Tabled(PLAIN if part == "rotation" else LENGTH).read(motion, info)
+            assert isinstance(table, TimeTable)
+            tables[part] = table
+        return tables
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        parts = {"x": {"dimension": LENGTH}, "y": {"dimension": LENGTH}, "rotation": {"dimension": PLAIN}}
+        return {"type": "object", "properties": parts, "additionalProperties": False}
+
+
+@dataclass(frozen=True)
+class At(_Annotation):
+    """Annotation of a place: coordinates, a point named in the mesh, or an end of a fracture."""
+
+    def read(self, value: object, info: ValidationInfo) -> Place:
+        """Read ``[x, y]``, ``"name"`` or ``{fracture = "name", end = "start"}``."""
+        if isinstance(value, str) and value:
+            return value
+        if isinstance(value, list) and len(value) == 2:
+            return Quantity(LENGTH).read(value[0], info), Quantity(LENGTH).read(value[1], info)
+        if isinstance(value, dict) and set(value) == {"fracture", "end"} and isinstance(value["fracture"], str):
+            if value["end"] not in ("start", "end"):
+                raise fault(f'end = "{value["end"]}" is unknown; allowed: "start", "end"')
+            return FractureEnd(value["fracture"], value["end"])
+        raise fault('must be [x, y], the name of a point, or {fracture = "name", end = "start" or "end"}')
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        point = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": LENGTH}
+        ends = {"fracture": {"type": "string"}, "end": {"enum": ["start", "end"]}}
+        end = {"type": "object", "properties": ends, "required": ["fracture", "end"]}
+        return {"anyOf": [point, {"type": "string"}, end]}
+
+
+@dataclass(frozen=True)
+class Domain(_Annotation):
+    """Annotation of the outline of the rock: a rectangle or a polygon."""
+
+    def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
+        """Read ``[xmin, ymin, xmax, ymax]`` or ``[[x, y], ...]`` as the corners."""
+        if isinstance(value, list) and len(value) == 4 and not any(isinstance(part, list) for part in value):
+            left, bottom, right, top = (Quantity(LENGTH).read(part, info) for part in value)
+            if left >= right or bottom >= top:
+                raise fault("must be [xmin, ymin, xmax, ymax] with xmin < xmax and ymin < ymax")
+            return (left, bottom), (right, bottom), (right, top), (left, top)
+        if isinstance(value, list) and len(value) >= 3:
+            return read_points(value, info)
+        raise fault("must be [xmin, ymin, xmax, ymax] or at least three points [x, y]")
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        return {"type": "array", "minItems": 3, "dimension": LENGTH}
+
+
+@dataclass(frozen=True)
+class Polyline(_Annotation):
+    """Annotation of the points of a trace."""
+
+    def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
+        """Read ``[[x, y], ...]``, two points or more, no two in a row the same."""
+        if not isinstance(value, list) or len(value) < 2:
+            raise fault("must be at least two points [x, y]")
+        points = read_points(value, info)
+        if any(here == there for here, there in pairwise(points)):
+            raise fault("two points in a row are the same; remove one")
+        return points
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        return {"type": "array", "minItems": 2, "dimension": LENGTH}
+
+
+def read_points(value: list[Any], info: ValidationInfo) -> tuple[tuple[float, float], ...]:
+    """Read ``[[x, y], ...]``."""
+    if not all(isinstance(point, list) and len(point) == 2 for point in value):
+        raise fault("must be a list of points [x, y]")
+    return tuple((Quantity(LENGTH).read(x, info), Quantity(LENGTH).read(y, info)) for x, y in value)

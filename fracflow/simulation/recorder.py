@@ -1,0 +1,380 @@
+"""What a run puts on record: history, events, fields, plan, log and checkpoints."""
+
+from __future__ import annotations
+
+import errno
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fracflow import __version__
+from fracflow._petsc import MPI
+from fracflow.advance.step import Step
+from fracflow.diagnostics import as_lines, scene_card
+from fracflow.diagnostics import as_records as card_records
+from fracflow.errors import DiskError
+from fracflow.mesh.data import Floats
+from fracflow.mesh.locate import FracturePlace
+from fracflow.mesh.store import save_mesh
+from fracflow.model.energy import ENTRIES
+from fracflow.model.setup import Model, on_root
+from fracflow.model.state import State
+from fracflow.model.stress import rock_fields
+from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
+from fracflow.output.catalogue_of_run import catalogue_of, instant
+from fracflow.output.chatter import Chatter
+from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
+from fracflow.output.probes import probe_record
+from fracflow.output.status import FAILED, RUNNING, Status, write_status
+from fracflow.reduction import Decision, Facts, as_records, decide, factorisations
+from fracflow.reduction import as_lines as plan_lines
+from fracflow.simulation.before import Before, scene_seal
+from fracflow.simulation.notices import Notices, watches_spurious
+from fracflow.simulation.totals import Totals
+
+KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
+
+
+class Recorder:
+    """Writes the run folder on rank 0; its calls are collective, for they gather."""
+
+    def __init__(self, model: Model, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None) -> None:
+        """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
+        self.model, self.comm = model, comm
+        self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
+        self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
+        self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
+        self.saved = self.totals.steps
+        self._folder, self._tell_saved = folder, None
+        self._notices = Notices(model, self.totals, self.log)
+        self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
+
+    _tell_saved: Callable[[int], None] | None
+
+    def log(self, line: str) -> None:
+        """A line for log.txt."""
+        if self.files is not None:
+            self.files.folder.log(line)
+
+    def tell_saved(self, tell: Callable[[int], None] | None) -> None:
+        """Tell on rank 0 after how many steps the last state on disk is, now and whenever there is another."""
+        self._tell_saved = tell
+        if tell is not None and self.files is not None and self.saved:
+            tell(self.saved)
+
+    def check(self) -> None:
+        """Raise DiskError on every rank where rank 0 could not write. Collective."""
+        if (found := self.comm.bcast(self.lost, root=0)) is not None:
+            raise DiskError(str(found))
+
+    def _write(self, work: Callable[[], None]) -> None:
+        """Do ``work`` on rank 0, if all before could be written; ranks agree on it in ``check``."""
+        if self.files is None or self.lost is not None:
+            return
+        try:
+            work()
+        except OSError as error:
+            self.lost = DiskError.of(error, self._folder, self._remedy(error.errno))
+
+    def record(self, step: Step) -> None:
+        """Put a state on record. Collective."""
+        snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
+        if self._goes_on:  # the first step may show that the history was made with another scene
+            on_root(self.comm, lambda: self._write(lambda: self._append(step, snapshot)))
+            self._goes_on = False
+        else:
+            self._write(lambda: self._append(step, snapshot))
+        if self._wants_fields(self.totals.steps):
+            self._fields(step, self.totals.steps)
+        self.totals.add(step.report)
+        self._notices.of(step)
+
+    def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
+        if self.files is None or snapshot is None:
+            return
+        margin = float(snapshot.column("margin").min(initial=np.inf))
+        if margin < self.totals.narrowest:
+            self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
+        self.totals.least = max(self.totals.least, snapshot.least[0])
+        self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
+        self.files.append(step, snapshot, margin)
+
+    def _remedy(self, number: int | None) -> str:
+        if number in (errno.ENOENT, errno.ESTALE):
+            return (
+                f"{self._folder} is not what it was: if it was moved, resume it where it is; else start the run again"
+            )
+        if self.saved:
+            kept = f"the last state on disk is that after {self.saved} steps"
+            return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
+        return "no state is on disk yet: make room, or look at the disk, then start the run again"
+
+    def last(self, step: Step, whole: bool = True) -> None:
+        """Write the fields of the last state on record, unless they were; those of an earlier such state go. Collective.
+
+        ``whole`` with those of the rock, which at a large mesh take longer than a checkpoint
+        """
+        index = self.totals.steps - 1
+        is_extra = not self._wants_fields(index)
+        if is_extra:
+            self._fields(step, index, whole)
+        if (files := self.files) is not None:
+            self._write(lambda: files.drop_extra(index if is_extra else None))
+
+    def _wants_fields(self, index: int) -> bool:
+        every = self.model.scene.output.fields_every
+        return index == 0 or bool(every and index % every == 0)
+
+    def _fields(self, step: Step, index: int, whole: bool = True) -> None:
+        ends = sampling.all_ends(self.sampler, step.state)
+        motion = sampling.all_motion(self.sampler, step.state) if whole else None
+        if (files := self.files) is not None and ends is not None:
+            self._write(lambda: files.fields(index, step.state, ends, motion))
+
+    def save(self, step: Step, finished: bool = False) -> None:
+        """Write the checkpoint, if the run can go on from this step. Collective."""
+        if step.progress is None:
+            return
+        arrays = gather_state(self.model.operators, step.state)
+        about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
+        if (files := self.files) is not None and arrays is not None:
+            self._write(lambda: files.save(step, arrays, about))
+            if self.lost is None:
+                self.saved = self.totals.steps
+                self.tell_saved(self._tell_saved)
+            elif finished:
+                self._tell_lost(files)
+
+    def finish(self, seconds: float, status: Status) -> None:
+        """Write plan.json, the last lines of the log, and how the run ended."""
+        for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
+            self.log(line)
+        if (files := self.files) is not None:
+            done = factorisations(self.totals.newton, self.totals.factorisations)
+            self._write(lambda: files.write_plan([*files.decisions, done]))
+            self._write(lambda: write_status(files.folder, status))
+            self._tell_lost(files)
+            if files.folder.unlogged:
+                self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
+
+    def _tell_lost(self, files: Files) -> None:
+        if self.lost is not None:
+            with suppress(OSError):
+                files.folder.check(is_thorough=True)
+                write_status(files.folder, Status(FAILED, str(self.lost)))
+
+    def end(self) -> None:
+        """Close what grows with the steps: from here on nothing is recorded."""
+        if (files := self.files) is not None:
+            self._write(files.end)
+
+    def close(self) -> None:
+        """Close the files, whatever happened."""
+        if (files := self.files) is not None:
+            self._write(files.end)
+            with suppress(OSError):
+                files.history.close()
+            files.folder.close()
+
+
+class Files:
+    """The open files of a run folder; rank 0 only."""
+
+    def __init__(self, model: Model, folder: Path, notes: Mapping[str, Any] | None = None) -> None:
+        """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
+        assert model.mesh is not None
+        self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
+        before = None if notes is None else Before(folder, notes)  # before anything is cut back
+        scene = model.stated.dump_toml(folder.resolve())
+        self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
+        try:
+            self._open(model, folder, notes, scene, before)
+        except BaseException:
+            self.folder.close()
+            raise
+
+    def _open(
+        self, model: Model, folder: Path, notes: Mapping[str, Any] | None, scene: str, before: Before | None
+    ) -> None:
+        write_status(self.folder, Status(RUNNING))
+        self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
+        self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
+        if before is None or not before.mesh:
+            self.mesh_seal = save_mesh(model.stated_mesh, self.folder / "mesh.h5")
+        else:
+            self.mesh_seal = before.mesh
+        if notes is None:
+            self.folder.write_text("scene.toml", scene)
+            self.write_plan(self.decisions)
+            self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
+        else:
+            self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
+        system = model.scene.unit_system
+        probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
+        wells = {name: self.mesh.points[self.mesh.flow_origin[n]].tolist() for name, n in model.placed.wells.items()}
+        units = {part: str(getattr(system, part)) for part in ("length", "force", "time")}
+        noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
+        about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
+        about |= {"fracflow": __version__, "energy_noise": noise}
+        path = self.folder / "history.h5"
+        old = (before.rows, before.attrs) if before is not None else None
+        self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
+        self.scene_seal = scene_seal(self.folder.path)
+        self._tell(before.told if before is not None else [])
+        fracture, flow, self.inverse = sampling.node_table(self.mesh)
+        points = self.mesh.points[self.mesh.flow_origin[flow]]
+        on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
+        places = {name: p for name, p in model.placed.probes.items() if isinstance(p, FracturePlace)}
+        nearest = {name: self.mesh.fractures[self.mesh.joint_fracture[p.joints[0]]] for name, p in places.items()}
+        named = {(on[name] or nearest[name], p.flow): name for name, p in places.items()}
+        self.events = EventLog(
+            self.folder / "events.csv",
+            FractureNodes(
+                [self.mesh.fractures[f] for f in fracture],
+                self.mesh.flow_origin[flow],
+                points[:, 0],
+                points[:, 1],
+                [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],
+            ),
+        )
+        self.chatter = Chatter(self.events.nodes.fracture)
+        with restoring(folder / "checkpoint.h5") if notes is not None else nullcontext():
+            self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
+            if notes is not None:
+                self.events.remember(notes["events"])
+        self.count, self.is_ended = len(flow), False
+        self.extra: int | None = None
+        self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
+        resumes = notes is not None
+        self.rock = FieldWriter(
+            self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)}, resumes
+        )
+        ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
+        lines = np.arange(len(ends)).reshape(-1, 2)
+        self.fractures = FieldWriter(
+            self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
+        )
+        self._tell([*self.rock.left_out, *self.fractures.left_out])
+
+    def _tell(self, lines: list[str]) -> None:
+        """Lines on a folder that is gone on with, for log and terminal."""
+        for line in lines:
+            self.folder.log(f"note: {line}")
+            warnings.warn(line, stacklevel=2)
+
+    def write_plan(self, decisions: list[Decision]) -> None:
+        """Write plan.json: what is modelled and left out, and the scene card."""
+        self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
+
+    def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
+        """Write the checkpoint: the state, where the run is, and where its files are. Raises OSError."""
+        self.folder.check(is_thorough=True)
+        state = step.state
+        here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
+        notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
+        notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
+        notes |= {"through": dict(state.memory.through)}
+        notes |= {"drive": state.drive, "power": state.power, "injected": state.injected}
+        notes |= {"incident": state.forces.incident, "around": list(state.around)}
+        memory = {"events": self.events.memory(), "fracflow": __version__}
+        memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
+        seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
+        write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
+
+    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
+        """One row of history and the events up to it. Raises OSError."""
+        self.folder.check()
+        state, report = step.state, step.report
+        # a step that is cut where a status changes ends with the change; else it came somewhere in the step
+        began = state.time if self.time is None or report.located else self.time
+        self.time = state.time
+        record: dict[str, Any] = {
+            "time": state.time,
+            "step/dt": step.dt,
+            "step/stage": step.stage,
+            "step/kind": KINDS[step.regime or self.scene.stage[step.stage].kind],
+            "step/newton": report.newton,
+            "step/krylov": report.krylov,
+            "step/coupling": report.cycles,
+            "step/factorisations": report.factorisations,
+            "step/predicted_factor": report.predicted,
+            "step/measured_factor": report.measured,
+            "step/handed_over": int(bool(report.handed_over)),
+            "step/solid_residual": report.solid_residual,
+            "step/round_off": report.round_off,
+            "step/flow_residual": report.flow_residual,
+            "step/slipping": int(snapshot.column("sliding").sum()),
+            "step/open": int(snapshot.column("open").sum()),
+            "step/slip_margin": margin,
+            "step/minimum_aperture": snapshot.least[0],
+            "step/minimum_aperture_flow": snapshot.least[1],
+            "step/digits": report.digits,
+            "step/located": report.located,
+            "step/rejected": report.rejected,
+            "step/wasted": report.wasted,
+            "step/widening": report.widening,
+        }
+        record |= {f"step/control/{name}": value for name, value in state.controls.items()}
+        record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}
+        self.history.append(record | probe_record(self.scene, self.mesh, self.placed.probes, snapshot))
+
+        def brought(name: str, any_of: bool = False) -> Any:
+            return sampling.at_nodes(snapshot, name, self.inverse, self.count, any_of)
+
+        # A tip has no jump: what its law does with a stress past its strength is no slip.
+        parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
+        is_open = parts & brought("open", True).astype(bool)
+        if told := self.chatter.update(step.stage, is_open):
+            self.folder.log(
+                f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {told}: {self._advice()}"
+            )
+        self.events.update(
+            state.time,
+            parts & brought("sliding", True).astype(bool),
+            is_open,
+            brought("plastic_slip"),
+            brought("slip_rate"),
+            began,
+        )
+
+        if self.catalogue is not None:
+            moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
+            if event := self.catalogue.update(instant(state, snapshot, began), moves):
+                self.events.add(event)
+
+    def _advice(self) -> str:
+        if self.scene.method.contact == "lumped" and not self.scene.has_flow:
+            return 'method.contact = "redistributed" takes the mass from the walls, else take a smaller time_step'
+        return 'take a smaller time_step, or method.stepper = "generalised-alpha" with rho_infinity = 0, which damps it'
+
+    def end(self) -> None:
+        """Close history and events. Raises OSError."""
+        self.history.close()
+        if not self.is_ended:
+            self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
+        self.is_ended = True
+
+    def drop_extra(self, index: int | None) -> None:
+        """Take fields away that are out of turn, but for those of a step ``index``, which come next to be taken away."""
+        if self.extra is not None and self.extra != index:
+            self.rock.drop(self.extra)
+            self.fractures.drop(self.extra)
+        self.extra = index
+
+    def fields(self, index: int, state: State, ends: Floats, motion: Floats | None) -> None:
+        """Fields of fractures and, where there is its ``motion``, of the rock for ParaView."""
+        if motion is not None:
+            point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
+            self.rock.write(index, state.time, point_data, cell_data)
+        skip = ("margin",) + (() if self.scene.has_flow else ("pressure", "flow_rate"))
+        values = {name: ends[:, :, n].ravel() for n, name in enumerate(sampling.COLUMNS) if name not in skip}
+        if self.scene.has_flow and self.scene.fluid is not None and self.scene.fluid.specific_weight:
+            values["head"] = values["pressure"] / self.scene.fluid.specific_weight
+        if not self.scene.has_flow and np.isnan(values["aperture"]).all():
+            del values["aperture"]
+        self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})

@@ -1,0 +1,303 @@
+"""(Fig. 7) The loop: stages, steps, and where a run goes on after it was stopped."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from fracflow import __version__
+from fracflow._petsc import MPI
+from fracflow.advance.auto import run_auto
+from fracflow.advance.equilibrate import equilibrate
+from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.instability import LimitPoint
+from fracflow.advance.stage import first_part, run_stage
+from fracflow.advance.step import Step, Stepping, stepper_of
+from fracflow.diagnostics import Number
+from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveError, is_alone
+from fracflow.mesh.data import SplitMesh
+from fracflow.mesh.near import near_ones
+from fracflow.mesh.store import load_mesh
+from fracflow.model.setup import Model, on_root, prepare
+from fracflow.model.state import StepReport
+from fracflow.output.checkpoint import read_arrays, read_notes, restore_state, restoring, spread
+from fracflow.output.folder import check_own
+from fracflow.output.handed import told_handed
+from fracflow.output.history import read_history
+from fracflow.output.status import ENDED, FAILED, STOPPED, Status
+from fracflow.reduction.apply import planned
+from fracflow.reduction.tied_mesh import watch_tied
+from fracflow.scene.boundary import Stage
+from fracflow.scene.scene import Scene, load
+from fracflow.simulation.notices import watches_spurious
+from fracflow.simulation.recorder import Recorder
+from fracflow.simulation.signals import Watch, Wish
+from fracflow.simulation.totals import Totals
+from fracflow.solve.options import is_large, set_defaults
+from fracflow.storage.sealed import AGAIN
+
+Progress = Callable[[Step], None]
+Show = Callable[[list[Number]], None]
+Say = Callable[[str], None]
+
+
+def run(
+    scene: Scene,
+    folder: str | Path,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    progress: Progress | None = None,
+    show: Show | None = None,
+    say: Say | None = None,
+) -> Totals:
+    """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
+
+    show      is given the scene card before the first step, on rank 0
+    say       is given lines that should be read before it: that wells are in parts that never meet, what nearly meets
+    progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
+              of a stage auto that was tried from a time and thrown away; a method ``saved(steps)`` of each checkpoint
+
+    Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
+    gone, and ``progress`` sees those of both. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
+    """
+
+    def once(undone: Mapping[str, str]) -> Totals:
+        mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
+        return _run(scene, folder, comm, progress, None if undone else show, None if undone else say, undone, mesh)
+
+    return _tries(once, {})
+
+
+def _tries(once: Callable[[Mapping[str, str]], Totals], undone: Mapping[str, str]) -> Totals:
+    """What comes of the first try that needs nothing of what the plan leaves out; each puts something back. Collective."""
+    while True:
+        try:
+            return once(undone)
+        except PutBack as needed:
+            undone = {**undone, **needed.undone}
+
+
+def _run(
+    scene: Scene,
+    folder: str | Path,
+    comm: MPI.Comm,
+    progress: Progress | None,
+    show: Show | None,
+    say: Say | None,
+    undone: Mapping[str, str],
+    mesh: SplitMesh | None = None,
+) -> Totals:
+    """The same, without what an earlier try had to take back, on its ``mesh``. Raises PutBack besides."""
+    began = clock.perf_counter()
+    model = prepare(scene, comm, mesh)
+    settle(model)
+    model = planned(model, undone)
+    state = rest(model)
+    recorder = Recorder(model, Path(folder), comm)
+    for part, when in undone.items():
+        recorder.totals.undone[part] = when
+        recorder.log(f"plan: {part}: undone at {when}: the run has begun anew with it")
+    if show is not None and recorder.files is not None:
+        show(recorder.files.card)
+    whole = model.whole or model
+    told = whole.mesh.notes if whole.mesh is not None else ()
+    if say is not None:
+        for line in (*near_ones(told), *whole.placed.apart):
+            say(line)
+    sizes = model.operators.blocks.sizes
+    recorder.log(
+        f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
+        f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
+    )
+    for line in (*told, *whole.placed.notes):
+        recorder.log(line)
+    if watches_spurious(scene):
+        recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
+    step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
+    recorder.record(step)
+    recorder.save(step)
+    return _go(model, recorder, step, began, progress)
+
+
+def resume(
+    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None, trust: bool = False
+) -> Totals:
+    """Go on with a run that was stopped, on any number of ranks. Collective.
+
+    A run that was stopped before its first checkpoint begins again, with ``trust`` where its .geo needs that; one that
+    has ended stays as it is. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
+    """
+    began, folder = clock.perf_counter(), Path(folder)
+    on_root(comm, lambda: require_run(folder))
+    scene, saved = load(folder / "scene.toml", trust=trust), folder / "checkpoint.h5"
+    if not comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
+        # the folder alone is enough: the mesh's own file may be elsewhere now, or changed
+        path = folder / "mesh.h5"
+        mesh = on_root(comm, lambda: load_mesh(path) if path.exists() else None)
+        return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), {})
+    notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
+    with restoring(saved):
+        totals = Totals(**notes["totals"])
+    if notes["finished"]:
+        return totals
+    arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
+    cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
+    mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
+    model = prepare(scene, comm, mesh, cell_rank, begins=False)
+    settle(model)
+    model = planned(model, notes["totals"]["undone"], cell_rank)
+    with restoring(saved):
+        scene.stage[notes["stage"]]
+        state = restore_state(model.operators, arrays, notes)
+    step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
+    recorder = Recorder(model, folder, comm, notes)
+    recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
+    try:
+        return _go(model, recorder, step, began, progress)
+    except PutBack as needed:
+        undone = {**notes["totals"]["undone"], **needed.undone}
+    return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), undone)
+
+
+def has_ended(folder: Path) -> bool:
+    """Whether the run in a folder came to the end of its last stage. Raises InputError for an unreadable checkpoint."""
+    saved = folder / "checkpoint.h5"
+    return saved.exists() and bool(read_notes(saved)["finished"])
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a run can go on. Raises InputError where it could not begin again without loss: its checkpoint was taken away."""
+    if (folder / "checkpoint.h5").exists():
+        return True
+    if (folder / "history.h5").exists() and len(read_history(folder / "history.h5").get("time", ())) > 1:
+        raise InputError(
+            f"{folder / 'checkpoint.h5'}: no such file, although history.h5 has steps; put it back, or {AGAIN}"
+        )
+    return False
+
+
+def require_run(folder: Path) -> None:
+    """Raise InputError where a folder has no scene to go on with."""
+    check_own(folder)
+    if not (folder / "scene.toml").is_file():
+        raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
+
+
+def of_stage(stage: Stage, error: SolveError) -> SolveError:
+    """The same error with the name of its stage."""
+    head = f"stage {stage.title}: "
+    if str(error).startswith(head):
+        return error
+    kind = type(error)
+    found = kind.__new__(kind, f"{head}{error}")  # which may take more to be made than a message
+    found.__dict__.update(error.__dict__)
+    found.__cause__ = error
+    return found
+
+
+def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Progress | None) -> Totals:
+    """From a step to the end of the last stage. Collective."""
+    unknowns = int(model.operators.layout.solid_starts[-1])
+    set_defaults(model.scene.petsc, unknowns)
+    if is_large(unknowns):
+        recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
+    stepping = Stepping(model)
+    stepping.network.log = recorder.log
+    stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
+    recorder.tell_saved(getattr(progress, "saved", None))
+    try:
+        recorder.check()
+        step, failure = _steps(stepping, recorder, step, progress)
+        recorder.end()
+        for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
+            recorder.log(line)
+        recorder.finish(clock.perf_counter() - began, _status(failure))
+        if failure is None:  # last of all: what a kill leaves before it is gone on with
+            recorder.save(step, finished=True)
+        recorder.check()
+    finally:
+        recorder.close()
+        if not is_alone():
+            stepping.destroy()
+    if failure is not None:
+        raise failure
+    return recorder.totals
+
+
+def _handed(recorder: Recorder) -> list[str]:
+    assert recorder.files is not None
+    return told_handed(recorder.files.events.rows, recorder.files.mesh)
+
+
+def _status(failure: SolveError | Interrupted | DiskError | None) -> Status:
+    word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
+    return Status(word, str(failure or ""))
+
+
+def is_moving(scene: Scene, step: Step) -> bool:
+    """Whether the last step of a stage has left a state in motion."""
+    is_last = not step.progress or "fresh" not in step.progress
+    return is_last and (scene.stage[step.stage].kind == "dynamic" or bool((step.progress or {}).get("moves")))
+
+
+def _steps(
+    stepping: Stepping, recorder: Recorder, step: Step, progress: Progress | None
+) -> tuple[Step, SolveError | Interrupted | DiskError | None]:
+    """All steps that are left, on record: the last of them, and what ended them before their time. Collective."""
+    scene, comm, state = stepping.model.scene, recorder.comm, step.state
+    failure: SolveError | Interrupted | DiskError | None = None
+    going_on = step.progress or {}
+    with Watch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
+        try:
+            for number, stage in list(enumerate(scene.stage))[step.stage :]:
+                if not going_on or "fresh" in going_on:
+                    recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
+                    moves = stage.kind == "auto" and is_moving(scene, step)
+                    stepper = stepper_of(scene, stage, "dynamic" if moves else "")
+                    entered = stepping.enter(state, stepper, first_part(stepping, stage, stepper, state.time))
+                    state.destroy()
+                    state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
+                steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
+                try:
+                    for step in steps(stepping, state, number, recorder.log, going_on):
+                        recorder.record(step)
+                        watch_tied(stepping.model, step.state)
+                        if progress is not None:
+                            progress(step)
+                        state.destroy()
+                        state = step.state
+                        wish = watch.wish(recorder.totals.steps, must_stop=recorder.lost is not None)
+                        if wish is Wish.STOP:
+                            recorder.check()
+                        if wish is not Wish.GO_ON:
+                            recorder.save(step)
+                            recorder.last(step, whole=wish is Wish.STOP)
+                        if wish is Wish.STOP:
+                            failure = Interrupted(
+                                f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
+                            )
+                            raise failure
+                except LimitPoint as limit:
+                    if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
+                        raise
+                    recorder.totals.give_up(limit)
+                    recorder.log(
+                        f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
+                    )
+                going_on = {}
+        except PutBack:
+            for each in {id(state): state, id(step.state): step.state}.values():
+                each.destroy()
+            raise
+        except (SolveError, Interrupted, DiskError) as error:  # raised on every rank: what follows stays collective
+            if isinstance(error, SolveError):
+                recorder.totals.give_up(error)
+            failure = of_stage(stage, error) if isinstance(error, SolveError) else error
+            recorder.log(f"stopped: {failure}")
+    if not isinstance(failure, Interrupted):
+        step = replace(step, state=state)
+        recorder.last(step)
+        if failure is not None:
+            recorder.save(step)
+    return step, failure

@@ -1,0 +1,89 @@
+"""A trial becomes the state at the end of its step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.model.compressibility import taken_between
+from fracflow.model.contact_mass import follow
+from fracflow.model.operators import Operators
+from fracflow.model.state import Memory, Motion, State, StepReport
+from fracflow.solve.flow_round_off import flow_power
+from fracflow.solve.newton import NewtonReport
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.residual import Residual
+
+
+def start_again(problem: StepProblem) -> None:
+    """Put the trial back to where the step starts. Collective."""
+    problem.state.pressure.copy(problem.pressure)
+    problem.move(np.zeros(problem.operators.layout.solid_count))
+    problem.branch = problem.state.sections.past
+
+
+def without_suction(problem: StepProblem) -> bool:
+    """Put the trial back too, with no pressure below the least that is given; tell whether that lifted any. Collective."""
+    before, comm = problem.state.pressure.getArray(readonly=True), problem.operators.layout.comm
+    lowest = min(before.min(initial=np.inf), problem.pressure.getArray(readonly=True).min(initial=np.inf))
+    start_again(problem)
+    pressure = problem.pressure.getArray()
+    given = min((pressure[part.numbers].min(initial=np.inf) for part in problem.loads.pressures), default=np.inf)
+    lowest, given = comm.allreduce(float(lowest), op=MPI.MIN), comm.allreduce(float(given), op=MPI.MIN)
+    if not lowest < given < np.inf:
+        return False
+    np.maximum(pressure, given, out=pressure)
+    problem.evaluate()
+    return True
+
+
+def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
+    """The state at the end of the step, from the trial at which the balances were last evaluated. Collective."""
+    motion = Motion(problem.displacement.copy(), problem.velocity(), problem.acceleration())
+    if problem.alphas.a0 > 0.0:
+        follow(problem.operators, motion.velocity)
+        follow(problem.operators, motion.acceleration)
+    drive = 0.0 if problem.conduction is None else float(np.abs(problem.conduction.pressure).max(initial=0.0))
+    forces = problem.forces(motion)
+    given = problem.loads.given_pressures
+    power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
+    return State(
+        problem.time,
+        motion,
+        problem.pressure.copy(),
+        problem.sections,
+        forces,
+        dict(problem.controls),
+        energy,
+        uptake=problem.uptake(),
+        drive=max(problem.state.drive, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)),
+        power=max(problem.state.power, power),
+    )
+
+
+def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepReport:
+    """What a step cost that one solve of Newton's did."""
+    return StepReport(
+        report.newton,
+        report.krylov,
+        cycles,
+        report.fills,
+        residual.solid,
+        residual.flow,
+        report.out_of_balance,
+        round_off=residual.round_off,
+    )
+
+
+def remember(operators: Operators, old: State, new: State, dt: float) -> Memory:
+    """The mean velocity of the step between two states, and the mean rate at which compression took up fluid."""
+    velocity = new.motion.displacement.duplicate()
+    before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
+    velocity.setArray((after - before) / dt)
+    if new.uptake is None:
+        return Memory(dt, velocity)
+    taken = taken_between(operators, old, new)
+    taken.scale(1.0 / dt)
+    return Memory(dt, velocity, taken)

@@ -1,0 +1,127 @@
+"""Clusters of joint sections that move each other through the nodes they share, however many ranks have them.
+
+With a lumped mass G M^-1 G' couples no more than the sections at the copies of one node (or of tied nodes, or around one
+rigid block): small blocks, solved all at once, each on one rank.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.blocks import owner_of
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.joints import Joints
+from fracflow.model.layout import local_rows
+
+COUPLES = 1e-13  # of the largest entry: less is what round-off leaves of two equal numbers
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Rows of this rank's sections, brought to where their clusters are solved for, and back.
+
+    order    sections of this rank, those for rank 0 first
+    sent     how many go to each rank; ``received`` how many come from each
+    """
+
+    comm: MPI.Comm
+    order: Ints
+    sent: Ints
+    received: Ints
+
+    def there(self, rows: Floats) -> Floats:
+        """Rows (s, k) of this rank's sections -> rows (S, k) of the clusters it solves for. Collective."""
+        return self._move(rows[self.order], self.sent, self.received)
+
+    def back(self, rows: Floats) -> Floats:
+        """The other way. Collective."""
+        result = np.empty((len(self.order), rows.shape[1]))
+        result[self.order] = self._move(rows, self.received, self.sent)
+        return result
+
+    def _move(self, rows: Floats, sent: Ints, received: Ints) -> Floats:
+        if self.comm.size == 1:
+            return rows
+        width, result = rows.shape[1], np.empty((int(received.sum()), rows.shape[1]))
+        self.comm.Alltoallv((np.ascontiguousarray(rows), width * sent), (result, width * received))
+        return result
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Clusters of m sections each: their rows (c, m) in the order of the exchange, and G M^-1 G' (c, m dim, m dim)."""
+
+    sections: Ints
+    compliance: Floats
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """All clusters of a scene; ``batches`` are those this rank solves for."""
+
+    exchange: Exchange
+    batches: tuple[Batch, ...]
+
+
+def find_clusters(joints: Joints, inverse: PETSc.Mat, comm: MPI.Comm) -> Clusters:
+    """The clusters that a lumped mass of that ``inverse`` makes. Collective."""
+    turned = joints.jump.transpose(PETSc.Mat())
+    reached = joints.jump.matMult(inverse)
+    coupling = reached.matMult(turned)
+    rows, dim, size = local_rows(coupling), joints.dim, comm.size
+    first = coupling.getOwnershipRange()[0]
+    for matrix in (turned, reached, coupling):
+        matrix.destroy()
+    largest = comm.allreduce(float(np.abs(rows.values).max(initial=0.0)), op=MPI.MAX)
+    kept = np.abs(rows.values) > COUPLES * largest
+    row, col, value = rows.rows[kept] + first, rows.cols[kept], rows.values[kept]
+    starts = np.concatenate([[0], np.cumsum(comm.allgather(len(joints.weights)))]).astype(np.int64)
+    label = _labels(row // dim, col // dim, int(starts[-1]), comm)
+    leader = np.unique(label, return_index=True)[1]
+    target = owner_of(starts, leader[label])
+    mine = target[starts[comm.rank] : starts[comm.rank + 1]]
+    sent = np.bincount(mine, minlength=size)
+    exchange = Exchange(comm, np.argsort(mine, kind="stable"), sent, np.array(comm.alltoall(sent.tolist())))
+
+    # what this rank solves for, ascending as the exchange delivers it, and the entries between
+    solved, of = np.flatnonzero(target == comm.rank), target[row // dim]
+    parts = comm.alltoall([(row[of == rank], col[of == rank], value[of == rank]) for rank in range(size)])
+    row, col, value = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return Clusters(exchange, tuple(_batches(solved, label[solved], row, col, value, dim)))
+
+
+def _labels(row: Ints, col: Ints, count: int, comm: MPI.Comm) -> Ints:
+    """The cluster (count,) of each section of all ranks."""
+    pairs = np.unique(row * max(count, 1) + col)
+    links = np.concatenate(comm.allgather(pairs))
+    graph = sparse.coo_matrix((np.ones(len(links)), (links // max(count, 1), links % max(count, 1))), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _batches(solved: Ints, label: Ints, row: Ints, col: Ints, value: Floats, dim: int) -> list[Batch]:
+    _, cluster, counts = np.unique(label, return_inverse=True, return_counts=True)
+    in_order = np.argsort(cluster, kind="stable")
+    ends = np.cumsum(counts)
+    place = np.empty(len(solved), dtype=np.int64)
+    place[in_order] = np.arange(len(solved)) - (ends - counts)[cluster[in_order]]
+    here, there = np.searchsorted(solved, row // dim), np.searchsorted(solved, col // dim)
+    batches = []
+    for size in np.unique(counts):
+        members = in_order[np.isin(cluster[in_order], np.flatnonzero(counts == size))].reshape(-1, size)
+        number = np.full(len(counts), -1)
+        number[cluster[members[:, 0]]] = np.arange(len(members))
+        inside = number[cluster[here]] >= 0
+        matrix = np.zeros((len(members), size * dim, size * dim))
+        one, other = here[inside], there[inside]
+        matrix[
+            number[cluster[one]],
+            place[one] * dim + row[inside] % dim,
+            place[other] * dim + col[inside] % dim,
+        ] = value[inside]
+        batches.append(Batch(members, matrix))
+    return batches

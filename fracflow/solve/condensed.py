@@ -1,0 +1,215 @@
+"""The whole nonlinear step on the fractures alone, with the rock condensed to their jumps.
+
+e = G u_free - G A^-1 G' q, q = W (t(e, p) - t_old - D_0 de): jumps and pressures answer each other through one dense
+compliance, by Newton's method of ``section_solve``; one more solve with the factors of A recovers the rock. Newton's method
+on all unknowns then sees whether the full balances hold, and does the step itself where they do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.errors import InputError, NotConverged
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
+from fracflow.model.state import StepReport
+from fracflow.scene.scene import Scene
+from fracflow.solve.clusters import Clusters
+from fracflow.solve.condensed_cost import fits
+from fracflow.solve.condensed_plan import Condensing, Key, key_of
+from fracflow.solve.condensed_rock import Rock
+from fracflow.solve.flow_on_joints import FilmOnJoints
+from fracflow.solve.monolithic import Auto, Monolithic
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.sections import SectionSolver
+
+MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
+MOST_CYCLES = 3  # each takes away what round-off of the one before has left
+NEARLY = 10.0  # times the accuracy that is asked for, where little runs: all unknowns know no more
+
+
+class CondensedFilm(FilmOnJoints):
+    """The film of an implicit step: its balance holds at the end of the step."""
+
+    def given(self, problem: StepProblem) -> PETSc.Vec:
+        """Sources less what walls squeeze out at the velocity they have without moving on, in a new vector. Collective."""
+        network, speed, result = self.operators.flow, problem.velocity(), problem.source.copy()
+        assert network is not None
+        speed.axpy(-problem.alphas.a1, problem.increment)
+        squeezed = result.duplicate()
+        network.squeeze.multTranspose(speed, squeezed)
+        result.axpy(-1.0, squeezed)
+        speed.destroy()
+        squeezed.destroy()
+        return result
+
+
+class CondensedSections(SectionSolver):
+    """All sections at once; those whose moduli are the elastic ones cost nothing."""
+
+    film_kind, most_changes = CondensedFilm, 10  # Newton's method on all unknowns has more means to leave circles
+
+    def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats) -> None:
+        """Keep what is constant. Collective."""
+        super().__init__(scene, operators, clusters, elastic)
+        self._like = _alike(operators, clusters)
+
+    def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
+        compliance, moduli, right = compliance[0], moduli[0], right[0]
+        changed, dim = np.flatnonzero(moduli.any(axis=(1, 2))), moduli.shape[1]
+        if not len(changed):
+            return right[None]
+        there, like = np.unique(self._like[changed], return_inverse=True)
+        summed = np.zeros((len(there), dim, dim))
+        np.add.at(summed, like, moduli[changed])
+        rows = (there[:, None] * dim + np.arange(dim)).ravel()
+        flat = compliance.reshape(len(right), -1)[:, rows]
+        own = np.einsum("xmi,mij->xmj", flat[rows].reshape(len(rows), -1, dim), summed).reshape(len(rows), -1)
+        try:
+            answer = np.linalg.solve(np.eye(len(rows)) + own, right[rows])
+        except np.linalg.LinAlgError:
+            answer = np.full((len(rows), right.shape[1]), np.nan)
+        pulled = np.matmul(summed, answer.reshape(-1, dim, right.shape[1])).reshape(len(rows), -1)
+        return np.asarray(right - flat @ pulled)[None]
+
+
+def _alike(operators: Operators, clusters: Clusters) -> Ints:
+    """For each section (S,) of the clusters here the first that moves as it does: of joints that meet at a node. Collective."""
+    motion = operators.layout.solid_vector()
+    first, last = motion.getOwnershipRange()
+    motion.setArray(np.random.default_rng(first).random(last - first))  # which no two places share
+    strains = clusters.exchange.there(operators.joints.strain(motion))
+    motion.destroy()
+    _, index, inverse = np.unique(np.round(strains, 9), axis=0, return_index=True, return_inverse=True)
+    return np.asarray(index[inverse.ravel()], np.int64)
+
+
+Kept = tuple[Rock, CondensedSections]
+
+
+class Condensed:
+    """Steps of the lengths that stages state are condensed, others are solved for all unknowns.
+
+    Where the program chose to condense, only those are that pay by their number, and only while something changes from step
+    to step. All of it is known from scene and state, so that a run that is resumed does the same.
+    """
+
+    def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
+        """Make matrix and solver of the full balances, kept for the whole run.
+
+        Raises InputError, on every rank, where the compliance would be larger than the rock's own factors. Collective.
+        """
+        joints, scales, unknowns = operators.joints, operators.scales, int(operators.layout.solid_starts[-1])
+        self._jumps = operators.layout.comm.allreduce(len(joints.weights)) * joints.dim
+        if not fits(unknowns, self._jumps):
+            raise InputError(
+                f'method.coupling = "condensed": {self._jumps} jumps of joints are too many beside {unknowns} displacements:'
+                ' the compliance would take more memory than the rock; use "monolithic"'
+            )
+        self.scene, self.operators, self.loads = scene, operators, loads
+        self.full = (Monolithic if operators.flow is None else Auto)(scene, operators, loads)
+        self._is_asked = scene.method.coupling == "condensed"
+        self._damps = operators.damping is not None and not loads.at_rest
+        self._planned = Condensing({}, np.inf)
+        self._kept: dict[Key, Kept] = {}  # the one used last comes last
+        start = joints.respond(np.zeros((len(joints.weights), joints.dim)), joints.rest()).tangent
+        self._at_rest = start
+        own, natural = np.diagonal(start, axis1=1, axis2=2), scales.force / (scales.displacement * scales.length)
+        # any moduli do, for the sections put right what they really are; with these nothing that joints hold is loose
+        self._elastic = np.where(own > 0.0, own, natural)[:, :, None] * np.eye(joints.dim)
+
+    def solve(self, problem: StepProblem) -> StepReport:
+        """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
+        key, done, given_up = key_of(problem.alphas, self._damps), (0, 1), ""
+        start = problem.increment.getArray().copy(), problem.pressure.getArray().copy()
+        is_new = key not in self._kept
+        try:
+            kept = self._condensed(key, problem)
+            if kept is not None:
+                done = self._bring(problem, *kept)
+        except NotConverged:
+            given_up = "no balance to all digits on the fractures alone"
+            problem.pressure.setArray(start[1])
+            problem.branch = problem.state.sections.past
+            problem.move(start[0])
+        report = self.full.solve(problem)
+        newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)
+        return replace(report, newton=newton, factorisations=factors, cycles=done[1], handed_over=given_up)
+
+    def expect(self, planned: Condensing) -> None:
+        """Condense those of the planned steps that are worth it, or all where that is asked for."""
+        self._planned = planned
+
+    def _is_meant(self, key: Key, problem: StepProblem) -> bool:
+        """Whether a step is of those that are condensed. Collective."""
+        if self._is_asked:
+            return key in self._planned.steps
+        if not self._planned.is_worth(key):
+            return False
+        changes = self.operators.flow is not None or not np.array_equal(problem.state.sections.tangent, self._at_rest)
+        return self.operators.layout.comm.allreduce(changes, op=MPI.LOR)
+
+    def _condensed(self, key: Key, problem: StepProblem) -> Kept | None:
+        """Factors for a step, made where it pays; None where all unknowns are better solved for. Collective.
+
+        A part of the network that nothing drains has a closure in place of a balance, which the film does not know.
+        """
+        if problem.loads.closures or not self._jumps or not self._is_meant(key, problem):
+            return None
+        kept = self._kept.pop(key, None)
+        if kept is None:
+            if len(self._kept) == MOST_KEPT:
+                self._free(next(iter(self._kept)))
+            rock = Rock(self.full.matrix, self.loads, problem.alphas, self._elastic)
+            kept = rock, CondensedSections(self.scene, self.operators, rock.clusters, self._elastic)
+        self._kept[key] = kept
+        return kept
+
+    def _bring(self, problem: StepProblem, rock: Rock, sections: CondensedSections) -> tuple[int, int]:
+        """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
+        joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
+        problem.evaluate()
+        if max(_largest(problem), problem.residual.carried) <= least:  # what rests is left at rest, to the last digit
+            return 0, 0
+        force, free = problem.load.duplicate(), problem.load.duplicate()
+        try:
+            for cycle in range(1, MOST_CYCLES + 1):
+                change = joints.strain(problem.increment)
+                problem.solid_balance.copy(force)
+                joints.force(-sections.pushed(problem, change), force)
+                free.setArray(problem.increment.getArray(readonly=True) - rock.solve(force))
+                change, report = sections.solve(problem, joints.strain(free), 1.0, change, least=int(cycle > 1))
+                iterations += report.iterations
+                force.set(0.0)
+                joints.force(sections.pushed(problem, change), force)
+                problem.move(free.getArray() - rock.solve(force))
+                problem.evaluate()
+                # beside what runs, too, where that is little: the books hold what is left of it, times the pressure
+                beside = problem.residual.carried
+                if max(_largest(problem), beside) <= least:
+                    break
+                if cycle == MOST_CYCLES and beside > NEARLY * least and not self._is_asked:
+                    raise NotConverged("of what little runs all unknowns know more digits")
+        finally:
+            force.destroy()
+            free.destroy()
+        return iterations, cycle
+
+    def _free(self, key: Key) -> None:
+        """Free what is kept for steps of one kind, if anything. Collective."""
+        for each in self._kept.pop(key, ()):
+            each.destroy()
+
+    def destroy(self) -> None:
+        """Free matrices and solvers. Collective."""
+        for key in list(self._kept):
+            self._free(key)
+        self.full.destroy()
+
+
+def _largest(problem: StepProblem) -> float:
+    return max(problem.residual.solid, problem.residual.flow, problem.residual.at_nodes)

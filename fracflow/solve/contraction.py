@@ -1,0 +1,238 @@
+"""How fast the cycle (4.5) contracts, from the blocks of the Jacobian, before it starts.
+
+Where walls answer pressures, C = -J_pu J_uu^-1 J_up is the rate at which they take up volume, and the feedback of their
+opening on the flow. A cycle multiplies an error of the pressures by -K^-1 C, K = J_pp; with storage S added to the flow, and
+taken off again with the pressures of the last cycle, by (K + S)^-1 (S - C).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.integrators import Alphas
+from fracflow.mesh.data import Floats
+from fracflow.model.operators import Operators
+from fracflow.solve.jacobian import JoinedMatrix
+from fracflow.solve.linear_check import UNSOLVED, check_solution, true_residual
+from fracflow.solve.problem import StepProblem
+
+POWER_ITERATIONS = 60
+SETTLED = 1e-5  # relative change of the estimate, twice in a row, that ends the power iteration
+DOUBLINGS = 8
+TRIALS = 8
+NEAR = 0.02  # of 1, where the limit of the time step is searched
+FARTHEST = 1e9
+
+
+class Cycle:
+    """The cycle linearised at the trial of a step. Whoever makes it destroys it."""
+
+    def __init__(self, matrix: JoinedMatrix, problem: StepProblem, alphas: Alphas | None = None) -> None:
+        """Fill ``matrix`` and take its blocks; ``alphas`` in place of the step's own. Collective."""
+        sections, conduction = problem.sections, problem.conduction
+        self.scale, self.time = problem.flow_scale() / matrix.operators.scales.pressure, problem.time
+        matrix.fill(alphas or problem.alphas, sections.tangent, conduction, problem.flow_scale())
+        splits = matrix.layout.index_sets()
+        self.blocks = [[matrix.matrix.createSubMatrix(row, col) for col in splits] for row in splits]
+        self.solid = solver_of(self.blocks[0][0], "solid_")
+        self.wall, self.force = self.blocks[0][0].createVecs()
+        self.held = np.isin(matrix.layout.start + matrix.layout.solid_count + _here(self.blocks[1][1]), matrix.fixed)
+        for split in splits:
+            split.destroy()
+
+    def uptake(self, pressure: PETSc.Vec, result: PETSc.Vec) -> None:
+        """``result`` = C p. Collective."""
+        self.blocks[0][1].mult(pressure, self.force)
+        self.solid.solve(self.force, self.wall)
+        check_solution(self.solid, self.wall, self.force, f"time {self.time:.6g}: the walls under the fluid")
+        self.blocks[1][0].mult(self.wall, result)
+        result.scale(-1.0)
+
+    def uniform_uptake(self) -> Floats:
+        """|C 1| at this rank's nodes, what a uniform pressure makes walls take up [scaled]; 0 where held. Collective."""
+        ones, result = self.blocks[1][1].createVecs()
+        ones.setArray(np.where(self.held, 0.0, 1.0))
+        self.uptake(ones, result)
+        values = np.abs(result.getArray())
+        ones.destroy()
+        result.destroy()
+        return np.where(self.held, 0.0, values)
+
+    def radius(self, storage: Floats | None = None) -> tuple[float, Floats]:
+        """Largest factor of an error, and the pressures of that mode (n,); infinite where the flow is singular. Collective."""
+        matrix = self.blocks[1][1]
+        if storage is not None:
+            matrix = matrix.copy()
+            add_diagonal(matrix, storage)
+        flow = solver_of(matrix, "flow_fieldsplit_flow_")
+        pressure, rate = matrix.createVecs()
+        # no mode may be missing in the start, whatever the symmetry of the network
+        pressure.setArray(np.where(self.held, 0.0, 1.0 + 0.3 * np.cos(1.0 + 2.0 * _here(matrix))))
+        estimates = [0.0]
+        for _ in range(POWER_ITERATIONS):
+            size = pressure.norm()
+            if size == 0.0:
+                break
+            pressure.scale(1.0 / size)
+            self.uptake(pressure, rate)
+            if storage is not None:
+                rate.setArray(rate.getArray() - storage * pressure.getArray(readonly=True))
+            flow.solve(rate, pressure)
+            estimates.append(pressure.norm() if is_solved(matrix, pressure, rate) else np.inf)
+            if not np.isfinite(estimates[-1]) or _is_settled(estimates):
+                break
+        mode = pressure.getArray().copy()
+        flow.destroy()
+        pressure.destroy()
+        rate.destroy()
+        if storage is not None:
+            matrix.destroy()
+        return estimates[-1], mode
+
+    def destroy(self) -> None:
+        """Free matrices and solver. Collective."""
+        for thing in (self.solid, self.wall, self.force, *self.blocks[0], *self.blocks[1]):
+            thing.destroy()
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the linearised cycle says.
+
+    factor    rho, by which a plain cycle multiplies the error; infinite where the flow is singular
+    fracture  where that error is largest
+    storage   (n,) volume rate per pressure to be added at this rank's flow nodes; None where none is
+    stored    the factor with it
+    """
+
+    factor: float
+    fracture: str
+    storage: Floats | None = None
+    stored: float = np.nan
+
+    @property
+    def own(self) -> float:
+        """The factor of the cycle as it is made: with added storage where there is some."""
+        return self.factor if self.storage is None else self.stored
+
+
+def predict(matrix: JoinedMatrix, problem: StepProblem, with_storage: bool) -> Prediction:
+    """Linearise at the trial, which has been evaluated. Collective."""
+    cycle = Cycle(matrix, problem)
+    try:
+        factor, mode = cycle.radius()
+        found = Prediction(factor, worst_fracture(matrix.operators, mode))
+        if with_storage:
+            storage, stored = added_storage(cycle)
+            found = replace(found, storage=storage * cycle.scale, stored=stored)
+        return found
+    finally:
+        cycle.destroy()
+
+
+def added_storage(cycle: Cycle) -> tuple[Floats, float]:
+    """Storage S (n,), scaled, with which the cycle converges, and its factor. Collective.
+
+    alpha_1 A / K_s converges if K_s <= 2 min k_tot, and K_s = k_tot of a uniform pressure is as good as any
+    (where-methods-fail 2). The normal stiffness of the joint would do for closed joints only: once a joint is open its
+    walls are held by the rock alone, the more weakly the longer the fracture is, E' kappa / 4. So the walls are asked:
+    what they take up under a uniform pressure holds all of this, inertia too, node by node. It is doubled while the
+    linearised cycle does not converge.
+    """
+    storage = cycle.uniform_uptake()
+    factor = np.inf
+    for _ in range(DOUBLINGS):
+        factor, _ = cycle.radius(storage)
+        if factor < 1.0:
+            break
+        storage = 2.0 * storage
+    return storage, factor
+
+
+def worst_fracture(operators: Operators, mode: Floats) -> str:
+    """Name of the fracture in which a mode (n,) of the pressures is largest. Collective."""
+    assert operators.flow is not None
+    comm, block = operators.layout.comm, operators.blocks.joints
+    nodes, ends = operators.layout.flow_vector(), operators.flow.pick.createVecLeft()
+    nodes.setArray(np.abs(np.where(np.isfinite(mode), mode, 0.0)))
+    operators.flow.pick.mult(nodes, ends)
+    values = ends.getArray().copy()
+    nodes.destroy()
+    ends.destroy()
+    here = int(values.argmax()) if len(values) else -1
+    value = float(values[here]) if here >= 0 else -1.0
+    name = block.fractures[block.fracture[here // 2]] if here >= 0 else ""
+    return str(max(comm.allgather((value, name)))[1])
+
+
+def limits_of_time_step(
+    radius: Callable[[float], float], factor: float, dt: float
+) -> tuple[float | None, float | None]:
+    """Time steps (below, above) between which plain cycles diverge; None where none is found.
+
+    radius  factor at a time step, ``factor`` at ``dt``; it falls about as 1/dt above, and as dt below once the inertia
+            of the walls resists. Each call factorises.
+    """
+    found = []
+    for power in (-1.0, 1.0):
+        step, value = dt, factor
+        for _ in range(TRIALS):
+            if not np.isfinite(value) or value <= 0.0 or abs(value - 1.0) <= NEAR:
+                break
+            step *= value ** (-power)
+            if not 1.0 / FARTHEST < step / dt < FARTHEST:
+                break
+            value = radius(step)
+        found.append(step if abs(value - 1.0) <= NEAR else None)
+    return found[1], found[0]
+
+
+def scaled(alphas: Alphas, ratio: float) -> Alphas:
+    """(4.3) The coefficients of a time step ``ratio`` times as long."""
+    a0, a1, a2 = alphas.a0 / ratio**2, alphas.a1 / ratio, alphas.a2 / ratio
+    return replace(alphas, a0=a0, a1=a1, a2=a2, a5=alphas.a5 * ratio)
+
+
+def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
+    """A linear solver with the options of a prefix. The caller destroys it. Collective."""
+    solver = PETSc.KSP().create(comm=matrix.getComm())
+    solver.setOperators(matrix)
+    solver.setOptionsPrefix(prefix)
+    solver.setFromOptions()
+    return solver
+
+
+def is_solved(matrix: PETSc.Mat, solution: PETSc.Vec, source: PETSc.Vec) -> bool:
+    """Whether A x = b holds at all: a direct solver calls garbage converged where A is singular. Collective."""
+    relative, left = true_residual(matrix, solution, source)
+    left.destroy()
+    return relative <= UNSOLVED
+
+
+def add_diagonal(matrix: PETSc.Mat, values: Floats) -> None:
+    """Add values (n,) of this rank's rows to the diagonal. Collective."""
+    diagonal = matrix.getDiagonal()
+    diagonal.setArray(diagonal.getArray() + values)
+    matrix.setDiagonal(diagonal)
+    diagonal.destroy()
+
+
+def change_of(old: Floats, new: Floats, comm: MPI.Comm) -> float:
+    """Largest relative change of positive values (n,) of all ranks; infinite where one was nil. Collective."""
+    change = np.abs(new - old)
+    relative = np.divide(change, np.abs(old), out=np.where(change > 0.0, np.inf, 0.0), where=old != 0.0)
+    return float(comm.allreduce(float(relative.max(initial=0.0)), op=MPI.MAX))
+
+
+def _here(matrix: PETSc.Mat) -> np.ndarray:
+    return np.arange(*matrix.getOwnershipRange()) - matrix.getOwnershipRange()[0]
+
+
+def _is_settled(estimates: list[float]) -> bool:
+    last = estimates[-3:]
+    return len(estimates) > 3 and all(abs(b - a) <= SETTLED * b for a, b in pairwise(last))

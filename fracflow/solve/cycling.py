@@ -1,0 +1,117 @@
+"""Notices that an iteration comes back to statuses it had: sections that open and close, or stick and slide, in circles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracflow._petsc import MPI
+from fracflow.laws.base import Bools
+from fracflow.mesh.data import Floats
+from fracflow.solve.problem import StepProblem
+
+JUST_PAST = 1e-6  # relative: how far past a change of status an iteration that is stopped there ends
+MOST_TURNS = 5
+Statuses = NDArray[np.int8]
+
+
+class Circles:
+    """The statuses (s, k) of this rank's sections, one column a kind, as the iteration has seen them.
+
+    changed  (s, k) which of them changed since all were the same before, or else since the last time
+    """
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        """Nothing has been seen."""
+        self.comm = comm
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what has been seen."""
+        self._seen: list[Statuses] = []
+        self.changed = np.zeros((0, 2), dtype=bool)
+
+    def see(self, statuses: Statuses) -> bool:
+        """Whether all sections of all ranks had these statuses before, and others in between. Collective."""
+        same = np.array([np.array_equal(statuses, old) for old in self._seen], dtype=np.int32)
+        everywhere = np.zeros_like(same)
+        self.comm.Allreduce(same, everywhere, op=MPI.MIN)
+        first = int(np.flatnonzero(everywhere)[-1]) if everywhere.any() else -1
+        others = self._seen[first:]
+        self.changed = np.any([statuses != old for old in others], axis=0) if others else statuses != statuses
+        self._seen.append(statuses.copy())
+        return bool(everywhere.any()) and not everywhere[-1]
+
+
+def statuses(problem: StepProblem) -> Statuses:
+    """Whether each section (s, 2) of this rank is open, and whether and which way it slides, as signs."""
+    found = np.zeros((len(problem.sections.strain), 2), dtype=np.int8)
+    found[:, 0] = problem.sections.is_open
+    for group, past in zip(problem.operators.joints.laws, problem.branch, strict=True):
+        for name in group.law.status:
+            way = past[name] if past[name].ndim > 1 else past[name][:, None]
+            found[group.sections, 1] = np.where(way[:, 0] < 0.0, -1, 1) * way.any(axis=1)
+    return found
+
+
+def all_changed(problem: StepProblem, last: Bools, inner: Circles, outer: Circles) -> tuple[Bools, Bools]:
+    """Which sections (s,) of this rank changed between sticking and sliding, and within a round between open and closed.
+
+    last  (s,) those that changed last, empty where none has
+    """
+    none = np.zeros((len(problem.sections.strain), 2), dtype=bool)
+    within, between = (each.changed if len(each.changed) else none for each in (inner, outer))
+    return within[:, 1] | between[:, 1] | (last if len(last) else none[:, 1]), within[:, 0]
+
+
+class Rounds:
+    """Rounds of a step: whenever its balances hold, sections that have left their status get the next one.
+
+    seen     the statuses with which balances held
+    is_lost  they come back to the same statuses, and nothing leads out
+    """
+
+    def __init__(self, problem: StepProblem) -> None:
+        """Before the first."""
+        self.seen, self.is_lost = Circles(problem.operators.layout.comm), False
+        self._before, self._turned = problem.increment.getArray().copy(), 0
+
+    def change(self, problem: StepProblem, searches: bool) -> Bools:
+        """Give the next statuses; tell which sections (s,) of this rank have changed. Collective.
+
+        searches  ``turn_back`` is tried where they stick and slide in circles
+        """
+        circles, comm = self.seen.see(statuses(problem)), self.seen.comm
+        changed, here = problem.change_statuses(), problem.increment.getArray().copy()
+        slides = self.seen.changed[:, 1] & (statuses(problem)[:, 1] != 0)
+        if circles and comm.allreduce(bool(slides.any()), op=MPI.LOR):
+            self.is_lost = not searches or self._turned == MOST_TURNS or not turn_back(problem, self._before, slides)
+            self._turned += 1
+            if not self.is_lost:
+                self.seen.begin()
+        self._before = here
+        return changed
+
+
+def turn_back(problem: StepProblem, before: Floats, changing: Bools) -> bool:
+    """Move a trial against the way that led to it from ``before``, until a section that is ``changing`` (s,) opens.
+
+    before  what the unknowns (n,) of this rank had moved when those sections last had their other status
+
+    Where slip changes the normal traction by more than it relieves the shear, f |K_nt| / K_tt > 1, the balance with a
+    sliding section lies where it would have slid the other way, so that it sticks and slides in circles. One that really
+    slides on loses its strength until it opens. Tells whether the trial was moved. Collective.
+    """
+    joints, comm = problem.operators.joints, problem.operators.layout.comm
+    here = problem.increment.getArray().copy()
+    change = problem.operators.layout.solid_vector()
+    change.setArray(here - before)
+    strains = joints.strain(change)
+    change.destroy()
+    first = joints.change_at(problem.sections.strain, strains * changing[:, None])
+    fraction = comm.allreduce(first, op=MPI.MIN) * (1.0 + JUST_PAST)
+    allowed = joints.step_limit(problem.sections.strain, fraction * strains) if np.isfinite(fraction) else 0.0
+    if comm.allreduce(allowed, op=MPI.MIN) < 1.0:
+        return False
+    problem.move(here + fraction * (here - before))
+    return True

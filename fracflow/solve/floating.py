@@ -1,0 +1,256 @@
+"""Blocks of rock that nothing holds: rigid motions of the blocks that no closed joint, support or tie resists.
+
+A block is what no joint cuts. Each moves as (translations, turn about its middle, times its size); a joint section that
+carries resists the jump that the motions of its two blocks make there. What is left over, the null space, floats.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from fracflow._petsc import PETSc
+from fracflow.elements import joint
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
+from fracflow.model.properties import on_joints
+from fracflow.model.state import Sections
+
+NOTHING = 1e-9
+"""Relative stiffness that counts as none. All that holds has unit stiffness and each block its own size, so what is held
+at all is held by h/L squared or more."""
+
+
+DENSE = 600  # motions up to which all eigenvectors are as fast
+SHIFT = 1e-11  # far below what counts as nothing, far above round-off
+FIRST = 8  # vectors
+INVERSE_ITERATIONS = 4
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Motions that are resisted: entry (q,) of row (q,), at motion (q,) of the blocks."""
+
+    row: Ints
+    motion: Ints
+    value: Floats
+    count: int
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Where the blocks turn and how large they are: middle (p, 2), size (p,)."""
+
+    middle: Floats
+    size: Floats
+
+    @staticmethod
+    def of(boxes: Floats) -> Frames:
+        """The frames of boxes (p, 2, 2), lowest and highest corner."""
+        size = 0.5 * np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
+        return Frames(boxes.mean(axis=1), np.where(size > 0.0, size, 1.0))
+
+    def moved(self, piece: Ints, points: Floats, direction: Floats) -> Floats:
+        """Displacement (n, 3) along unit ``direction`` (n, 2) at points (n, 2), by each motion of their block (n,)."""
+        arm = (points - self.middle[piece]) / self.size[piece, None]
+        turn = arm[:, 0] * direction[:, 1] - arm[:, 1] * direction[:, 0]
+        return np.concatenate([direction, turn[:, None]], axis=1)
+
+
+def null_motions(stiffness: sparse.spmatrix | Floats) -> Floats:
+    """Orthonormal columns that span what a symmetric, semidefinite ``stiffness`` (m, m) does not resist; (m, k).
+
+    A large one stays sparse: inverse iteration on ever more vectors at once, until one of them is resisted.
+    """
+    matrix = sparse.csc_matrix(stiffness)
+    own, count = np.sqrt(matrix.diagonal()), matrix.shape[0]
+    scale = np.where(own > 0.0, 1.0 / np.where(own > 0.0, own, 1.0), 1.0)
+    scaled = sparse.diags(scale) @ matrix @ sparse.diags(scale)
+    vectors = _sparse_null(scaled.tocsc()) if count > DENSE else None
+    if vectors is None:
+        values, vectors = np.linalg.eigh(scaled.toarray())
+        vectors = vectors[:, values <= NOTHING]
+    return np.linalg.qr(vectors * scale[:, None])[0]
+
+
+def _sparse_null(scaled: sparse.csc_matrix) -> Floats | None:
+    """The same of a matrix with unit diagonal, or None where too much floats for it to pay."""
+    count = scaled.shape[0]
+    inverse, generator = splu(scaled + SHIFT * sparse.identity(count, format="csc")), np.random.default_rng(0)
+    tried = FIRST
+    while tried <= count // 4:
+        basis = generator.standard_normal((count, tried))
+        for _ in range(INVERSE_ITERATIONS):
+            basis = np.linalg.qr(inverse.solve(basis))[0]
+        values, mixed = np.linalg.eigh(basis.T @ (scaled @ basis))
+        if values[-1] > NOTHING:
+            return np.asarray(basis @ mixed[:, values <= NOTHING])
+        tried *= 4
+    return None
+
+
+class Floating:
+    """Finds what floats, for the sections that carry; remembers the last answer."""
+
+    def __init__(self, operators: Operators, loads: Loads, quadrature: str) -> None:
+        """Place the sections of a rule of ``quadrature``. Nothing to communicate yet."""
+        self.operators, self.loads = operators, loads
+        blocks, block = operators.blocks, operators.blocks.solid
+        self.frames = Frames.of(block.piece_box)
+        self.count = len(block.piece_box)
+        self.natural = joint.RULES[quadrature][0]
+        joints = blocks.joints
+        self.sides = np.stack([block.piece[joints.bottom[:, 0]], block.piece[joints.top[:, 0]]], axis=1)
+        apart = self.sides[:, 0] != self.sides[:, 1]  # walls of one block hold nothing that floats
+        self.holds = np.repeat(apart, len(self.natural))[:, None]
+        ends = block.points[joints.bottom]
+        self.frame = joint.frame(ends)[0]
+        self.places = on_joints(ends, self.natural).reshape(-1, 2)
+        self._carried: np.ndarray | None = None
+        self.motions = np.zeros((3 * self.count, 0))
+
+    def find(self, sections: Sections, is_filled: bool, without: np.ndarray | None = None) -> Floats:
+        """Motions (3 p, k) of the blocks that float at these sections, orthonormal. Collective.
+
+        is_filled  an incompressible film keeps the walls of every joint apart, and together
+        without    (s, 2) what sections are taken not to carry, along and across, whatever their status
+        """
+        tangent = sections.tangent
+        carried = np.any(tangent != 0.0, axis=1)  # (s, 2): along, across
+        carried[:, -1] |= is_filled
+        carried &= self.holds if without is None else self.holds & ~without
+        same = self._carried is not None and np.array_equal(carried, self._carried)
+        if not self.operators.layout.comm.allreduce(int(not same)):
+            return self.motions
+        self._carried = carried
+        self.motions = self._motions(carried)
+        return self.motions
+
+    def _motions(self, carried: np.ndarray) -> Floats:
+        """Blocks across joints that carry all along move as one; what they are in is found among these groups."""
+        comm = self.operators.layout.comm
+        points = len(self.natural)
+        firm = carried.reshape(-1, points * 2).all(axis=1) & (points > 1)
+        pairs = np.concatenate(comm.allgather(np.unique(self.sides[firm], axis=0)))
+        links = sparse.coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(self.count, self.count))
+        group = connected_components(links, directed=False)[1].astype(np.int64)
+        groups = int(group.max(initial=-1)) + 1
+        blocks, boxes = self.operators.blocks, np.empty((groups, 2, 2))
+        boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
+        np.minimum.at(boxes[:, 0], group, blocks.solid.piece_box[:, 0])
+        np.maximum.at(boxes[:, 1], group, blocks.solid.piece_box[:, 1])
+        frames = Frames.of(boxes)
+        parts = [_support_rows(blocks, self.loads, frames, group), _tie_rows(blocks, frames, group)]
+        parts.append(self._joint_rows(carried & ~np.repeat(firm, points)[:, None], frames, group))
+        stiffness = sparse.csr_matrix((3 * groups, 3 * groups))
+        for rows in parts:
+            matrix = sparse.csr_matrix((rows.value, (rows.row, rows.motion)), shape=(rows.count, 3 * groups))
+            stiffness = stiffness + matrix.T @ matrix
+        return self._of_blocks(null_motions(sum(comm.allgather(stiffness))), frames, group)
+
+    def _joint_rows(self, carried: np.ndarray, frames: Frames, group: Ints) -> Rows:
+        section, component = np.nonzero(carried)
+        number = section // len(self.natural)
+        direction, place = self.frame[number, component], self.places[section]
+        bottom, top = group[self.sides[number]].T
+        value = np.concatenate([-frames.moved(bottom, place, direction), frames.moved(top, place, direction)], axis=1)
+        motion = np.concatenate([3 * bottom[:, None] + np.arange(3), 3 * top[:, None] + np.arange(3)], axis=1)
+        return Rows(np.repeat(np.arange(len(section)), 6), motion.ravel(), value.ravel(), len(section))
+
+    def _of_blocks(self, motions: Floats, frames: Frames, group: Ints) -> Floats:
+        """Motions of groups (3 g, k) as those of their blocks (3 p, k)."""
+        turn = motions[3 * group + 2] / frames.size[group, None]
+        arm = self.frames.middle - frames.middle[group]
+        x = motions[3 * group] - arm[:, 1:] * turn
+        y = motions[3 * group + 1] + arm[:, :1] * turn
+        each = np.stack([x, y, turn * self.frames.size[:, None]], axis=1).reshape(3 * self.count, -1)
+        return np.linalg.qr(each)[0] if each.shape[1] else each
+
+    def net_force(self, balance: PETSc.Vec) -> Floats:
+        """Force that is left on each block, and its moment over the block's size: (p, 3) of a solid balance. Collective."""
+        block, comm = self.operators.blocks.solid, self.operators.layout.comm
+        start, local = block.unknown_starts[comm.rank], balance.getArray(readonly=True)
+        force = np.zeros((self.count, 3))
+        for numbers, piece, points, axis in _places(self.operators.blocks):
+            if axis < 2:
+                direction = np.broadcast_to(np.eye(2)[axis], points.shape)
+                share = self.frames.moved(piece, points, direction)
+            else:
+                share = np.zeros((len(piece), 3))
+                share[:, 2] = 1.0 / self.frames.size[piece]
+            np.add.at(force, piece, -local[numbers - start, None] * share)
+        return np.asarray(comm.allreduce(force))
+
+
+def _places(blocks: Blocks) -> list[tuple[Ints, Ints, Floats, int]]:
+    """This rank's unknowns: numbers, the block and the place of each, and its axis; 2 is a turn."""
+    block, rank = blocks.solid, blocks.comm.rank
+    first, last = block.unknown_starts[rank : rank + 2]
+    found = []
+    body_piece = np.zeros(len(block.body_rock), dtype=np.int64)
+    here = block.body >= 0
+    body_piece[block.body[here]] = block.piece[here]
+    for axis in range(2):
+        number = block.unknown[: block.owned, axis]
+        mine = np.flatnonzero((number >= first) & (number < last))
+        _, once = np.unique(number[mine], return_index=True)  # tied nodes share a number
+        mine = mine[once]
+        found.append((number[mine], block.piece[mine], block.points[mine], axis))
+    for axis in range(3):
+        number = block.body_unknown[:, axis]
+        mine = np.flatnonzero((number >= first) & (number < last))
+        found.append((number[mine], body_piece[mine], block.body_center[mine], axis))
+    return found
+
+
+def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> Rows:
+    """What supports hold."""
+    start = int(blocks.solid.unknown_starts[blocks.comm.rank])
+    held = loads.held + start
+    motions, values = [np.zeros((0, 3), dtype=np.int64)], [np.zeros((0, 3))]
+    for numbers, piece, points, axis in _places(blocks):
+        chosen = np.isin(numbers, held)
+        owner = group[piece[chosen]]
+        if axis < 2:
+            value = frames.moved(owner, points[chosen], np.broadcast_to(np.eye(2)[axis], (len(owner), 2)))
+        else:
+            value = np.broadcast_to([0.0, 0.0, 1.0], (len(owner), 3))
+        motions.append(3 * owner[:, None] + np.arange(3))
+        values.append(value)
+    motion, value = np.concatenate(motions), np.concatenate(values)
+    return Rows(np.repeat(np.arange(len(motion)), 3), motion.ravel(), value.ravel(), len(motion))
+
+
+def _tie_rows(blocks: Blocks, frames: Frames, group: Ints) -> Rows:
+    """What ties hold: nodes that share an unknown move alike. On rank 0; collective."""
+    block, comm = blocks.solid, blocks.comm
+    nothing = Rows(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros(0), 0)
+    if not len(block.unused):
+        return nothing
+    nodes = np.unique(block.side_facets)
+    nodes = nodes[block.body[nodes] < 0]
+    parts = comm.gather((block.node_ids[nodes], block.unknown[nodes], block.piece[nodes], block.points[nodes]))
+    if parts is None:
+        return nothing
+    ids, unknown, piece, points = (np.concatenate(each) for each in zip(*parts, strict=True))
+    _, once = np.unique(ids, return_index=True)
+    unknown, piece, points = unknown[once], piece[once], points[once]
+    piece = group[piece]
+    rows, motions, values, count = [], [], [], 0
+    for axis in range(2):
+        _, first, member = np.unique(unknown[:, axis], return_index=True, return_inverse=True)
+        other = np.flatnonzero(first[member] != np.arange(len(member)))
+        leader = first[member[other]]
+        direction = np.broadcast_to(np.eye(2)[axis], (len(other), 2))
+        for nodes, sign in ((other, 1.0), (leader, -1.0)):
+            rows.append(np.repeat(count + np.arange(len(other)), 3))
+            motions.append((3 * piece[nodes][:, None] + np.arange(3)).ravel())
+            values.append(sign * frames.moved(piece[nodes], points[nodes], direction).ravel())
+        count += len(other)
+    return Rows(np.concatenate(rows), np.concatenate(motions), np.concatenate(values), count)

@@ -1,0 +1,155 @@
+"""How many digits of the flow pressures leave that are given on both sides of it, and the stop where they are too few.
+
+In a wide fracture in a row with a narrow one, pressures differ by less than they are rounded off; the flow there, and what a
+well with a pressure draws, is nothing but that. A flow rate that is given needs no such difference: in a part that one
+feeds few digits are told but refused nowhere, for they may be those of a flow that has hardly begun.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.errors import SolveError
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.flow import Conduction
+from fracflow.model.loads import Loads
+from fracflow.model.network_parts import conducting, find_parts
+from fracflow.model.operators import Operators
+from fracflow.model.state import State
+from fracflow.scene.values import TimeTable
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.round_off import MOST_DIGITS, digits_of, noise_of_pressure, refuse_few
+
+BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
+INSIDE = 3.0  # times the round-off at a well: nodes further in a wide fracture leave as much
+RESOLVED = 1e-4  # of the largest pressure: a smaller drop may be what a network come to rest has left
+
+
+@dataclass(frozen=True)
+class FlowDigits:
+    """Digits of what wells with a pressure draw: the wide fracture, its conductance, and the narrow one, its aperture."""
+
+    digits: float
+    wide: str
+    conductance: float
+    narrow: str
+    aperture: float
+
+
+def flow_power(
+    operators: Operators, conduction: Conduction | None, pressure: PETSc.Vec, source: PETSc.Vec, given: Ints
+) -> float:
+    """What runs for certain: where pressure drops, and in wells, by more than round-off could [energy/time per thickness].
+
+    source  what the nodes draw; given  local numbers of those whose pressure is given. Collective.
+    """
+    network = operators.flow
+    if conduction is None or network is None:
+        return 0.0
+    noise = operators.layout.flow_vector()
+    network.taken_up(noise_of_pressure(network, conduction), noise)
+    driving = pressure.getArray(readonly=True) - network.resting.getArray(readonly=True)
+    drawn, blurred = (each.getArray(readonly=True)[given] for each in (source, noise))
+    work = np.where(np.abs(drawn) > BEYOND * blurred, np.abs(drawn * driving[given]), 0.0)
+    here = np.array([_powers(operators, conduction).sum(), work.sum()])
+    noise.destroy()
+    return float(operators.layout.comm.allreduce(here).max())
+
+
+def _powers(operators: Operators, conduction: Conduction) -> Floats:
+    largest = max(operators.layout.comm.allgather(float(np.abs(conduction.pressure).max(initial=0.0))))
+    drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
+    powers: Floats = conduction.conductance * np.where(drop > RESOLVED * largest, drop, 0.0) ** 2
+    return powers
+
+
+def digits_of_flow(operators: Operators, conduction: Conduction, given: Ints, power: float) -> FlowDigits:
+    """Digits of the work of wells at nodes (n,) of this rank whose pressure is given, by the largest ``power`` so far.
+
+    Round-off of the pressures around such a node, times its conductances, is a flow that the node draws. Collective.
+    """
+    network, block, comm = operators.flow, operators.blocks.joints, operators.layout.comm
+    assert network is not None
+    nodes, at_ends = operators.layout.flow_vector(), noise_of_pressure(network, conduction)
+    nodes.getArray()[given] = 1.0
+    lost = network.at_ends(nodes) * at_ends * np.abs(conduction.pressure)
+    nodes.destroy()
+    total, powers = INSIDE * comm.allreduce(float(lost.sum())), _powers(operators, conduction)
+    if not (total > 0.0 and power > 0.0):
+        return FlowDigits(MOST_DIGITS, "", 0.0, "", 0.0)
+
+    def largest(values: Floats) -> tuple[float, str, float, float]:
+        if not len(values):
+            return -1.0, "", 0.0, 0.0
+        worst = int(values.argmax())
+        conductance = float(conduction.conductance[worst])
+        aperture = (12.0 * network.viscosity * float(network.length[worst]) * conductance) ** (1.0 / 3.0)
+        return float(values[worst]), block.fractures[block.fracture[worst]], conductance, aperture
+
+    (_, wide, conductance, _), (_, narrow, _, aperture) = (
+        max(comm.allgather(largest(v))) for v in (lost.sum(1), powers)
+    )
+    return FlowDigits(min(MOST_DIGITS, float(-np.log10(total / power))), wide, conductance, narrow, aperture)
+
+
+def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: float) -> np.ndarray:
+    """Which flow nodes (q,) of this rank are in a part that a well feeds with a flow rate, now or later. Collective."""
+    layout = operators.layout
+    pumped = np.zeros(layout.flow_count, dtype=bool)
+    for well in loads.wells:
+        ahead = isinstance(well.value, TimeTable) and np.any(
+            np.array(well.value.values)[np.array(well.value.times) > time]
+        )
+        if ahead or well.value(time) != 0.0:
+            pumped |= well.vector.getArray(readonly=True) != 0.0
+    everywhere = np.concatenate(layout.comm.allgather(pumped))
+    fed = np.zeros(len(everywhere), dtype=bool)
+    for part in find_parts(operators, conducting(operators, conduction.conductance)) if everywhere.any() else ():
+        fed[part.nodes] = everywhere[part.nodes].any()
+    first = int(layout.flow_starts[layout.comm.rank])
+    return fed[first : first + layout.flow_count]
+
+
+def refuse_few_of_flow(found: FlowDigits, limit: int, time: float) -> None:
+    """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
+    if limit == 0 or found.digits >= limit:
+        return
+    left = min(max(round(found.digits, 1), 0.0), limit - 0.1)
+    enough = 1.1 * found.aperture * 10.0 ** ((limit - found.digits) / 3.0)
+    raise SolveError(
+        f"time {time:.6g}: what wells with a pressure draw keeps {left:.1f} digits, accuracy.digits asks for {limit}: in"
+        f" {found.wide}, of conductance {found.conductance:.3g}, pressures differ by less than their round-off, for"
+        f" {found.narrow}, of hydraulic aperture {found.aperture:.2g}, lets hardly anything through: give a flow_rate in place"
+        f" of the pressure in {found.wide}, or in {found.narrow} a minimum_hydraulic_aperture of {enough:.2g}"
+    )
+
+
+def check_digits(problem: StepProblem, new: State, limit: int, tell: Callable[[str], None]) -> float:
+    """Digits of the worst tractions of the state that a solved problem leads to.
+
+    Raises SolveError, on every rank, where fewer than ``limit`` are left, or of the flow in a part that nothing but given
+    pressures drives; it frees the state. Digits of flow that are as few elsewhere it tells. Collective.
+    """
+    found, operators = digits_of(problem.operators, new), problem.operators
+    try:
+        refuse_few(found, limit, new.time)
+        if problem.conduction is not None and limit > 0:
+            given = problem.loads.given_pressures
+            flow = digits_of_flow(operators, problem.conduction, given, new.power)
+            if flow.digits < limit:
+                fed = nodes_fed(operators, problem.conduction, problem.loads, new.time)
+                unfed = digits_of_flow(operators, problem.conduction, given[~fed[given]], new.power)
+                refuse_few_of_flow(unfed, limit, new.time)
+                left = max(flow.digits, 0.0)
+                tell(
+                    f"time {new.time:.6g}: what wells with a pressure draw keeps {left:.1f} digits so far, in {flow.wide};"
+                    " a well with a flow rate feeds it"
+                )
+    except SolveError:
+        new.destroy()
+        raise
+    return found.digits

@@ -1,0 +1,171 @@
+"""(4.1e) Pressures and accelerations of the first instant of a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.errors import SolveError, is_alone
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.jump import entry_sizes
+from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
+from fracflow.solve.jacobian import JoinedMatrix
+from fracflow.solve.linear_check import check_solution
+from fracflow.solve.newton import Newton
+from fracflow.solve.problem import StepProblem
+
+
+@dataclass(frozen=True)
+class Enclosed:
+    """A part of the network that nothing drains.
+
+    nodes  local numbers of its flow nodes on this rank
+    walls  change of its volume with the displacements [area]
+    rate   sum of the rates at which its wells' flow rates change [area/time^2]
+    """
+
+    nodes: Ints
+    walls: PETSc.Vec
+    rate: float
+
+
+def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem: StepProblem) -> None:
+    """(4.1e) H_0 = K_F^-1 (Q_0 - B_F' v_0), for wells that pump from the first instant. Raises SolveError. Collective."""
+    matrix = JoinedMatrix(operators, loads)
+    newton = Newton(scene, matrix, "flow", "flow")
+    try:
+        newton.solve(problem)
+    except SolveError as error:
+        raise SolveError(f"time {problem.time:.6g}: no initial pressures: {error}") from error
+    finally:
+        if not is_alone():
+            newton.destroy()
+            matrix.destroy()
+
+
+def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETSc.Vec:
+    """Rates Q - B_F' v - K_F p at which a compressible fluid is taken up, in a new vector, from an evaluated trial.
+
+    Prescribed pressures start at the rate at which they change over ``dt`` [time]; fluid without volume at none. Collective.
+    """
+    network, held = operators.flow, problem.conduction.compression if problem.conduction is not None else None
+    assert network is not None and held is not None
+    rate, weight, given = (operators.layout.flow_vector() for _ in range(3))
+    network.taken_up(held.weight, weight)
+    balance = problem.flow_balance.getArray(readonly=True)
+    rate.setArray(np.where(weight.getArray() > 0.0, -balance, 0.0))
+    if dt > 0.0:
+        parting = network.opening.createVecLeft()
+        network.opening.mult(problem.state.motion.velocity, parting)
+        network.taken_up(held.slope * parting.getArray().reshape(-1, 2), given)
+        parting.destroy()
+        for part in problem.loads.pressures:
+            change = (part.value(problem.time + dt, JUST_BEFORE) - part.value(problem.time, JUST_AFTER)) / dt
+            walls, fluid = given.getArray()[part.numbers], weight.getArray()[part.numbers]
+            rate.getArray()[part.numbers] = walls + fluid * change
+    weight.destroy()
+    given.destroy()
+    return rate
+
+
+def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
+    """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective.
+
+    Walls whose mass was moved inward go with those who carry it, P a = a, and what acts on them acts there: M a = P' f.
+    """
+    matrix, solver = _mass(operators, problem.loads)
+    force = problem.solid_balance.copy()
+    if operators.inward is not None:
+        operators.inward.multTranspose(problem.solid_balance, force)
+        problem.loads.release(force)
+    solver.solve(force, acceleration)
+    check_solution(solver, acceleration, force, f"time {problem.time:.6g}: first accelerations")
+    acceleration.scale(-1.0)
+    for thing in (force, solver, matrix):
+        thing.destroy()
+
+
+def first_levels(
+    operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[Enclosed]
+) -> Floats:
+    """What to add to the pressures of each of the parts (k,), so that its walls take up what flows in from the start.
+
+    The sum of (3.20) over a part that nothing drains, w v = sum Q, says nothing of its level; its rate does: w a = sum Q',
+    where a level adds M^-1 w to the ``acceleration`` that there would be without. Collective.
+    """
+    if not parts:
+        return np.zeros(0)
+    lacks = [part.rate - part.walls.dot(acceleration) for part in parts]
+    added, moved = levels(operators, problem.loads, parts, np.array(lacks))
+    moved.destroy()
+    return added
+
+
+def levels(operators: Operators, loads: Loads, parts: Sequence[Enclosed], lacks: Floats) -> tuple[Floats, PETSc.Vec]:
+    """What to add to the pressures of each of the parts (k,), and to accelerations, so that w a grows by ``lacks`` (k,).
+
+    Levels c add sum c M^-1 w, in a new vector; zero where held. Collective.
+    """
+    matrix, solver = _mass(operators, loads)
+    yields = [part.walls.copy() for part in parts]
+    gives, moved = np.zeros((len(parts), len(parts))), yields[0].duplicate()
+    for row, walls in enumerate(yields):
+        if operators.inward is not None:
+            operators.inward.multTranspose(parts[row].walls, walls)
+        loads.release(walls)
+        solver.solve(walls, moved)
+        gives[:, row] = [other.walls.dot(moved) for other in parts]
+    added: Floats = np.linalg.lstsq(gives, lacks, rcond=None)[0]
+    push = moved.duplicate()
+    push.maxpy(added.tolist(), yields)
+    solver.solve(push, moved)
+    for thing in (*yields, push, solver, matrix):
+        thing.destroy()
+    return added, moved
+
+
+def _mass(operators: Operators, loads: Loads) -> tuple[PETSc.Mat, PETSc.KSP]:
+    """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
+    matrix, solver = with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
+    if operators.inward is not None:
+        _bind(matrix, operators.inward)
+    start = matrix.getOwnershipRange()[0]
+    matrix.zeroRowsColumns((start + loads.held).astype(PETSc.IntType), 1.0)
+    solver.setOperators(matrix)
+    solver.setOptionsPrefix("mass_")
+    solver.setFromOptions()
+    return matrix, solver
+
+
+def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
+    """Add to M what keeps accelerations that have no mass at P a: (1 - P)' S (1 - P), S masses of nodes near by. Collective."""
+    diagonal, sizes, apart = mass.getDiagonal(), entry_sizes(inward), inward.copy()
+    near = diagonal.duplicate()
+    sizes.mult(diagonal, near)
+    near.sqrtabs()
+    apart.scale(-1.0)
+    apart.shift(1.0)
+    apart.diagonalScale(near)
+    square = apart.transposeMatMult(apart)
+    mass.axpy(1.0, square, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    for thing in (diagonal, near, sizes, apart, square):
+        thing.destroy()
+
+
+def with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:
+    """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none."""
+    zeros = PETSc.Mat().createAIJ(matrix.getSizes(), nnz=1, comm=matrix.getComm())
+    first, last = zeros.getOwnershipRange()
+    rows = np.arange(first, last, dtype=PETSc.IntType)
+    zeros.setValuesIJV(np.arange(len(rows) + 1, dtype=PETSc.IntType), rows, np.zeros(len(rows)))
+    zeros.assemble()
+    copy = matrix.copy()
+    copy.axpy(1.0, zeros, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    zeros.destroy()
+    return copy

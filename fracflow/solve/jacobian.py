@@ -1,0 +1,270 @@
+"""The Jacobian of a step over all unknowns: one sparse matrix on a fixed pattern, refilled when a tangent has changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.elements import flow as flow_element
+from fracflow.integrators import Alphas
+from fracflow.mesh.blocks import petsc_ints
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.flow import Compression, Conduction
+from fracflow.model.jump import section_groups
+from fracflow.model.layout import Rows, add_blocks, create_matrix, local_rows
+from fracflow.model.loads import Loads
+from fracflow.model.network_parts import Closure, closure_row
+from fracflow.model.operators import Operators
+from fracflow.solve.near_null import near_null_space, node_size
+
+PARTS = ("solid", "flow")
+
+
+@dataclass(frozen=True)
+class FreePart:
+    """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
+
+    ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node; ``keeping`` are the rows of
+    closures that keep the fluid at a joint end.
+    """
+
+    held_entries: Ints
+    held_diagonal: Ints
+    flow_rows: Ints
+    sections: tuple[Ints, ...]
+    flow_nodes: Ints
+    ends: tuple[Ints, ...]
+    keeping: Ints
+
+
+class JoinedMatrix:
+    """Matrix [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns, rows of what is held are 1.
+
+    ``only`` leaves one of the two splits free, "solid" or "flow"; None both.
+    """
+
+    def __init__(self, operators: Operators, loads: Loads) -> None:
+        """Find the pattern and place the constant operators on it. Collective."""
+        self.operators, self.layout = operators, operators.layout
+        ops, layout = operators, operators.layout
+        jump = ops.joints.jump.transposeMatMult(ops.joints.jump)
+        parts = {
+            "stiffness": self._place(local_rows(ops.stiffness), "solid", "solid"),
+            "mass": self._place(local_rows(ops.mass), "solid", "solid"),
+            "jump": self._place(local_rows(jump), "solid", "solid"),
+        }
+        jump.destroy()
+        if ops.damping is not None and not loads.at_rest:
+            parts["damping"] = self._place(local_rows(ops.damping), "solid", "solid")
+        if ops.flow is not None:
+            squeeze, pattern = ops.flow.squeeze.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
+            network = self._network_pattern()
+            parts |= {
+                "push": self._place(local_rows(ops.flow.push), "solid", "flow"),
+                "squeeze": self._place(local_rows(squeeze), "flow", "solid"),
+                "feedback": self._place(local_rows(pattern), "flow", "solid"),
+                "network": self._place(local_rows(network), "flow", "flow"),
+            }
+            for matrix in (squeeze, pattern, network):
+                matrix.destroy()
+        self.rows_here = layout.solid_count + layout.flow_count
+        diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
+        keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
+        self._closures = [self._closure(closure) for closure in loads.closures]
+        self._fluids = [closure for closure in loads.closures if closure.by == "fluid"]
+        union = _union([diagonal, *keys.values(), *(rows.rows * layout.total + rows.cols for rows in self._closures)])
+        self._row, self._col = union // layout.total, union % layout.total
+        self._diagonal = np.searchsorted(union, diagonal)
+        self._constant = {}
+        for name in ("stiffness", "mass", "damping", "push", "squeeze"):
+            if name in parts:
+                self._constant[name] = np.zeros(len(union))
+                self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
+        self._closing = [
+            (self._entries_of(rows), np.searchsorted(union, rows.rows * layout.total + rows.cols), rows.values)
+            for rows in self._closures
+        ]
+        self._indptr = petsc_ints(np.searchsorted(self._row, np.arange(self.rows_here + 1)))
+        local = (self.rows_here, layout.total)
+        csr = (self._indptr, petsc_ints(self._col), np.zeros(len(union)))
+        is_dry = layout.flow_starts[-1] == 0
+        node = node_size(ops) if is_dry else 1
+        self.matrix = PETSc.Mat().createAIJ((local, local), bsize=node, csr=csr, comm=layout.comm)
+        if is_dry:
+            space = near_null_space(ops)
+            self.matrix.setNearNullSpace(space)
+            space.destroy()
+        self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
+        self._prepare_blocks()
+        self._filled: tuple[Any, ...] | None = None
+        self.fills = 0
+
+    def _place(self, rows: Rows, row_part: str, col_part: str) -> Rows:
+        layout = self.layout
+        offset = 0 if row_part == "solid" else layout.solid_count
+        number = layout.solid_numbers if col_part == "solid" else layout.flow_numbers
+        return Rows(rows.rows + offset, number(rows.cols), rows.values)
+
+    def _closure(self, closure: Closure) -> Rows:
+        """A closure's row in scaled unknowns, on the rank that has it."""
+        cols, weights = closure_row(closure, self.layout)
+        here = len(closure.row) > 0
+        row = self.layout.solid_count + int(closure.row[0]) if here else 0
+        count = len(cols) if here else 0
+        scale = 1.0 if closure.by == "level" else self.operators.scales.displacement / closure.size
+        return Rows(np.full(count, row), cols[:count], scale * weights[:count])
+
+    def _entries_of(self, rows: Rows) -> Ints:
+        return np.flatnonzero(self._row == rows.rows[0]) if len(rows.rows) else np.zeros(0, dtype=np.int64)
+
+    def _network_pattern(self) -> PETSc.Mat:
+        size = (self.layout.flow_count, int(self.layout.flow_starts[-1]))
+        matrix = create_matrix((size, size), 8, self.layout.comm)
+        flow = self.operators.blocks.joints.flow
+        add_blocks(matrix, flow, flow, np.ones((len(flow), 2, 2)))
+        matrix.assemble()
+        return matrix
+
+    def _prepare_blocks(self) -> None:
+        ops, layout = self.operators, self.layout
+        self._free_parts: dict[str | None, FreePart] = {}
+        self._flow_nodes = np.zeros((0, 2), dtype=np.int64)
+        self._sections = [layout.solid_numbers(group.unknowns) for group in ops.joints.groups]
+        self._ends: list[tuple[Ints, Ints, Floats]] = []
+        if ops.flow is not None:
+            self._flow_nodes = layout.flow_numbers(ops.blocks.joints.flow)
+            for group in section_groups(ops.flow.opening, 1):
+                self._ends.append((group.sections, layout.solid_numbers(group.unknowns), group.jump[:, 0]))
+        # of each joint end the row that keeps the fluid of its part, where one does, and its size
+        self._keeping, self._kept = np.full(self._flow_nodes.shape, -1), np.ones(self._flow_nodes.shape)
+        for closure in self._fluids:
+            inside = np.isin(ops.blocks.joints.flow, closure.nodes)
+            self._keeping[inside], self._kept[inside] = layout.flow_numbers(closure.nodes[:1])[0], closure.size
+
+    def _held(self, only: str | None) -> np.ndarray:
+        """Whether each of the unknowns of all ranks is held."""
+        held = np.zeros(self.layout.total, dtype=bool)
+        held[self.fixed] = True
+        if only is not None:
+            other, starts = (
+                ("flow", self.layout.flow_starts) if only == "solid" else ("solid", self.layout.solid_starts)
+            )
+            numbers = np.arange(starts[-1])
+            held[self.layout.flow_numbers(numbers) if other == "flow" else self.layout.solid_numbers(numbers)] = True
+        return held
+
+    def _find_free(self, only: str | None) -> FreePart:
+        held = self._held(only)
+
+        def free(numbers: Ints) -> Ints:
+            return np.where(held[numbers], -1, numbers)
+
+        own = held[self.layout.start : self.layout.start + self.rows_here]
+        closed = np.zeros(self.layout.total, dtype=bool)
+        here = [int(rows.rows[0]) + self.layout.start for rows in self._closures if len(rows.rows)]
+        closed[np.concatenate(self.layout.comm.allgather(np.array(here, dtype=np.int64)))] = True
+        nodes = free(self._flow_nodes)
+        return FreePart(
+            np.flatnonzero(own[self._row] | held[self._col]),
+            self._diagonal[own],
+            np.where(closed[self._flow_nodes], -1, nodes),
+            tuple(free(numbers) for numbers in self._sections),
+            nodes,
+            tuple(free(numbers) for _, numbers, _ in self._ends),
+            np.where(self._keeping < 0, -1, free(self._keeping)),
+        )
+
+    def fill(
+        self,
+        alphas: Alphas,
+        moduli: Floats,
+        conduction: Conduction | None,
+        flow_scale: float,
+        only: str | None = None,
+    ) -> bool:
+        """Refill where anything differs from the last time; tell whether it did. Collective."""
+        now = (alphas, flow_scale, only)
+        arrays = [moduli] + (
+            [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]
+        )
+        if conduction is not None and conduction.compression is not None:
+            arrays += [conduction.compression.weight, conduction.compression.slope]
+        if conduction is not None and only == "solid":
+            arrays = [moduli]
+        same = (
+            self._filled is not None
+            and self._filled[:3] == now
+            and all(np.array_equal(a, b) for a, b in zip(arrays, self._filled[3:], strict=True))
+        )
+        if self.layout.comm.allreduce(same, op=MPI.LAND):
+            return False
+        self._filled = (*now, *[a.copy() for a in arrays])
+        self._refill(alphas, moduli, conduction, flow_scale, only)
+        self.fills += 1
+        return True
+
+    def _refill(
+        self, alphas: Alphas, moduli: Floats, conduction: Conduction | None, flow_scale: float, only: str | None
+    ) -> None:
+        ops, scales, matrix = self.operators, self.operators.scales, self.matrix
+        solid_solid = scales.displacement / scales.force
+        data = solid_solid * (self._constant["stiffness"] + alphas.mass * self._constant["mass"])
+        if "damping" in self._constant:
+            data += solid_solid * alphas.a1 * self._constant["damping"]
+        if ops.flow is not None:
+            data -= scales.pressure / scales.force * self._constant["push"]
+            data += scales.displacement / flow_scale * alphas.a1 * self._constant["squeeze"]
+        if only not in self._free_parts:
+            self._free_parts[only] = self._find_free(only)
+        free = self._free_parts[only]
+        for entries, places, weights in self._closing:
+            data[entries] = 0.0
+            data[places] = weights
+        data[free.held_entries] = 0.0
+        data[free.held_diagonal] = 1.0
+        matrix.setValuesCSR(self._indptr, petsc_ints(self._col), data)
+        matrix.assemble()
+        for numbers, (_, values) in zip(free.sections, ops.joints.tangent(moduli), strict=True):
+            add_blocks(matrix, numbers, numbers, solid_solid * values)
+        if ops.flow is not None and conduction is not None:
+            flow_flow = scales.pressure / flow_scale
+            nodes = free.flow_rows
+            between = flow_element.conductivity(conduction.conductance)
+            slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
+            if conduction.compression is not None:
+                here, stored = np.arange(2), conduction.compression
+                between[:, here, here] += alphas.b1 * stored.weight
+                slope[:, here, here] += alphas.b1 * stored.slope
+            add_blocks(matrix, nodes, free.flow_nodes, flow_flow * between)
+            for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
+                joint, end = ends // 2, ends % 2
+                values = slope[joint, :, end][:, :, None] * normal[:, None, :]
+                factor = scales.displacement / flow_scale
+                add_blocks(matrix, nodes[joint], unknowns, factor * values)
+            if conduction.compression is not None and self._fluids:
+                self._keep_fluid(free, conduction.compression)
+        matrix.assemble()
+
+    def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
+        """Add what compression does to the rows that keep the fluid of a part."""
+        scales, size = self.operators.scales, self._kept.ravel()
+        rows, values = free.keeping.reshape(-1, 1), stored.weight.ravel() * scales.pressure / size
+        add_blocks(self.matrix, rows, free.flow_nodes.reshape(-1, 1), values[:, None, None])
+        values = stored.slope.ravel() * scales.displacement / size
+        for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
+            add_blocks(self.matrix, rows[ends], unknowns, (values[ends, None] * normal)[:, None, :])
+
+    def destroy(self) -> None:
+        """Free the matrix. Collective."""
+        self.matrix.destroy()
+
+
+def _union(keys: list[Ints]) -> Ints:
+    """All keys once, ascending. Each array is nearly so already: a stable sort merges them, where np.unique starts afresh."""
+    merged = np.sort(np.concatenate(keys), kind="stable")
+    is_first = np.ones(len(merged), dtype=bool)
+    is_first[1:] = merged[1:] != merged[:-1]
+    return merged[is_first]

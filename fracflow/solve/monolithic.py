@@ -1,0 +1,107 @@
+"""Both balances solved together: FGMRES with PCFIELDSPLIT over the solid and flow splits, or LU of the whole matrix."""
+
+from __future__ import annotations
+
+from fracflow.errors import NotConverged, Restless, Unsolved
+from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
+from fracflow.model.state import StepReport
+from fracflow.scene.scene import Scene
+from fracflow.solve.accept import start_again, step_report, without_suction
+from fracflow.solve.condensed_plan import Condensing
+from fracflow.solve.jacobian import JoinedMatrix
+from fracflow.solve.newton import Newton
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.stiffness import NewtonReport
+
+FAR = 0.1  # of the largest terms of a balance: what another linear solver does not take away
+
+
+class Monolithic:
+    """Newton's method over displacements and pressures; a dry scene has the solid alone."""
+
+    prefix = "monolithic"
+
+    def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
+        """Make matrix and solver, kept for the whole run. Collective."""
+        self.scene, self.matrix = scene, JoinedMatrix(operators, loads)
+        self.newton = Newton(scene, self.matrix, self.prefix if operators.flow is not None else "solid")
+        self.rock: Newton | None = None
+
+    def expect(self, planned: Condensing) -> None:
+        """Nothing here depends on which steps are planned."""
+
+    def solve(self, problem: StepProblem) -> StepReport:
+        """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
+        return step_report(self._solve(self.newton, problem), problem.residual, 1)
+
+    def _solve(self, newton: Newton, problem: StepProblem) -> NewtonReport:
+        """The same from the present trial, or else from open fractures."""
+        try:
+            return newton.solve(problem)
+        except NotConverged as failure:
+            if _is_left(problem, failure) or not self._open(problem):
+                raise
+            return newton.solve(problem)
+
+    def _open(self, problem: StepProblem) -> bool:
+        """Start the step again as wide as it is without suction; tell whether that is another start. Collective.
+
+        Walls that part suck fluid through what is all but shut, at c d^3 (k (d_1 - d)) = d - d_0 in short. Once d_0 is too
+        wide for a root beside it, the only one is near d_1: uphill from d_0, and downhill all the way from d_1.
+        """
+        if not without_suction(problem):
+            return False
+        self.rock = self.rock or Newton(self.scene, self.matrix, "solid", "solid")
+        try:
+            self.rock.solve(problem)
+        except NotConverged:
+            return False
+        return True
+
+    def destroy(self) -> None:
+        """Free matrix and solvers. Collective."""
+        if self.rock is not None:
+            self.rock.destroy()
+        self.newton.destroy()
+        self.matrix.destroy()
+
+
+class WholeLU(Monolithic):
+    """The same with LU of the whole matrix."""
+
+    prefix = "whole-lu"
+
+
+class Auto(WholeLU):
+    """The same, and FGMRES where that does not converge: fractures that are all but shut beside wide ones."""
+
+    def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
+        """Make matrix and solver; the other solver when it is first needed. Collective."""
+        super().__init__(scene, operators, loads)
+        self.other: Newton | None = None
+
+    def solve(self, problem: StepProblem) -> StepReport:
+        """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
+        try:
+            return super().solve(problem)
+        except NotConverged as failure:
+            # the linear solver is not to blame where it solved what it was given, and Newton's method is nowhere near
+            far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
+            if far or _is_left(problem, failure):
+                raise
+            self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
+        start_again(problem)
+        problem.evaluate()
+        return step_report(self._solve(self.other, problem), problem.residual, 1)
+
+    def destroy(self) -> None:
+        """Free matrix and solvers. Collective."""
+        if self.other is not None:
+            self.other.destroy()
+        super().destroy()
+
+
+def _is_left(problem: StepProblem, failure: NotConverged) -> bool:
+    """Whether a step that failed is not tried in other ways: it may be shorter, and its sections kept changing."""
+    return problem.brief and isinstance(failure, Restless)

@@ -1,0 +1,301 @@
+"""(4.7) Newton's method on one step, or one that stands in for it: SNES, with the safety that joints need.
+
+overshoot = "hold": the statuses of the last step are tried first. Once the balances hold with them, every section that has
+left its status is given the next one, and the iteration goes on from there, until none has: so the elastic root is
+preferred, and no section slips because an iterate overshot. overshoot = "one-change", as in 5.1: every iteration lets each
+section change its status, but once only; with a drop of strength it may end in a sliding state where hold finds an
+elastic one (5.3 does, just below failure). No iteration takes a joint past its closure.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.errors import NotConverged, Restless, SolveError
+from fracflow.laws.base import Bools
+from fracflow.mesh.data import Floats
+from fracflow.scene.scene import Scene
+from fracflow.solve.cycling import JUST_PAST, Circles, Rounds, all_changed, statuses
+from fracflow.solve.failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
+from fracflow.solve.floating import Floating
+from fracflow.solve.jacobian import JoinedMatrix
+from fracflow.solve.kept_factors import factors_of
+from fracflow.solve.line_search import by_energy, by_residual
+from fracflow.solve.linear import set_up, solve_nonlinear
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
+
+MOST_CHANGES = 50  # rounds of status changes in one step
+BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
+BRIEF = 20  # iterations with the same statuses there
+PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
+SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
+
+
+class Newton:
+    """Newton's method over all unknowns, or over one split while the other is held.
+
+    prefix  of the PETSc options; ``only`` None, "solid" or "flow".
+    """
+
+    def __init__(self, scene: Scene, matrix: JoinedMatrix, prefix: str, only: str | None = None) -> None:
+        """Make the SNES. Collective."""
+        self.scene, self.matrix, self.prefix, self.only = scene, matrix, prefix, only
+        self.method = NEWTON_METHODS[scene.method.newton]
+        self.holds = scene.method.overshoot == "hold" or only == "flow"
+        layout = matrix.layout
+        self.unknowns, self.balance = layout.joined_vector(), layout.joined_vector()
+        self.snes = PETSc.SNES().create(comm=layout.comm)
+        self.snes.setOptionsPrefix(f"{prefix}_")
+        self.snes.setType("newtonls")
+        self.snes.setFunction(self._function, self.balance)
+        self.snes.setConvergenceTest(self._converged)
+        self.snes.setTolerances(max_it=scene.accuracy.max_iterations)
+        self.snes.setLineSearchPreCheck(self._pre_check)
+        self.snes.setMaxLinearSolveFailures(scene.accuracy.max_iterations)
+        self.snes.setFromOptions()
+        # kept, since a collection of garbage with another handle to it would clear its test (petsc4py's tp_traverse)
+        self.solver = self.snes.getKSP()
+        set_up(self.solver, matrix)
+        self.factors = factors_of(scene, self.solver, matrix)
+        self.snes.setJacobian(self._jacobian, matrix.matrix, self.factors.factored)
+        self.least = 0  # iterations in any case
+        self.problem: StepProblem | None = None
+        self.floating: Floating | None = None
+        self._krylov = 0
+        self._step = np.inf
+        self._restless = np.zeros(0, dtype=bool)
+        self._inner, self._circles = Circles(layout.comm), False
+        self._rounds: Rounds | None = None
+        self._is_start, self._is_filled, self._polished = True, False, False
+        self._out_of_balance: list[float] = []
+
+    def solve(self, problem: StepProblem) -> NewtonReport:
+        """Bring the trial of ``problem`` into balance. Raises SolveError, on every rank. Collective."""
+        self.problem, self._krylov, self._step = problem, 0, np.inf
+        self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
+        made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm
+        self._rounds = Rounds(problem)
+        self.factors.begin()
+        most = BRIEF_CHANGES if problem.brief else MOST_CHANGES
+        for _ in range(most):
+            self._pack(problem)
+            self._is_start, self._circles, self._polished = True, False, False
+            del self._out_of_balance[-1:]  # the same iterate, before its sections changed
+            try:
+                solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}")
+            except SingularMatrix as error:
+                raise self._failure("its matrix is singular", iterations + self.snes.getIterationNumber()) from error
+            iterations += self.snes.getIterationNumber()
+            self._unpack(self.unknowns)
+            if self.snes.getConvergedReason() <= 0:
+                is_short = 0 < problem.most < self.scene.accuracy.max_iterations
+                raise self._failure(why_stopped(self.snes, is_short), iterations)
+            if self.only == "flow" or problem.hold:
+                break
+            self._restless = self._rounds.change(problem, self._searches())
+            if not comm.allreduce(bool(self._restless.any()), op=MPI.LOR):
+                break
+            if self._rounds.is_lost:
+                raise self._failure(CIRCLES, iterations)
+        else:
+            raise self._failure(f"after {most} rounds of changes of status", iterations)
+        if self._floats(problem):
+            self._refuse_floating(problem)
+        return NewtonReport(iterations, self._krylov, self.factors.made - made, tuple(self._out_of_balance))
+
+    def _pack(self, problem: StepProblem) -> None:
+        scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
+        local = self.unknowns.getArray()
+        local[:middle] = problem.increment.getArray(readonly=True) / scales.displacement
+        local[middle:] = problem.pressure.getArray(readonly=True) / scales.pressure
+
+    def _unpack(self, unknowns: PETSc.Vec) -> None:
+        assert self.problem is not None
+        scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
+        local = unknowns.getArray(readonly=True)
+        if self.only != "solid":
+            self.problem.pressure.setArray(local[middle:] * scales.pressure)
+        if self.only != "flow":
+            self.problem.move(local[:middle] * scales.displacement)
+        else:
+            self.problem.move(self.problem.increment.getArray().copy())
+
+    def _function(self, snes: PETSc.SNES, unknowns: PETSc.Vec, balance: PETSc.Vec) -> None:
+        problem = self.problem
+        assert problem is not None
+        self._unpack(unknowns)
+        problem.evaluate(hold=self.holds or self._is_start or problem.hold)
+        middle = self.matrix.layout.solid_count
+        local = balance.getArray()
+        local[:middle] = problem.solid_balance.getArray(readonly=True) / self.matrix.operators.scales.force
+        local[middle:] = problem.flow_balance.getArray(readonly=True) / problem.flow_scale()
+        if self.only == "solid":
+            local[middle:] = 0.0
+        elif self.only == "flow":
+            local[:middle] = 0.0
+
+    def _jacobian(self, snes: PETSc.SNES, unknowns: PETSc.Vec, jacobian: PETSc.Mat, _: PETSc.Mat) -> None:
+        problem = self.problem
+        assert problem is not None
+        if self.method.is_kept and self._is_filled:
+            return
+        moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
+        if is_loose := self._floats(problem):
+            moduli = softly_held(moduli, self.matrix.operators.scales)
+        self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
+        self.factors.changed(must=is_loose)
+        self._is_filled = True
+
+    def _floats(self, problem: StepProblem, without: Bools | None = None) -> bool:
+        """Whether blocks float at the present trial, without inertia and with the film as it takes part. Collective.
+
+        without  (s, 2) what sections are taken not to carry, along and across
+        """
+        if problem.alphas.a0 > 0.0 or self.only == "flow":
+            return False
+        operators = self.matrix.operators
+        if self.floating is None:
+            self.floating = Floating(operators, problem.loads, self.scene.method.quadrature)
+        is_filled = operators.flow is not None and self.only is None and problem.alphas.a1 > 0.0
+        return self.floating.find(problem.sections, is_filled, without).shape[1] > 0
+
+    def _refuse_flight(self, problem: StepProblem, step: Floats) -> None:
+        """Raise NotConverged where a step carries loose blocks off that no joint stops, in strains. Collective."""
+        if not self._floats(problem):
+            return
+        joints, before = self.matrix.operators.joints, problem.sections
+        after = joints.respond(before.strain + step, problem.branch, hold=True)
+        if not self.matrix.layout.comm.allreduce(bool(np.any(before.is_open & ~after.is_open)), op=MPI.LOR):
+            self._refuse_floating(problem, always=False)
+
+    def _refuse_floating(self, problem: StepProblem, always: bool = True) -> None:
+        """Raise NotConverged that names a loose block; if not ``always``, only one with a net force on it. Collective."""
+        assert self.floating is not None
+        slack = SLACK * self._round_off(problem)
+        push = self.floating.motions.T @ self.floating.net_force(problem.solid_balance).ravel()
+        if always or np.abs(push).max() > slack:
+            raise NotConverged(describe_floating(self.scene, problem, self.floating, slack))
+
+    def _round_off(self, problem: StepProblem) -> float:
+        """What is left of the balance where it holds [force per thickness]. Collective."""
+        size = problem.solid_balance.norm(PETSc.NormType.INFINITY)
+        return self.scene.accuracy.residual * float(size) / max(problem.residual.solid, 1e-300)
+
+    def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
+        problem, layout = self.problem, self.matrix.layout
+        assert problem is not None
+        self._krylov += self.factors.check(self.balance, step)
+        self._step = step.norm()
+        if self.method.weakness and not np.isfinite(self._step):
+            raise SingularMatrix
+        try:
+            check_step(self.solver, step, self.balance, problem, self.prefix)
+        except NotConverged:
+            if self._floats(problem):
+                self._refuse_floating(problem)
+            raise
+        change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
+        change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
+        self._step = change.norm()
+        joints = self.matrix.operators.joints
+        strains = joints.strain(change)
+        allowed = joints.step_limit(problem.sections.strain, strains)
+        change.destroy()
+        fraction = layout.comm.allreduce(allowed, op=MPI.MIN)
+        if fraction == 1.0:
+            self._refuse_flight(problem, strains)
+        if fraction < 1.0:
+            step.scale(fraction)
+        if self._circles:
+            searched = self._search(problem, unknowns, step, strains * fraction)
+            step.scale(searched)
+            fraction *= searched
+        if fraction < 1.0:
+            self._step = np.inf
+        return bool(fraction < 1.0)
+
+    def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
+        """Fraction of a step that leads out of the circle; what the problem is evaluated at is left anywhere. Collective."""
+        comm, middle = self.matrix.layout.comm, self.matrix.layout.solid_count
+        trial, balance = unknowns.duplicate(), self.balance.duplicate()
+        change = comm.allreduce(self.matrix.operators.joints.change_at(problem.sections.strain, strains), op=MPI.MIN)
+
+        def at(fraction: float) -> None:
+            trial.waxpy(-fraction, step, unknowns)
+            self._function(self.snes, trial, balance)
+
+        def size(fraction: float) -> float:
+            try:
+                at(fraction)
+            except NotConverged:  # the laws have no answer there, on any rank
+                return np.inf
+            return float(balance.norm())
+
+        def power(fraction: float) -> float:
+            at(fraction)
+            return float(comm.allreduce(float(balance.getArray()[:middle] @ step.getArray(readonly=True)[:middle])))
+
+        try:
+            if self.scene.method.line_search == "energy":
+                return by_energy(power, power(0.0), change * (1.0 + JUST_PAST))
+            return by_residual(size, size(0.0), change * (1.0 + JUST_PAST))
+        finally:
+            trial.destroy()
+            balance.destroy()
+
+    def _searches(self) -> bool:
+        """Whether steps are shortened once statuses come back, or whole ones take long."""
+        return self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow"
+
+    def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
+        problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
+        assert problem is not None
+        self._out_of_balance.append(problem.residual.out_of_balance)
+        problem.tried += iteration > 0
+        if iteration == 0:
+            self._inner.begin()
+        returns = self._inner.see(statuses(problem))
+        self._circles |= self._searches() and (returns or iteration >= PATIENCE)
+        if not (self.holds or self._is_start):
+            self._restless = problem.take_statuses(problem.sections.past)
+        self._is_start = False
+        # one more where little runs beside what full pressure would drive: wells are to work by what runs
+        more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
+        self._polished = self._balanced(problem, iteration)
+        if self._polished and not (more and iteration < accuracy.max_iterations):
+            return int(reasons.CONVERGED_FNORM_RELATIVE)
+        most = min(accuracy.max_iterations, problem.most or accuracy.max_iterations)
+        return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
+
+    def _balanced(self, problem: StepProblem, iteration: int) -> bool:
+        accuracy, residual = self.scene.accuracy, problem.residual
+        worst = residual.flow if self.only else max(residual.flow, residual.at_nodes)
+        flow = self.only == "solid" or worst <= accuracy.residual
+        if self.only == "flow" or iteration < self.least:
+            return flow and iteration >= self.least
+        if self.scene.method.newton_test == "displacement":
+            size = problem.displacement.norm()
+            return flow and iteration > 0 and self._step <= accuracy.displacement * size
+        if self.scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
+            return flow and residual.out_of_balance < accuracy.out_of_balance
+        return flow and residual.solid <= accuracy.residual
+
+    def _failure(self, why: str, iterations: int) -> SolveError:
+        problem, rounds = self.problem, self._rounds
+        assert problem is not None and rounds is not None
+        restless, flipped = all_changed(problem, self._restless, self._inner, rounds.seen)
+        is_loose = self.only != "flow" and self._floats(problem, np.stack([restless | flipped, flipped], axis=1))
+        if is_loose and problem.residual.solid <= SLACK * self.scene.accuracy.residual and self.floating is not None:
+            return NotConverged(describe_floating(self.scene, problem, self.floating, self._round_off(problem)))
+        loose = self.floating if is_loose else None
+        changes = self.matrix.layout.comm.allreduce(bool((restless | flipped).any()), op=MPI.LOR)
+        failure = Restless if changes else NotConverged
+        return failure(describe_failure(self.scene, problem, restless, flipped, why, iterations, loose))
+
+    def destroy(self) -> None:
+        """Free the solver. Collective."""
+        self.factors.destroy()
+        for thing in (self.snes, self.solver, self.unknowns, self.balance):
+            thing.destroy()

@@ -1,0 +1,92 @@
+"""The longest period in which a scene vibrates while its joints stick: how long one must look to call it at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.model.joints import Joints
+from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
+from fracflow.model.state import Sections
+from fracflow.solve.initial_rates import with_diagonal
+
+MOST_ITERATIONS = 200
+SHARP = 1e-12  # relative change of the eigenvalue between two iterations
+SOFT = 1e-10  # of the first Rayleigh quotient: what holds a block that nothing else holds
+
+
+def longest_period(operators: Operators, loads: Loads, sections: Sections) -> float:
+    """2 pi over the lowest frequency [1/time] of K_s + G' W D G and M, D of joints that stick: inverse iteration.
+
+    Absorbing sides stay where they are; a fluid, which is left out, makes periods shorter. Infinite where nothing moves.
+    Collective.
+    """
+    held, layout, joints = loads.standing().held, operators.layout, operators.joints
+    stiff, mass = sprung(operators, _stuck(joints, sections)), with_diagonal(operators.mass)
+    numbers = (stiff.getOwnershipRange()[0] + held).astype(PETSc.IntType)
+    mass.zeroRowsColumns(numbers, 0.0)
+    stiff.zeroRowsColumns(numbers, 1.0)
+    shape, force = layout.solid_vector(), layout.solid_vector()
+    shape.set(1.0)
+    shape.getArray()[held] = 0.0
+    stiff.mult(shape, force)
+    rigidity = shape.dot(force)
+    mass.mult(shape, force)
+    inertia = shape.dot(force)
+    if inertia > 0.0:
+        stiff.axpy(SOFT * rigidity / inertia, mass)
+        force.scale(1.0 / inertia)
+        pull = force.duplicate()  # slip of all joints, so that no mode that joints take part in is missed
+        pull.set(0.0)
+        joints.force(np.ones_like(joints.initial), pull)
+        pull.getArray()[held] = 0.0
+        force.axpy(force.norm() / max(pull.norm(), 1e-300), pull)
+        pull.destroy()
+    lowest = _lowest(stiff, mass, shape, force) if inertia > 0.0 else 0.0
+    for thing in (stiff, mass, shape, force):
+        thing.destroy()
+    return float(2.0 * np.pi / np.sqrt(lowest)) if lowest > 0.0 else float("inf")
+
+
+def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
+    """K_s + G' W D G with D (s, dim, dim) of this rank's sections, in a new matrix. Collective."""
+    joints, dim = operators.joints, operators.blocks.sizes.dim
+    moduli = joints.weights[:, None, None] * moduli
+    count = len(moduli) * dim
+    first = joints.jump.getOwnershipRange()[0]
+    columns = first + np.repeat(np.arange(count).reshape(-1, dim), dim, axis=0)
+    rows = np.arange(count + 1) * dim
+    csr = (rows.astype(PETSc.IntType), columns.ravel().astype(PETSc.IntType), moduli.ravel())
+    local = joints.jump.getSizes()[0]
+    springs = PETSc.Mat().createAIJ((local, local), csr=csr, comm=joints.jump.getComm())
+    product = springs.PtAP(joints.jump)
+    stiff = with_diagonal(operators.stiffness)
+    stiff.axpy(1.0, product, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    springs.destroy()
+    product.destroy()
+    return stiff
+
+
+def _stuck(joints: Joints, sections: Sections) -> np.ndarray:
+    past = joints.flip(sections.strain, sections.past, sections.is_sliding)
+    return joints.respond(sections.strain, past, hold=True).tangent
+
+
+def _lowest(stiff: PETSc.Mat, mass: PETSc.Mat, shape: PETSc.Vec, force: PETSc.Vec) -> float:
+    """Lowest eigenvalue of K x = w M x, from a first force; both vectors are used up. Collective."""
+    solver, last = PETSc.KSP().create(comm=stiff.getComm()), 0.0
+    solver.setOptionsPrefix("period_")
+    solver.setOperators(stiff)
+    solver.setFromOptions()
+    for _ in range(MOST_ITERATIONS):
+        solver.solve(force, shape)
+        work = shape.dot(force)
+        mass.mult(shape, force)
+        weight = shape.dot(force)
+        before, last = last, work / weight if weight > 0.0 else 0.0
+        if not last or abs(last - before) <= SHARP * last:
+            break
+        force.scale(1.0 / np.sqrt(weight))
+    solver.destroy()
+    return float(last)

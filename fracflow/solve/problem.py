@@ -1,0 +1,300 @@
+"""(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
+
+solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p + C v - R = 0, C of absorbing sides
+flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of
+       the walls, what a part holds is changed by what flows in and out alone
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import PETSc
+from fracflow.errors import NotConverged
+from fracflow.integrators import Alphas, acceleration, velocity
+from fracflow.mesh.data import Floats
+from fracflow.model.compressibility import compression_of
+from fracflow.model.dirichlet import Prescribed
+from fracflow.model.flow import Conduction
+from fracflow.model.loads import Loads
+from fracflow.model.operators import Operators
+from fracflow.model.state import Forces, Motion, MotionValues, Past, Sections, State
+from fracflow.scene.time_table import AT_ONCE, Around, Rates
+from fracflow.solve.absorption import Absorption
+from fracflow.solve.compressibility import lost, uptake_at, why_not_finite
+from fracflow.solve.motion_terms import MovingTerms
+from fracflow.solve.residual import (
+    CANCELLATION,
+    LEAST_FORCE,
+    TINY,
+    Residual,
+    flow_residual,
+    flow_sizes,
+    largest,
+    largest_of,
+    over_ranks,
+)
+from fracflow.solve.round_off import blur, noise_here, noise_of_flow, noise_of_rock
+from fracflow.solve.terms import balance_terms
+from fracflow.solve.unapplied import Lag
+
+
+class StepProblem:
+    """One step from ``state``: what is given, and the balances at a trial. Writes nothing into the state."""
+
+    def __init__(
+        self,
+        operators: Operators,
+        loads: Loads,
+        state: State,
+        alphas: Alphas,
+        time: float,
+        controls: Mapping[str, float],
+        restraint: PETSc.Vec | None = None,
+        lacking: float = 0.0,
+        start: tuple[Floats, Floats] | None = None,
+        hold: bool = False,
+        around: Around = AT_ONCE,
+        rates: Rates | None = None,
+    ) -> None:
+        """Sample loads and wells over the step; ``restraint`` is a force beside the loads. Collective.
+
+        lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
+        start    this rank's motion since the state, and pressures, to begin from
+        hold     sections keep the status they have, whatever their tractions
+        around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
+        rates    how flow rates are sampled, if not as above; without inertia jumps of supports are as ``around`` says
+        """
+        self.operators, self.loads, self.state, self.hold, layout = operators, loads, state, hold, operators.layout
+        self.alphas, self.time, self.controls, self.brief, self.most, self.tried = alphas, time, controls, False, 0, 0
+        self.around, self.rates, self.load, self.source = around, rates, layout.solid_vector(), layout.flow_vector()
+        loads.force(time, controls, self.load, around, rates if rates is not None and rates.of_forces else None)
+        if restraint is not None:
+            self.load.axpy(1.0, restraint)
+        loads.source(time, controls, self.source, around, rates)
+        self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
+        self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
+        self.moving = MovingTerms.of(operators, state, alphas, self.absorption)
+        self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
+        self.pressure = state.pressure.copy()
+        if start is not None:
+            self.pressure.setArray(start[1])
+        self.move(np.zeros(layout.solid_count) if start is None else start[0])
+        self.branch, self.sections = state.sections.past, state.sections
+        self.conduction: Conduction | None = None
+        self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
+        self.residual = Residual(np.inf, np.inf, np.inf)
+        self.fluid_before = compression_of(operators, state)
+        self.taken_up: Floats | None = None
+        self._flow_rows: Floats | None = None
+        self._flow_noise, self._carried = np.zeros(0), 0.0
+        self._widest: list[float] | None = None
+        self._before = 0.0 if operators.flow is None else np.abs(operators.flow.driving(state.pressure))
+
+    def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
+        """Write what is prescribed at the end of the step into both vectors."""
+        self.loads.impose(self.time, displacement, pressure, self.around, self.rates)
+        for vector, parts, lags in (
+            (displacement, self.loads.supports, self.lag.displacement),
+            (pressure, self.loads.pressures, self.lag.pressure),
+        ):
+            for part, lag in zip(parts, lags, strict=False):
+                vector.getArray()[part.numbers] += lag
+        if self.loads.at_rest:
+            still, old = self.loads.resting, self.state.motion.displacement.getArray(readonly=True)
+            displacement.getArray()[still] = old[still]
+
+    def move(self, increment: Floats) -> None:
+        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for the prescribed."""
+        old, held = self.state.motion.displacement.getArray(readonly=True), self.loads.held
+        self.increment.setArray(increment)
+        self.displacement.setArray(old + increment)
+        self.impose(self.displacement, self.pressure)
+        change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
+        change[held] = new[held] - old[held]
+
+    def evaluate(self, hold: bool = True) -> None:
+        """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
+
+        Collective.
+        """
+        ops, u, p = self.operators, self.displacement, self.pressure
+        # jumps of this step on top of those of the last state: a motion that walls share costs no digits afterwards
+        strain = self.state.sections.strain + ops.joints.strain(self.increment)
+        self.take(ops.joints.respond(strain, self.branch, hold))
+        solid, terms = self.solid_balance, [largest(self.load)]
+        solid.set(0.0)
+        term = solid.duplicate()
+
+        def add(scale: float) -> None:
+            terms.append(largest(term))
+            solid.axpy(scale, term)
+
+        acceleration, speed = self.acceleration(), self.velocity()
+        terms += self.moving.add(acceleration, speed, u, solid)
+        ops.stiffness.mult(u, term)
+        add(1.0)
+        ops.prestress.copy(term)
+        add(1.0)
+        term.set(0.0)
+        ops.joints.force(self.sections.traction, term)
+        add(1.0)
+        flow_terms = [0.0]
+        if ops.flow is not None:
+            ops.flow.push.mult(p, term)
+            add(-1.0)
+            flow_terms = self._flow_balance()
+        solid.axpy(-1.0, self.load)
+        for vector in (acceleration, speed, term):
+            vector.destroy()
+        self.loads.release(solid)
+        for part in self.loads.pressures:
+            self.flow_balance.getArray()[part.numbers] = 0.0
+        self._measure(max(terms), max(flow_terms))
+
+    def take(self, answer: Sections) -> None:
+        """Take what the sections answer to the present motion."""
+        before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
+        record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
+        self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
+
+    def forces(self, motion: Motion) -> Forces:
+        """Terms of both balances at the end of the step; the caller owns them. Collective."""
+        return balance_terms(self, motion)
+
+    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. What moved in this step
+    # stands for the trial, and nothing for the last state: both are known to more digits so.
+    def _start(self) -> MotionValues:
+        old = self.state.motion.values()
+        return old._replace(displacement=np.zeros_like(old.displacement))
+
+    def acceleration(self) -> PETSc.Vec:
+        """(4.2e) of the trial, in a new vector."""
+        moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
+        result.setArray(acceleration(self.alphas, moved, self._start()))
+        for part in self._driven():
+            result.getArray()[part.numbers] = part.acceleration(self.time, self.around)
+        return result
+
+    def velocity(self) -> PETSc.Vec:
+        """(4.2f) of the trial, in a new vector."""
+        before, result = self.state.memory.velocity, self.displacement.duplicate()
+        mean = 0.0 if before is None else before.getArray(readonly=True)
+        result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
+        for part in self._driven():
+            result.getArray()[part.numbers] = part.speed(self.time, self.around)
+        return result
+
+    def _driven(self) -> tuple[Prescribed, ...]:  # whose motion the scene gives, and no rule of stepping
+        return self.loads.supports if self.alphas.a0 > 0.0 and max(self.around) > 0.0 else ()
+
+    def uptake(self) -> PETSc.Vec | None:
+        """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""
+        if self.taken_up is None:
+            return None
+        result = self.operators.layout.flow_vector()
+        result.setArray(self.taken_up)
+        return result
+
+    def _flow_balance(self) -> list[float]:
+        flow, network = self.flow_balance, self.operators.flow
+        assert network is not None
+        speed = self.velocity()
+        network.squeeze.multTranspose(self.displacement, flow)
+        terms = [CANCELLATION * self.alphas.a1 * largest(flow), largest(self.source)]
+        rows = CANCELLATION * self.alphas.a1 * np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
+        network.squeeze.multTranspose(speed, flow)
+        terms.append(largest(flow))
+        rows += np.abs(flow.getArray())
+        opening = self.operators.joints.openings(self.sections.strain)
+        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening), None
+        network.outflow(self.conduction, flow)
+        flow.axpy(-1.0, self.source)
+        now = self.conduction.compression
+        self.taken_up = uptake_at(self.operators, self.state, self.alphas, self.fluid_before, now)
+        if self.taken_up is not None:
+            flow.getArray()[:] += self.taken_up
+            rows += np.abs(self.taken_up)
+            terms.append(largest_of(self.taken_up))
+        speed.destroy()
+        self._close()
+        through, runs = flow_sizes(self.conduction, self._before, self.state.drive, self.alphas.b1)
+        self._carried = max(*terms, runs)
+        sized, noise = flow.duplicate(), flow.duplicate()
+        network.taken_up(through, sized)
+        moved = self.operators.joints.openings(self._moved)
+        network.taken_up(noise_of_flow(network, self.conduction, moved, self.alphas.a1), noise)
+        self._flow_rows, self._flow_noise = rows + sized.getArray(), noise.getArray().copy()
+        sized.destroy()
+        noise.destroy()
+        return [*terms, float(through.max(initial=0.0))]
+
+    def _close(self) -> None:
+        """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
+        assert self.conduction is not None
+        change = self.pressure.getArray(readonly=True) - self.state.pressure.getArray(readonly=True)
+        trial = (self.increment, change, self.fluid_before, self.conduction.compression)
+        for closure in self.loads.closures:
+            self.flow_balance.getArray()[closure.row] = self.flow_scale() * lost(self.operators, closure, *trial)
+
+    def _measure(self, solid_terms: float, flow_terms: float) -> None:
+        """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
+        scales, comm = self.operators.scales, self.operators.layout.comm
+        blurred = noise_here(self.operators, self.sections, self._moved)
+        balance = self.flow_balance.getArray(readonly=True)
+        balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
+        here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
+        here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
+        solid, solid_terms, flow, flow_terms, blurred, moved, hidden, carried = over_ranks(here, comm)
+        noise = blurred + noise_of_rock(self.operators, moved)
+        size = max(solid_terms, LEAST_FORCE * scales.force)
+        solid, noise = max(solid - noise, 0.0) / size, noise / size
+        least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
+        flow, noise = flow / flow_terms, max(noise, hidden / flow_terms)
+        rows = self._flow_rows
+        rows = None if rows is None else rows + CANCELLATION * self.alphas.a1 * scales.length * moved
+        own = flow_residual(balance, rows, flow_terms, (closure.row for closure in self.loads.closures), comm)
+        self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, least)
+        if not np.isfinite(solid + flow):
+            raise NotConverged(f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}")
+
+    def flow_scale(self) -> float:
+        """Size of a volume rate, by which rows of the flow are divided. Collective."""
+        if self.conduction is None:
+            return 1.0
+        if self._widest is None:
+            stored = self.conduction.compression
+            held = 0.0 if stored is None else float(stored.weight.max(initial=0.0))
+            here = [float(self.conduction.conductance.max(initial=0.0)), held]
+            self._widest = over_ranks(here, self.operators.layout.comm)
+        (conducts, holds), scales = self._widest, self.operators.scales
+        scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
+        scale = max(scale, self.alphas.b1 * holds * scales.pressure)
+        return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
+
+    def change_statuses(self) -> np.ndarray:
+        """Give every section that has left its status the next one; tell which (s,) of this rank did."""
+        return self.take_statuses(self.operators.joints.respond(self.sections.strain, self.branch).past)
+
+    def take_statuses(self, reached: Past) -> np.ndarray:
+        """Give every section the status it has reached; tell which (s,) of this rank had another before."""
+        joints = self.operators.joints
+        changed = joints.have_changed(self.branch, reached)
+        self.branch = joints.follow(self.state.sections.past, reached)
+        return changed
+
+    def hand_on(self) -> tuple[Floats, Floats] | None:
+        """This rank's motion and pressures for another problem to start from; None where they are not finite. Collective."""
+        if not np.isfinite(self.increment.norm() + self.pressure.norm()):
+            return None
+        return self.increment.getArray().copy(), self.pressure.getArray().copy()
+
+    def destroy(self) -> None:
+        """Free the vectors of the trial."""
+        trial = (self.displacement, self.increment, self.pressure)
+        for vector in (self.load, self.source, *trial, self.solid_balance, self.flow_balance):
+            vector.destroy()
+        self.moving.destroy()

@@ -1,0 +1,213 @@
+"""Joints and film at the end of an explicit step: Newton's method over clusters of sections, all at once.
+
+e = e_free - S G M^-1 G' W (t(e, p) - t_old), t = f - n p: what a section moves in the step, e, from what it would move if
+joints and film pulled as before. Statuses as in ``newton``: held until the balance holds, then each section may change its
+own once, until none does. No iteration takes a joint past its closure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.errors import NotConverged
+from fracflow.mesh.data import Floats
+from fracflow.model.operators import Operators
+from fracflow.scene.scene import Scene
+from fracflow.solve.clusters import Clusters
+from fracflow.solve.flow_on_joints import FilmOnJoints
+from fracflow.solve.problem import StepProblem
+from fracflow.solve.residual import over_ranks
+
+MOST_CHANGES = 50  # rounds of status changes in one step
+TIGHT = 1e-12  # of the largest motion of a section in the step
+ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of what the motion of a section is the difference of
+
+
+@dataclass(frozen=True)
+class SectionReport:
+    """Newton iterations, and what is left: of motions over the largest, of flows over the largest term."""
+
+    iterations: int
+    motion: float
+    flow: float
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What clusters need of their sections in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
+
+    left: Floats
+    size: Floats
+    moduli: Floats
+    slopes: Floats
+
+
+class SectionSolver:
+    """Solves for what sections move in a step, and for the pressures."""
+
+    film_kind, most_changes = FilmOnJoints, MOST_CHANGES
+
+    def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
+        """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
+        self.scene, self.operators, self.clusters = scene, operators, clusters
+        self.film = self.film_kind(operators, clusters) if operators.flow is not None else None
+        self._sizes = [np.abs(batch.compliance) for batch in clusters.batches]
+        self._weights = clusters.exchange.there(operators.joints.weights[:, None])[:, 0]
+        count, dim = len(operators.joints.weights), operators.joints.dim
+        self.elastic = np.broadcast_to(np.asarray(elastic), (count, dim, dim))
+
+    def pull(self, traction: Floats, pressure: PETSc.Vec) -> Floats:
+        """Tractions t = f - n p (s, dim) of effective tractions, and of the pressures of the flow nodes. Collective."""
+        network, result = self.operators.flow, traction.copy()
+        if network is not None:
+            result[:, -1] -= network.at_ends(pressure).ravel()
+        return result
+
+    def pushed(self, problem: StepProblem, change: Floats) -> Floats:
+        """What sections that moved by ``change`` (s, dim) pull more than before, beyond elastic moduli [stress]. Collective."""
+        before = self.pull(problem.state.sections.traction, problem.state.pressure)
+        now = self.pull(problem.sections.traction, problem.pressure)
+        return now - before - np.einsum("sij,sj->si", self.elastic, change)
+
+    def solve(
+        self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
+    ) -> tuple[Floats, SectionReport]:
+        """Bring sections and pressures of ``problem`` into balance, from what sections move freely (s, dim).
+
+        share  S of ``stepping.explicit``; ``start`` what sections (s, dim) are tried to move at first.
+        least  iterations in any case
+        Returns what they move. Raises NotConverged, on every rank. Collective.
+        """
+        total, change, comm = 0, np.zeros_like(free) if start is None else start, self.operators.layout.comm
+        pulled = self.pull(problem.state.sections.traction, problem.state.pressure)
+        given = self.film.given(problem) if self.film is not None else None
+        try:
+            for _ in range(self.most_changes):
+                change, report = self._with_statuses(problem, free, change, pulled, given, share, least - total)
+                total += report.iterations
+                if problem.hold:
+                    return change, replace(report, iterations=total)
+                changed = problem.change_statuses()
+                if not comm.allreduce(bool(changed.any()), op=MPI.LOR):
+                    return change, replace(report, iterations=total)
+        finally:
+            if given is not None:
+                given.destroy()
+        raise NotConverged(
+            f"time {problem.time:.6g}: {self._named(changed)} keeps changing between sticking and sliding within one explicit"
+            " step: take a smaller time_step"
+        )
+
+    def _with_statuses(
+        self,
+        problem: StepProblem,
+        free: Floats,
+        change: Floats,
+        pulled: Floats,
+        given: PETSc.Vec | None,
+        share: float,
+        least: int,
+    ) -> tuple[Floats, SectionReport]:
+        """The balance with the statuses of ``problem.branch``, beginning from ``change``. Collective."""
+        joints, film, comm = self.operators.joints, self.film, self.operators.layout.comm
+        before, weights, most = problem.state.sections, joints.weights[:, None], self.scene.accuracy.max_iterations
+        for iteration in range(most + 1):
+            answer = joints.respond(before.strain + change, problem.branch, hold=True)
+            problem.sections = answer
+            flow, slopes = 0.0, np.zeros((len(free), 2))
+            if film is not None and given is not None:
+                flow, slopes = film.balance(problem, change, given)
+            pull, moduli = self.pull(answer.traction, problem.pressure), weights[:, :, None] * answer.tangent
+            push = weights * (pull - pulled - np.einsum("sij,sj->si", self.elastic, change))
+            known = np.einsum("sij,sj->si", np.abs(moduli), np.abs(answer.strain)) + weights * np.abs(answer.traction)
+            moduli = moduli - weights[:, :, None] * self.elastic
+            rows = self._gather(free, change, push, known + weights * np.abs(pull), moduli, slopes, share)
+            beyond = np.abs(rows.left) - ROUND_OFF * rows.size
+            here = [float(np.abs(change).max(initial=0.0)), float(beyond.max(initial=0.0))]
+            moved, beyond_all, worst, bad = over_ranks(
+                [*here, float(np.abs(rows.left).max(initial=0.0)), float(not np.isfinite(push).all())], comm
+            )
+            if bad:
+                break
+            if beyond_all <= TIGHT * moved and flow <= self.scene.accuracy.residual and iteration >= least:
+                return change, SectionReport(iteration, worst / moved if moved > 0.0 else 0.0, flow)
+            step = self._step(problem, rows, slopes, share)
+            allowed = comm.allreduce(joints.step_limit(before.strain + change, step), op=MPI.MIN)
+            change = change + allowed * step
+        stuck = self.clusters.exchange.back((beyond > TIGHT * moved).astype(float)).any(axis=1)
+        raise NotConverged(
+            f"time {problem.time:.6g}: {self._named(stuck)} found no balance of joints and film in {most} iterations of an"
+            f" explicit step (motion of sections out by {worst:.1e}, flow by {flow:.1e} of its largest term): take a smaller"
+            " time_step"
+        )
+
+    def _gather(
+        self,
+        free: Floats,
+        change: Floats,
+        push: Floats,
+        known: Floats,
+        moduli: Floats,
+        slopes: Floats,
+        share: float,
+    ) -> _Rows:
+        """Bring what this rank's sections say to the clusters, with the balance of motions there. Collective.
+
+        known  sizes of what ``push`` is the difference of
+        """
+        count, dim = free.shape
+        rows = np.hstack([free, change, push, known, moduli.reshape(count, dim**2), slopes])
+        there = np.split(self.clusters.exchange.there(rows), np.cumsum([dim, dim, dim, dim, dim**2]), axis=1)
+        free, change, push, known, flat, slopes = there
+        left, size = free - change, np.abs(free) + np.abs(change)
+        for batch, largest in zip(self.clusters.batches, self._sizes, strict=True):
+            at, shape = batch.sections, (*batch.sections.shape, dim)
+            column = len(batch.sections), -1, 1
+            left[at] -= share * (batch.compliance @ push[at].reshape(column)).reshape(shape)
+            size[at] += share * (largest @ known[at].reshape(column)).reshape(shape)
+        return _Rows(left, size, flat.reshape(-1, dim, dim), slopes)
+
+    def _step(self, problem: StepProblem, rows: _Rows, own_slopes: Floats, share: float) -> Floats:
+        """Newton's correction (s, dim) of what sections move; that of the pressures is made. Collective."""
+        dim, exchange = rows.left.shape[1], self.clusters.exchange
+        alone, by_pressure = np.zeros_like(rows.left), []
+        for batch in self.clusters.batches:
+            at, (clusters, members) = batch.sections, batch.sections.shape
+            scaled = batch.compliance if share == 1.0 else share * batch.compliance
+            compliance = scaled.reshape(clusters, members * dim, members, dim)
+            right = rows.left[at].reshape(clusters, -1, 1)
+            if self.film is not None:
+                right = np.concatenate([right, compliance[..., -1] * self._weights[at][:, None]], axis=2)
+            answer = self._answer(compliance, rows.moduli[at], right)
+            alone[at] = answer[:, :, 0].reshape(clusters, members, dim)
+            by_pressure.append(answer[:, :, 1:].reshape(clusters, members, dim, -1))
+        if self.film is None:
+            return exchange.back(alone)
+        own = exchange.back(alone)[:, -1]
+        opened = [each[:, :, -1] for each in by_pressure]
+        raised = self.film.solve(problem, opened, self._weights, rows.slopes, own, own_slopes)
+        there = exchange.there(raised[:, None])[:, 0]
+        for batch, answer in zip(self.clusters.batches, by_pressure, strict=True):
+            alone[batch.sections] += np.einsum("cmip,cp->cmi", answer, there[batch.sections])
+        return exchange.back(alone)
+
+    def _answer(self, compliance: Floats, moduli: Floats, right: Floats) -> Floats:
+        """(1 + S G M^-1 G' W D)^-1 of right sides (c, m dim, k); compliance (c, m dim, m, dim), moduli (c, m, dim, dim)."""
+        matrix = np.einsum("cxmi,cmij->cxmj", compliance, moduli).reshape(*right.shape[:2], -1)
+        matrix += np.eye(right.shape[1])
+        return np.asarray(np.linalg.solve(matrix, right))
+
+    def _named(self, chosen: np.ndarray) -> str:
+        """Fractures that have chosen sections (s,) of any rank. Collective."""
+        block, comm = self.operators.blocks.joints, self.operators.layout.comm
+        fracture = np.repeat(block.fracture, self.operators.joints.points)
+        here = {block.fractures[number] for number in fracture[chosen]}
+        return ", ".join(sorted(set().union(*comm.allgather(here)))) or "the network"
+
+    def destroy(self) -> None:
+        """Free the film's solver. Collective."""
+        if self.film is not None:
+            self.film.destroy()

@@ -1,0 +1,316 @@
+"""HDF5 files that a full disk cannot break: HDF5 writes through objects of ours, which never tell it of an error.
+
+HDF5 cannot let go of a file that it could not write: it keeps what is left of it, and crashes when the program ends.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import h5py
+
+from fracflow.storage.files import open_fresh, open_own
+
+Pieces = list[tuple[int, bytes]]  # offset and bytes, in the order in which they were written
+_MAGIC = b"FRACREDO"
+_HEAD, _PIECE = struct.Struct("<8sIQ"), struct.Struct("<QQ")  # magic, checksum, length; offset, length
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_SMALL = 1 << 16  # bytes: metadata, not arrays
+_LARGEST, _GROWS = 1 << 28, 1 << 28  # bytes of a change, and by how many it may lengthen its file
+_SUPERBLOCK, _VERSION, _FLAGS, _END = 48, 8, 11, 28  # bytes of the head of a file, and where in it things are
+_WRITING, _SHARED = 1, 4  # flags of a file that is written, and may be read meanwhile
+
+
+class Backing:
+    """A file as HDF5 wants it. ``error`` is the first that there was; what comes after it is left out."""
+
+    def __init__(self, path: Path) -> None:
+        """Make the file, empty. Raises OSError."""
+        self._begin(path, [])
+        self.file = open_fresh(path)
+
+    def _begin(self, path: Path, pieces: Pieces) -> None:
+        self.path, self.size, self._at, self._pieces = path, 0, 0, pieces
+        self.error: OSError | None = None
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Where the next bytes are read or written; from the start or the end."""
+        self._at = offset + (self.size if whence == os.SEEK_END else 0)
+        return self._at
+
+    def tell(self) -> int:
+        """Where that is."""
+        return self._at
+
+    def read(self, size: int = -1) -> bytes:
+        """Bytes from there on; h5py asks for ``readinto``."""
+        into = bytearray(max(0, self.size - self._at) if size < 0 else size)
+        self.readinto(memoryview(into))
+        return bytes(into)
+
+    def readinto(self, into: memoryview) -> int:
+        """Fill a buffer; zeros where nothing has been written."""
+        view = memoryview(into).cast("B")
+        view[:] = bytes(len(view))
+        try:
+            found = os.pread(self.file, len(view), self._at)
+            view[: len(found)] = found
+        except OSError as error:
+            self._keep(error)
+        lay_over(view, self._at, self._pieces)
+        return len(view)
+
+    def write(self, data: memoryview) -> int:
+        """Put bytes there."""
+        self._put(self._at, bytes(data))
+        self.size = max(self.size, self._at + len(data))
+        return len(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Cut or lengthen the file."""
+        self.size = self._at if size is None else size
+        self._try(lambda: os.ftruncate(self.file, self.size))
+        return self.size
+
+    def flush(self) -> None:
+        """All is written at once."""
+
+    def sync(self) -> None:
+        """Bring it to disk."""
+        self._try(lambda: os.fsync(self.file))
+
+    def close(self) -> None:
+        """Close the file."""
+        if self.file >= 0:
+            file, self.file = self.file, -1
+            self._try(lambda: os.close(file))
+
+    def check(self) -> None:
+        """Raise the first error that there was."""
+        if self.error is not None:
+            raise self.error
+
+    def _put(self, offset: int, data: bytes) -> None:
+        self._try(lambda: write_all(self.file, data, offset))
+        if self.error is not None and len(data) <= _SMALL:  # HDF5 may want to read it again
+            self._pieces.append((offset, data))
+
+    def _try(self, action: Callable[[], None]) -> None:
+        if self.error is None:
+            try:
+                action()
+            except OSError as error:
+                self._keep(error)
+
+    def _keep(self, error: OSError) -> None:
+        if self.error is None:
+            self.error = OSError(error.errno, error.strerror, str(self.path))
+
+
+def write_all(file: int, data: bytes, offset: int) -> None:
+    """Write all bytes at an offset of an open file. Raises OSError."""
+    left = memoryview(data)
+    while left:
+        done = os.pwrite(file, left, offset)
+        left, offset = left[done:], offset + done
+
+
+@contextmanager
+def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
+    """An HDF5 file that is written aside, and put in the place of the last one when it is whole. Raises OSError.
+
+    is_synced   bring it to disk before
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        backing = Backing(part)
+        backing.path = path
+        try:
+            try:
+                with h5py.File(backing, "w") as file:
+                    yield file
+            except (OSError, RuntimeError):
+                backing.check()  # what HDF5 says of it tells less
+                raise
+            if is_synced:
+                backing.sync()
+        finally:
+            backing.close()
+        backing.check()
+        os.replace(part, path)
+    except BaseException:
+        with suppress(OSError):
+            part.unlink()
+        raise
+
+
+class Committed(Backing):
+    """A file that changes from one whole state to the next: what is written counts when it is committed.
+
+    What changes is first put down in PATH.redo, whole, then in its place. After a kill, or half a write on a full disk,
+    ``pieces_of`` has what is missing in PATH. Until ``protect`` PATH itself is written as it comes.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the file, empty. Raises OSError."""
+        super().__init__(path)
+        self._redo = -1
+
+    def protect(self, path: Path) -> None:
+        """From here on the file, now at ``path``, has PATH.redo. Raises OSError."""
+        self.check()
+        self.path = path
+        self._redo = open_fresh(redo_of(path))
+
+    def commit(self) -> None:
+        """Let what was written count. Raises OSError; then the file stays as it was."""
+        self.check()
+        if self._pieces and self._redo >= 0:
+            pieces, self._pieces = self._pieces, []
+            self._try(lambda: self._commit(pieces))
+        self.check()
+
+    def truncate(self, size: int | None = None) -> int:
+        """Cut or lengthen the file; one that is protected stays as long as it is."""
+        if self._redo < 0:
+            return super().truncate(size)
+        self.size = self._at if size is None else size
+        return self.size
+
+    def close(self) -> None:
+        """Close the file; without an error it needs PATH.redo no more."""
+        redo, self._redo = self._redo, -1
+        if redo >= 0:
+            os.close(redo)
+            if self.error is None:
+                self._try(lambda: redo_of(self.path).unlink(missing_ok=True))
+        super().close()
+
+    def _put(self, offset: int, data: bytes) -> None:
+        if offset == 0:
+            data = _marked(data)
+        if self._redo < 0:
+            super()._put(offset, data)
+        else:
+            self._pieces.append((offset, data))
+
+    def _commit(self, pieces: Pieces) -> None:
+        body = b"".join(_PIECE.pack(offset, len(data)) + data for offset, data in pieces)
+        write_all(self._redo, _HEAD.pack(_MAGIC, zlib.crc32(body), len(body)) + body, 0)
+        for offset, data in pieces:
+            write_all(self.file, data, offset)
+        os.ftruncate(self._redo, 0)
+
+
+class Completed(Backing):
+    """A file to read, whether it is still written or its writer was killed, with its last change laid over it.
+
+    HDF5 takes it for one that was closed: a reader that it knows to be beside a writer would wait for ever for what is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file. Raises OSError."""
+        self._begin(path, pieces_of(path))
+        self.file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        self.size = max([os.fstat(self.file).st_size, *(offset + len(data) for offset, data in self._pieces)])
+        head = bytearray(_SUPERBLOCK)
+        self.readinto(memoryview(head))
+        self._pieces.append((0, _marked(bytes(head), self.size)[: self.size]))
+
+    def readinto(self, into: memoryview) -> int:
+        """Fill a buffer; zeros where nothing has been written. Raises OSError."""
+        found = super().readinto(into)
+        self.check()
+        return found
+
+
+def lay_over(into: memoryview, start: int, pieces: Pieces) -> None:
+    """Put the parts of pieces into a buffer that begins at an offset of the file."""
+    for offset, data in pieces:
+        first, last = max(start, offset), min(start + len(into), offset + len(data))
+        if first < last:
+            into[first - start : last - start] = data[first - offset : last - offset]
+
+
+def redo_of(path: Path) -> Path:
+    """Where what changes in a file is put down first."""
+    return path.with_name(path.name + ".redo")
+
+
+def pieces_of(path: Path) -> Pieces:
+    """The last change of a file, where it was put down whole and may not be in its place; else none."""
+    try:
+        with open(os.open(redo_of(path), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            found = file.read(_LARGEST)
+        end = os.stat(path).st_size + _GROWS
+    except OSError:
+        return []
+    if len(found) < _HEAD.size:
+        return []
+    magic, checksum, length = _HEAD.unpack_from(found)
+    body = memoryview(found)[_HEAD.size : _HEAD.size + length]
+    if magic != _MAGIC or len(body) != length or zlib.crc32(body) != checksum:
+        return []
+    pieces, at = [], 0
+    while at + _PIECE.size <= length:
+        offset, size = _PIECE.unpack_from(body, at)
+        at += _PIECE.size + size
+        if at > length or offset + size > end:  # no change of ours
+            return []
+        pieces.append((offset, bytes(body[at - size : at])))
+    return pieces
+
+
+def complete(path: Path) -> None:
+    """Put what a file lacks in its place. Raises OSError, and InputError for a file that has another name too."""
+    if pieces := pieces_of(path):
+        file = open_own(path, os.O_RDWR)
+        try:
+            for offset, data in pieces:
+                write_all(file, data, offset)
+        finally:
+            os.close(file)
+    redo_of(path).unlink(missing_ok=True)
+
+
+def _marked(superblock: bytes, size: int | None = None) -> bytes:
+    """The head of a file with both flags that let readers in, of which HDF5 sets one here; or with none, and a size."""
+    is_ours = len(superblock) == _SUPERBLOCK and superblock.startswith(_SIGNATURE) and superblock[_VERSION] >= 3
+    if not is_ours or not superblock[_FLAGS] & _SHARED:
+        return superblock
+    head = bytearray(superblock[:-4])
+    if size is None:
+        head[_FLAGS] |= _WRITING
+    else:
+        head[_FLAGS] &= ~(_WRITING | _SHARED)
+        struct.pack_into("<Q", head, _END, size)
+    return bytes(head) + struct.pack("<I", _lookup3(bytes(head)))
+
+
+def _lookup3(data: bytes) -> int:
+    """Checksum of HDF5's metadata, of whole words: B. Jenkins, lookup3.c (2006), hashlittle."""
+    words = struct.unpack(f"<{len(data) // 4}I", data)
+    sums = [(0xDEADBEEF + len(data)) & 0xFFFFFFFF] * 3
+    while len(words) > 3:
+        sums = [(s + w) & 0xFFFFFFFF for s, w in zip(sums, words, strict=False)]
+        words = words[3:]
+        a, b, c = 0, 1, 2
+        for turn in (4, 6, 8, 16, 19, 4):
+            sums[a] = ((sums[a] - sums[c]) & 0xFFFFFFFF) ^ _turned(sums[c], turn)
+            sums[c] = (sums[c] + sums[b]) & 0xFFFFFFFF
+            a, b, c = b, c, a
+    sums = [(s + w) & 0xFFFFFFFF for s, w in zip(sums, (*words, 0, 0), strict=False)]
+    c, b, a = 2, 1, 0
+    for turn in (14, 11, 25, 16, 4, 14, 24):
+        sums[c] = ((sums[c] ^ sums[b]) - _turned(sums[b], turn)) & 0xFFFFFFFF
+        c, b, a = a, c, b
+    return sums[2]
+
+
+def _turned(word: int, by: int) -> int:
+    return ((word << by) | (word >> (32 - by))) & 0xFFFFFFFF
