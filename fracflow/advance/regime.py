@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.advance.inertial_steps import SHARE, deforming, wave_step
 from fracflow.advance.substeps import Place
-from fracflow.diagnostics.regimes import SHARE, deforming, wave_step
 from fracflow.mesh.data import Bools
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport

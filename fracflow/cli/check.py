@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from fracflow._petsc import MPI
+from fracflow.advance.inertial_steps import foretold
 from fracflow.advance.initial_state import settle
 from fracflow.diagnostics import Number, scene_card
 from fracflow.diagnostics.explicit_cost import explicit_cost
-from fracflow.diagnostics.hydraulic import parts_with_wells
-from fracflow.diagnostics.regimes import foretold
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
 from fracflow.model.setup import Model, geometry_of, prepare
+from fracflow.model.well_parts import parts_with_wells
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.scene.scene import Scene

@@ -149,9 +149,9 @@ def check(
 @app.command("mesh")
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
-    from fracflow.diagnostics.hydraulic import told_apart
     from fracflow.mesh.split import summary
     from fracflow.model.setup import place, read_split
+    from fracflow.model.well_parts import told_apart
     from fracflow.scene.scene import load
 
     given = load(scene, set_ or [], trust)

@@ -10,8 +10,6 @@ from typing import TypeVar
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.diagnostics.hydraulic import told_apart
-from fracflow.diagnostics.meeting import meeting_supports, refuse_two_pressures
 from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
@@ -22,10 +20,12 @@ from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
 from fracflow.mesh.ties import tied_nodes
 from fracflow.model.absorbing import describe
+from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.network_parts import label_parts
 from fracflow.model.operators import Operators, assemble
+from fracflow.model.well_parts import told_apart
 from fracflow.output.probes import refuse_missing
 from fracflow.reduction.decision import Facts
 from fracflow.reduction.mesh_size import proposed, unresolved

@@ -8,12 +8,12 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
+from fracflow.advance.inertial_steps import transit
 from fracflow.advance.initial_state import rest
 from fracflow.advance.regime import RADIATED, slipped
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.cli.main import app
 from fracflow.cli.run import Sight
-from fracflow.diagnostics.regimes import transit
 from fracflow.errors import Interrupted
 from fracflow.model.setup import prepare
 from fracflow.output import read_events, read_history
