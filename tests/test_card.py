@@ -12,7 +12,8 @@ from fracflow._petsc import MPI
 from fracflow.diagnostics import film, scene_card
 from fracflow.diagnostics.number import FilmStage
 from fracflow.errors import InputError
-from fracflow.model.setup import place, prepare, read_split
+from fracflow.model.setup import place
+from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import Scene, load
 
 pytestmark = pytest.mark.serial

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import graphlib
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,33 +16,23 @@ pytestmark = pytest.mark.serial
 PACKAGE = Path(__file__).parents[1] / "fracflow"
 LONGEST = 450
 
-# floor -> groups; a group is a package, or modules that stand together and may import each other
-FLOORS = (
-    (
-        {"errors", "files", "files_hdf", "h5_reader", "h5_worker", "sealed"},
-        {"_petsc"},
-        {"laws"},
-        {"elements"},
-        {"stepping"},
-    ),
-    ({"mesh"}, {"scene*", "units", "tables*", "profiles"}),
-    ({"state"},),
-    ({"assembly"},),
-    ({"coupling"},),
-    ({"output"},),
-    ({"card"},),
-    ({"plan"},),
-    ({"begin"},),
-    ({"steps"},),
-    ({"stages"}, {"record"}),
-    ({"run"},),
-    ({"refinement"},),
-    ({"cli*", "__main__", "endings"}, {"api"}),
+# layers from the ground up; packages of one layer do not import each other, but for the second of a pair in BESIDE
+LAYERS = (
+    {"errors", "storage", "_petsc"},
+    {"laws", "elements", "integrators"},
+    {"scene", "mesh"},
+    {"model"},
+    {"solve", "diagnostics", "output"},
+    {"advance"},
+    {"reduction"},
+    {"simulation"},
+    {"cli", "api", "__main__"},
 )
+MOST_AT_ROOT, MOST_IN_PACKAGE = 9, 25  # files
 ROOT = "fracflow"  # the package's face: it may import all, none may import it
-PLAIN = {"laws", "elements", "stepping"}  # NumPy only
+PLAIN = {"laws", "elements", "integrators"}  # NumPy only
 SHARED_LAWS = {"__init__", "base", "closure", "cubic_flow", "elastic", "friction"}
-BASE = {("_petsc", "errors")}  # within floor 0
+BESIDE = {("storage", "errors"), ("_petsc", "errors"), ("__main__", "cli")}
 
 
 @dataclass(frozen=True)
@@ -65,20 +56,12 @@ def read_modules(package: Path) -> dict[str, Module]:
     return found
 
 
-def nodes_that_run(tree: ast.AST):
-    """All nodes but those behind ``if TYPE_CHECKING``."""
-    for node in ast.iter_child_nodes(tree):
-        if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
-            yield node
-            yield from nodes_that_run(node)
-
-
-def imports(module: Module, known: dict[str, Module], walk=ast.walk) -> set[str]:
+def imports(module: Module, known: dict[str, Module]) -> set[str]:
     """Full dotted names of what a module imports; of fracflow, always the module and never a name in it."""
     found = set()
     is_package = any(name.startswith(module.name + ".") for name in known) or module.name == ""
     here = [ROOT, *filter(None, module.name.split("."))]
-    for node in walk(module.tree):
+    for node in ast.walk(module.tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -92,12 +75,7 @@ def imports(module: Module, known: dict[str, Module], walk=ast.walk) -> set[str]
     return found
 
 
-def place(top: str) -> tuple[int, int] | None:
-    for floor, groups in enumerate(FLOORS):
-        for number, group in enumerate(groups):
-            if any(top == name or (name[-1] == "*" and top.startswith(name[:-1])) for name in group):
-                return floor, number
-    return None
+LAYER = {name: number for number, names in enumerate(LAYERS) for name in names}
 
 
 def ours(name: str) -> str | None:
@@ -105,25 +83,22 @@ def ours(name: str) -> str | None:
     return "" if name == ROOT else name.removeprefix(ROOT + ".") if name.startswith(ROOT + ".") else None
 
 
-def check_floors(modules: dict[str, Module]) -> list[str]:
+def check_layers(modules: dict[str, Module]) -> list[str]:
+    """Imports go down, those under TYPE_CHECKING too."""
     faults = []
     for module in modules.values():
         if module.name == "":
             continue
-        if (mine := place(module.top)) is None:
-            faults.append(f"{module.name}: has no floor; give it one in FLOORS")
+        if module.top not in LAYER:
+            faults.append(f"{module.name}: has no layer; give it one in LAYERS")
             continue
         targets = map(ours, imports(module, modules))
         for target in sorted(target for target in targets if target is not None):
             top = target.split(".")[0]
-            theirs = place(top)
             if target == "":
                 faults.append(f"{module.name}: imports the root package; import the module that is meant")
-            elif theirs is None or not (
-                theirs == mine or theirs[0] < mine[0] or (module.name, target) in BASE
-                or (module.top in PLAIN and top == "errors")
-            ):  # fmt: skip
-                faults.append(f"{module.name}: imports {target}, which is not on a floor below")
+            elif top != module.top and (module.top, top) not in BESIDE and LAYER.get(top, 99) >= LAYER[module.top]:
+                faults.append(f"{module.name}: imports {target}, which is not in a layer below")
     return faults
 
 
@@ -131,6 +106,9 @@ def check_outside(modules: dict[str, Module]) -> list[str]:
     faults, meshers = [], []
     for module in modules.values():
         foreign = {name.split(".")[0] for name in imports(module, modules) if ours(name) is None}
+        ground = {name.split(".")[0] for name in map(ours, imports(module, modules)) if name} - {"errors", module.top}
+        if module.top in PLAIN and ground:
+            faults.append(f"{module.name}: imports {', '.join(sorted(ground))}; of ours, only errors is allowed there")
         if module.top in PLAIN and (more := foreign - {"numpy"} - set(sys.stdlib_module_names)):
             faults.append(f"{module.name}: imports {sorted(more)}; only NumPy is allowed there")
         if "petsc4py" in foreign and module.name != "_petsc":
@@ -161,13 +139,13 @@ def check_laws(modules: dict[str, Module]) -> list[str]:
         for node in ast.walk(module.tree):
             named = getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "name", None)
             said = node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else None
-            if named in classes or (said in keys and not module.top.startswith("scene")):
+            if named in classes or (said in keys and module.top != "scene"):
                 faults.append(f"{module.name}: names the joint law {named or said}; only laws/ may")
     return faults
 
 
 def check_cycles(modules: dict[str, Module]) -> list[str]:
-    found = {name: map(ours, imports(module, modules, nodes_that_run)) for name, module in modules.items()}
+    found = {name: map(ours, imports(module, modules)) for name, module in modules.items()}
     graph = {name: {to for to in targets if to in modules} - {name} for name, targets in found.items()}
     try:
         graphlib.TopologicalSorter(graph).prepare()
@@ -176,12 +154,26 @@ def check_cycles(modules: dict[str, Module]) -> list[str]:
     return []
 
 
-def check_length(modules: dict[str, Module]) -> list[str]:
-    long = [module for module in modules.values() if module.lines > LONGEST]
-    return [f"{module.name}: has {module.lines} lines, at most {LONGEST}" for module in long]
+def check_sizes(modules: dict[str, Module]) -> list[str]:
+    """Lines of a file, files of a package and at the root."""
+    faults = [
+        f"{module.name}: has {module.lines} lines, at most {LONGEST}"
+        for module in modules.values()
+        if module.lines > LONGEST
+    ]
+    count = Counter(name.rpartition(".")[0] or "the root" for name in modules if not is_package(name, modules))
+    most = dict.fromkeys(count, MOST_IN_PACKAGE) | {"the root": MOST_AT_ROOT}
+    return faults + [
+        f"{name}: has {found} files, at most {most[name]}" for name, found in count.items() if found > most[name]
+    ]
 
 
-CHECKS = (check_floors, check_outside, check_laws, check_cycles, check_length)
+def is_package(name: str, modules: dict[str, Module]) -> bool:
+    """Whether other modules are inside one."""
+    return any(other.startswith(f"{name}.") for other in modules) if name else True
+
+
+CHECKS = (check_layers, check_outside, check_laws, check_cycles, check_sizes)
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -202,9 +194,11 @@ HOUSE = {
     "elements/__init__.py": "",
     "mesh/__init__.py": "",
     "mesh/gmsh.py": "import gmsh\n",
-    "scene.py": "from fracflow import units, __version__\nfrom .laws import JOINT_LAWS\nx = 'bent-spring'\n",
-    "units.py": "import pint\nif TYPE_CHECKING:\n    from fracflow.scene.scene import Scene\n",
-    "run.py": "from .mesh import gmsh\nkind = 'linear'\n",
+    "scene/__init__.py": "",
+    "scene/scene.py": "from fracflow.scene import units\nfrom ..laws import JOINT_LAWS\nx = 'bent-spring'\n",
+    "scene/units.py": "import pint\nfrom fracflow import __version__\n",
+    "simulation/__init__.py": "",
+    "simulation/run.py": "from ..mesh import gmsh\nkind = 'linear'\n",
 }
 
 
@@ -225,21 +219,22 @@ def test_a_good_house_passes(tmp_path):
     ("name", "text", "fault"),
     [
         ("mesh/read.py", "from fracflow import scene", "mesh.read: imports scene"),
-        ("mesh/read.py", "def f():\n    import fracflow.simulation.run", "mesh.read: imports run"),
-        ("mesh/read.py", "from ..run import run", "mesh.read: imports run"),
+        ("mesh/read.py", "def f():\n    import fracflow.simulation.run", "mesh.read: imports simulation.run"),
+        ("mesh/read.py", "from ..simulation.run import run", "mesh.read: imports simulation.run"),
         ("mesh/read.py", "import fracflow", "imports the root package"),
         ("laws/base.py", "from fracflow._petsc import PETSc", "laws.base: imports _petsc"),
         ("elements/joint.py", "from fracflow.laws import base", "elements.joint: imports laws.base"),
         ("laws/base.py", "import scipy.sparse", "only NumPy"),
-        ("run.py", "from petsc4py import PETSc", "run: imports petsc4py"),
+        ("simulation/run.py", "from petsc4py import PETSc", "simulation.run: imports petsc4py"),
         ("mesh/read.py", "import gmsh", "gmsh is imported by"),
-        ("run.py", "law = 'bent-spring'", "names the joint law bent-spring"),
-        ("run.py", "from fracflow.laws.linear import Linear", "imports fracflow.laws.linear"),
-        ("run.py", "from fracflow import laws\nlaws.BentSpring", "names the joint law BentSpring"),
-        ("units.py", "from fracflow.scene.scene import x", "imports go round"),
+        ("simulation/run.py", "law = 'bent-spring'", "names the joint law bent-spring"),
+        ("simulation/run.py", "from fracflow.laws.linear import Linear", "imports fracflow.laws.linear"),
+        ("simulation/run.py", "from fracflow import laws\nlaws.BentSpring", "names the joint law BentSpring"),
+        ("scene/units.py", "from fracflow.scene.scene import x", "imports go round"),
+        ("scene/units.py", "if TYPE_CHECKING:\n    from fracflow.scene.scene import x", "imports go round"),
         ("laws/base.py", "from fracflow.laws.bent_spring import BentSpring", "imports go round"),
         ("errors.py", "\n" * (LONGEST + 1), f"errors: has {LONGEST + 1} lines"),
-        ("attic.py", "", "attic: has no floor"),
+        ("attic.py", "", "attic: has no layer"),
     ],
 )
 def test_a_planted_fault_is_found(tmp_path, name, text, fault):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from fracflow.advance.error_control import step_error
 from fracflow.advance.events import take_part
-from fracflow.advance.excitation import shaken
+from fracflow.advance.excitation import next_kink, shaken, why_inertia
 from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.prescribed import prescribed
 from fracflow.advance.regime import (
@@ -24,14 +24,12 @@ from fracflow.advance.regime import (
 )
 from fracflow.advance.step import Progress, Step, Stepping, stepper_of
 from fracflow.advance.substeps import CALM, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.elements import joint
 from fracflow.errors import NotConverged, PutBack
 from fracflow.integrators import Explicit
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
-from fracflow.reduction.apply import why_inertia
-from fracflow.reduction.inertia import key_of, next_kink, slow_stages
-from fracflow.reduction.mesh_size import coarse_of_slip, of_fractures
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
@@ -127,9 +125,9 @@ class _Regimes:
         locates = stepping.explicit.locates(self.waves, least) and scene.method.events != "at-step-ends"
         if not isinstance(self.waves, Explicit):
             stepping.couplings.expect(self.waves, least)
-        facts = self.model.facts
-        self.most = facts.tolerance if facts is not None and number in slow_stages(facts) else None
-        self.decision = key_of(number, self.stage)
+        slow = self.model.slow.get(number)
+        self.most = None if slow is None else slow.error
+        self.decision = "" if slow is None else slow.name
         self.period = period
         self.vain = StepReport()
         self.coarse: dict[str, tuple[str, ...]] | None = None

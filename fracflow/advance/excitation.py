@@ -12,9 +12,12 @@ from math import pi
 
 import numpy as np
 
+from fracflow._petsc import MPI, PETSc
+from fracflow.model.state import State
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 
+LARGEST = PETSc.NormType.INFINITY
 SHAKES = 0.1  # of the range of a load: a vibration that a stage auto does not leave out
 WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest period"
 
@@ -59,3 +62,37 @@ def _kicks(table: TimeTable, period: float) -> Iterator[Shaken]:
     total, last = np.concatenate([[0.0], np.cumsum(changes)]), np.searchsorted(at, at + period, side="right")
     for n in np.flatnonzero((total[last] - total[:-1] > SHAKES) & (changes > 0.0)):
         yield Shaken(float(at[n]), float(at[last[n] - 1]), LOAD)
+
+
+def why_inertia(old: State, new: State, period: float, left: float, most: float) -> str:
+    """Why a step that the plan leaves without inertia should have it: something fails, or swings; empty if nothing. Collective.
+
+    ``left`` and the vibration as in ``swing``, which may come to ``most``.
+    """
+    changed = np.any(new.sections.is_open != old.sections.is_open)
+    changed |= np.any(
+        new.sections.is_sliding | np.any(new.sections.inelastic[:, :-1] != old.sections.inelastic[:, :-1], axis=1)
+    )
+    if new.motion.velocity.comm.tompi4py().allreduce(bool(changed), op=MPI.LOR):
+        return "joints slip or open"
+    found = swing(old, new, period, left)
+    return f"a vibration of {found:.3g} of the displacement would be left out, above {most:g}" if found > most else ""
+
+
+def swing(old: State, new: State, period: float, left: float) -> float:
+    """Amplitude of the vibration that a step without inertia leaves out, over the displacement to come [1]. Collective.
+
+    A rate that changes by r sets off r T/(2 pi), and stopping again as much; ``left`` is how long loads go on at their rate
+    """
+    change = new.motion.velocity.copy()
+    change.axpy(-1.0, old.motion.velocity)
+    kick, rate = float(change.norm(LARGEST)), float(new.motion.velocity.norm(LARGEST))
+    change.destroy()
+    reach = float(new.motion.displacement.norm(LARGEST)) + rate * left
+    return kick * period / (pi * reach) if reach > 0.0 else 0.0
+
+
+def next_kink(scene: Scene, time: float, end: float) -> float:
+    """When the rate of anything prescribed changes next; ``end`` where it does not before."""
+    times = [at for table in scene.time_tables for at in table.times if at > time]
+    return min([end, *times])

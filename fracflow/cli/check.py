@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from fracflow._petsc import MPI
+from fracflow.advance.explicit_cost import explicit_cost
 from fracflow.advance.inertial_steps import foretold
 from fracflow.advance.initial_state import settle
 from fracflow.diagnostics import Number, scene_card
-from fracflow.diagnostics.explicit_cost import explicit_cost
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
-from fracflow.model.setup import Model, geometry_of, prepare
+from fracflow.model.setup import Model, geometry_of
 from fracflow.model.well_parts import parts_with_wells
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
 from fracflow.solve.condensed_plan import planned as solved
@@ -65,10 +66,9 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
         found["steps from which a condensed rock pays"] = pays
     card, notes = scene_card(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
     network = _network(model)
-    model = planned(model)
-    assert model.facts is not None
+    model, facts = planned(model)
     found |= _cost(model, steps, any(stage.kind == "auto" or stage.until for stage in scene.stage))
-    return found, notes, card, decide(model.facts.with_card(card)), network
+    return found, notes, card, decide(facts.with_card(card)), network
 
 
 def _network(model: Model) -> Network:

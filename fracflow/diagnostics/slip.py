@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
+from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.number import Number, View
 from fracflow.laws import JOINT_LAWS
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, STIFFNESS
 
 RESOLVED = 0.25  # h over the length E'/k_s that a joint gives to the edge of slip
+RESOLVES = 0.99  # a size over the one asked for: cells differ a little from what Gmsh is told
+MOST_NAMES = 8  # fractures told of
 COHESIVE = 9.0 * np.pi / 32.0  # Lambda_0 over mu* D_c/(tau_p - tau_r): Day et al. (2005)
 ZONE = 4.0  # joints in Lambda_0
 UNSTABLE = 1.158  # L_c over mu* D_c/(tau_p - tau_r): Uenishi and Rice (2003)
@@ -169,3 +175,22 @@ def dissimilar_rock(view: View) -> Number:
         f" {joints.normal[joint].max() / value:.2g}{view.unit(STIFFNESS)}, shorter stages, or the same rock on both sides"
     )
     return Number(name, formula, value, 1.0, True, where, remedy, f"contrast {contrast[joint]:.3g}")
+
+
+def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
+    """Each length of slip that a mesh does not resolve -> the fractures where it does not, the worst first. On one process."""
+    joints = (view := View(scene, gather(scene, mesh, wells))).joints
+    found = {}
+    for what, size in longest_joints(view).items():
+        worst = np.zeros(len(joints.names))
+        np.maximum.at(worst, joints.fracture, joints.length / size)
+        order = np.argsort(-worst, kind="stable")
+        if named := tuple(joints.names[f] for f in order if RESOLVES * worst[f] > 1.0):
+            found[what] = named
+    return found
+
+
+def of_fractures(names: Sequence[str]) -> str:
+    """The first of some names of fractures, and how many more there are."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more fractures" if more > 0 else "")

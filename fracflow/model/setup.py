@@ -1,10 +1,10 @@
-"""From a scene to operators and loads: everything that stays the same during a run."""
+"""From a scene and its mesh to operators and loads: everything that stays the same during a run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -25,13 +25,9 @@ from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.network_parts import label_parts
 from fracflow.model.operators import Operators, assemble
-from fracflow.model.well_parts import told_apart
-from fracflow.output.probes import refuse_missing
-from fracflow.reduction.decision import Facts
-from fracflow.reduction.mesh_size import proposed, unresolved
+from fracflow.model.probes import refuse_missing
 from fracflow.scene.scene import Scene
 from fracflow.scene.values import FractureEnd, Place
-from fracflow.solve.options import set_defaults
 
 Result = TypeVar("Result")
 
@@ -57,10 +53,24 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Model:
-    """A scene made ready: ``mesh`` is on rank 0 only; ``facts`` are what its plan was made from.
+class SlowLoads:
+    """Why a stage auto takes the place of a dynamic one.
 
-    ``whole`` is the model with the fractures that the plan ties; None where it ties none.
+    error  that leaving inertia out may cause, at most [1]
+    name   of the decision, where it is undone
+    """
+
+    error: float
+    name: str
+
+
+@dataclass(frozen=True)
+class Model:
+    """A scene made ready: ``mesh`` is on rank 0 only.
+
+    stated  the scene as its file has it, where ``scene`` is a reduced one
+    whole   the model with the fractures that are ``locked``; None where none is
+    slow    stages auto, by their numbers, that take the place of dynamic ones
     """
 
     scene: Scene
@@ -68,13 +78,10 @@ class Model:
     placed: Placed
     operators: Operators
     loads: Loads
-    facts: Facts | None = None
+    stated: Scene
     whole: Model | None = None
-
-    @property
-    def stated(self) -> Scene:
-        """The scene as its file has it, where ``scene`` is what the plan leaves of it."""
-        return self.scene if self.facts is None else self.facts.scene
+    locked: tuple[str, ...] = ()
+    slow: Mapping[int, SlowLoads] = field(default_factory=dict)
 
     @property
     def stated_mesh(self) -> SplitMesh:
@@ -110,31 +117,8 @@ def naming(scene: Scene) -> Iterator[None]:
         raise InputError(text if scene.source in text else f"{scene.source}: {text}") from None
 
 
-def read_split(scene: Scene) -> SplitMesh:
-    """Read or build the mesh, of sizes that fit the scene where it states none, and split it. Raises InputError."""
-    with naming(scene):
-        return _read_split(scene.with_geometry(_open_sizes(scene)[0]))
-
-
-def with_sizes(scene: Scene, comm: MPI.Comm) -> Scene:
-    """The scene with the mesh sizes that it leaves open, and notes why they are so. Raises InputError, on every rank.
-
-    Collective.
-    """
-    with naming(scene):
-        keys, notes = comm.bcast(on_root(comm, lambda: _open_sizes(scene)), root=0)
-    return scene.with_geometry(keys, notes)
-
-
-def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
-    def build(trial: Scene) -> tuple[SplitMesh, Mapping[str, int]]:
-        mesh = _read_split(trial)
-        return mesh, place(trial, mesh).wells
-
-    return proposed(scene, build)
-
-
-def _read_split(scene: Scene) -> SplitMesh:
+def read_sized(scene: Scene) -> SplitMesh:
+    """Read or build the mesh of a scene whose sizes are known, and split it. Raises InputError."""
     names = [name for name in scene.fracture if name != "default"]
     if scene.mesh_path is not None:
         wanted = [*names, *(["default"] if "default" in scene.fracture else [])]
@@ -250,31 +234,19 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
             )
 
 
-def prepare(
+def set_up(
     scene: Scene,
     comm: MPI.Comm,
-    saved: SplitMesh | None = None,
+    mesh: SplitMesh | None,
+    placed: Placed,
     cell_rank: Ints | None = None,
-    begins: bool = True,
 ) -> Model:
-    """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
+    """Blocks, operators and loads of a scene whose sizes are known. Raises InputError, on every rank. Collective.
 
-    saved, cell_rank  mesh and partition of an earlier run, on rank 0
-    begins            whether the run begins, and notes tell what its mesh does not resolve
+    mesh       on rank 0
+    placed     where the scene's names sit on it
+    cell_rank  its partition in an earlier run, on rank 0
     """
-    with naming(scene):
-        set_defaults(scene.petsc)
-        return _prepare(scene, comm, saved, cell_rank, begins)
-
-
-def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:
-    scene = with_sizes(scene, comm)
-    mesh = on_root(comm, lambda: saved or _read_split(scene))
-    placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
-    assert placed is not None
-    wells_at = placed.wells
-    coarse = on_root(comm, lambda: unresolved(scene, mesh, wells_at) if mesh is not None and begins else []) or []
-    apart = on_root(comm, lambda: told_apart(scene, mesh, wells_at) if mesh is not None else []) or []
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = assemble(blocks, scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
@@ -282,9 +254,8 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, mesh)
-    notes = (*scene.notes, *coarse, *apart, *placed.notes, *describe(blocks, scene))
-    placed = replace(placed, notes=notes, apart=tuple(apart))
-    return Model(scene, mesh, placed, operators, loads)
+    placed = replace(placed, notes=(*placed.notes, *describe(blocks, scene)))
+    return Model(scene, mesh, placed, operators, loads, scene)
 
 
 def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:

@@ -170,9 +170,3 @@ def reduced(facts: Facts) -> Scene:
     stages = tuple(slow.get(number, stage) for number, stage in enumerate(facts.scene.stage))
     scene = facts.scene.model_copy(update={"stage": stages})
     return scene
-
-
-def next_kink(scene: Scene, time: float, end: float) -> float:
-    """When the rate of anything prescribed changes next; ``end`` where it does not before."""
-    times = [at for table in scene.time_tables for at in table.times if at > time]
-    return min([end, *times])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +39,6 @@ PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures
 MOST_CELLS = 100_000
-MOST_NAMES = 8  # fractures told of
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
 LATE = "beside fractures that weaken with slip, cells that grow faster let it run away late, and send its waves back"
@@ -74,10 +73,11 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
     """A line for each length that a mesh does not resolve, but for those of the scene card. On one process."""
     view = View(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)
-    coarse = coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
+    coarse = slip.coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
     return (
         [
-            f"mesh: {what} is not resolved: how slip begins and how far it runs depends on the mesh in {of_fractures(names)}"
+            f"mesh: {what} is not resolved: how slip begins and how far it runs depends on the mesh in"
+            f" {slip.of_fractures(names)}"
             for what, names in coarse.items()
         ]
         + [
@@ -88,25 +88,6 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
         ]
         + coarse_beside(view, mesh, cell_sizes(mesh))
     )
-
-
-def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
-    """Each length of slip that a mesh does not resolve -> the fractures where it does not, the worst first. On one process."""
-    joints = (view := View(scene, gather(scene, mesh, wells))).joints
-    found = {}
-    for what, size in slip.longest_joints(view).items():
-        worst = np.zeros(len(joints.names))
-        np.maximum.at(worst, joints.fracture, joints.length / size)
-        order = np.argsort(-worst, kind="stable")
-        if named := tuple(joints.names[f] for f in order if SAME * worst[f] > 1.0):
-            found[what] = named
-    return found
-
-
-def of_fractures(names: Sequence[str]) -> str:
-    """The first of some names of fractures, and how many more there are."""
-    more = len(names) - MOST_NAMES
-    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more fractures" if more > 0 else "")
 
 
 def needs(view: View, mesh: SplitMesh) -> list[Need]:

@@ -17,11 +17,12 @@ from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.glue import glued, groups
 from fracflow.model.contact_mass import redistributes
 from fracflow.model.properties import initial_pressure
-from fracflow.model.setup import Model, on_root, prepare
+from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
 from fracflow.model.stress import deforms, per_cell, properties, strain, stress_change, tensors
 from fracflow.reduction.decision import Facts, Shut
 from fracflow.reduction.idle_rock import named_nodes
+from fracflow.reduction.prepare import prepare
 from fracflow.reduction.tied_fractures import NONE, PART, USE, Fractures, choose, why_none
 
 MOST = 1e7  # distances between fractures: some seconds
@@ -169,23 +170,23 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
     mesh = on_root(comm, lambda: glued(model.mesh, _chosen(model.mesh, names)) if model.mesh is not None else None)
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
-    return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model)
+    return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names)
 
 
 def watch_tied(model: Model, state: State) -> None:
     """Raise PutBack, on every rank, where rock beside tied fractures carries more than USE of their strength. Collective."""
-    whole, facts = model.whole, model.facts
-    if whole is None or facts is None:
+    whole = model.whole
+    if whole is None:
         return
     blocks, joints = whole.operators.blocks, whole.operators.joints
     motion = _displacement(model, state)
-    added = blocks.comm.bcast(None if motion is None else _added(model, facts, motion))  # (f, side, dim)
+    added = blocks.comm.bcast(None if motion is None else _added(model, motion))  # (f, side, dim)
     names = blocks.joints.fractures
     found = np.zeros(len(names))
     for side in (0, 1):
         here = np.repeat(added[blocks.joints.ids, side], joints.points, axis=0)
         found = np.maximum(found, _largest(whole, use_of_strength(whole, here), len(names)))
-    found[~np.isin(np.array(names), facts.shut.names)] = 0.0
+    found[~np.isin(np.array(names), model.locked)] = 0.0
     if found.max() > USE:
         use, name = float(found.max()), names[int(found.argmax())]
         raise PutBack(PART, state.time, f"{use:.3g} of the strength of {name} would be used, above {USE:g}")
@@ -200,14 +201,14 @@ def _displacement(model: Model, state: State) -> Floats | None:
     return ops.blocks.gather(solids.node_ids[: solids.owned], local, ops.blocks.sizes.nodes)
 
 
-def _added(model: Model, facts: Facts, motion: Floats) -> Floats:
+def _added(model: Model, motion: Floats) -> Floats:
     """What tractions (f, side, dim) of tied joints have gained, as the cells on either side tell; 0 at others. On rank 0.
 
     A fluid that cannot leave takes up what presses the walls of its fractures, at most as much as anywhere along them.
     """
     assert model.whole is not None and model.whole.mesh is not None and model.mesh is not None
     mesh, scene = model.whole.mesh, model.scene
-    out = np.flatnonzero(_chosen(mesh, facts.shut.names)[mesh.joint_fracture])
+    out = np.flatnonzero(_chosen(mesh, model.locked)[mesh.joint_fracture])
     cells = mesh.joint_cells[out].ravel()
     moduli = (properties(mesh, scene, key, cells) for key in ("youngs_modulus", "poissons_ratio"))
     gained = tensors(stress_change(strain(model.mesh.points, model.mesh.cells[cells], motion), *moduli))[:, :2, :2]

@@ -43,7 +43,9 @@ KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto":
 class Recorder:
     """Writes the run folder on rank 0; its calls are collective, for they gather."""
 
-    def __init__(self, model: Model, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, model: Model, facts: Facts, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None
+    ) -> None:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
@@ -52,7 +54,7 @@ class Recorder:
         self.saved = self.totals.steps
         self._folder, self._tell_saved = folder, None
         self._notices = Notices(model, self.totals, self.log)
-        self.files: Files | None = on_root(comm, lambda: Files(model, folder, notes))
+        self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
 
     _tell_saved: Callable[[int], None] | None
 
@@ -185,7 +187,7 @@ class Recorder:
 class Files:
     """The open files of a run folder; rank 0 only."""
 
-    def __init__(self, model: Model, folder: Path, notes: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, model: Model, facts: Facts, folder: Path, notes: Mapping[str, Any] | None = None) -> None:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
@@ -193,17 +195,23 @@ class Files:
         scene = model.stated.dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
         try:
-            self._open(model, folder, notes, scene, before)
+            self._open(model, facts, folder, notes, scene, before)
         except BaseException:
             self.folder.close()
             raise
 
     def _open(
-        self, model: Model, folder: Path, notes: Mapping[str, Any] | None, scene: str, before: Before | None
+        self,
+        model: Model,
+        facts: Facts,
+        folder: Path,
+        notes: Mapping[str, Any] | None,
+        scene: str,
+        before: Before | None,
     ) -> None:
         write_status(self.folder, Status(RUNNING))
         self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
-        self.decisions = decide((model.facts or Facts(model.scene)).with_card(self.card))
+        self.decisions = decide(facts.with_card(self.card))
         if before is None or not before.mesh:
             self.mesh_seal = save_mesh(model.stated_mesh, self.folder / "mesh.h5")
         else:

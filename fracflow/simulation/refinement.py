@@ -11,12 +11,13 @@ from fracflow.errors import InputError
 from fracflow.mesh.locate import RockPlace
 from fracflow.mesh.split import tip_count
 from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import on_root, place, with_sizes
+from fracflow.model.setup import on_root, place
 from fracflow.output.convergence import Row, compare, write
 from fracflow.output.convergence_look import draw
 from fracflow.output.folder import MARKER, check_folder, holds
 from fracflow.reduction.decision import Facts
 from fracflow.reduction.inertia import asks_period
+from fracflow.reduction.prepare import with_sizes
 from fracflow.reduction.tied_fractures import LEAST, why_none
 from fracflow.scene.levels import Spot, at_level, order_in_time
 from fracflow.scene.method import MOST_REFINED

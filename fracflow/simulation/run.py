@@ -20,7 +20,7 @@ from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveEr
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.near import near_ones
 from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import Model, on_root, prepare
+from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
@@ -28,6 +28,7 @@ from fracflow.output.handed import told_handed
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.reduction.apply import planned
+from fracflow.reduction.prepare import prepare
 from fracflow.reduction.tied_mesh import watch_tied
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
@@ -92,9 +93,9 @@ def _run(
     began = clock.perf_counter()
     model = prepare(scene, comm, mesh)
     settle(model)
-    model = planned(model, undone)
+    model, facts = planned(model, undone)
     state = rest(model)
-    recorder = Recorder(model, Path(folder), comm)
+    recorder = Recorder(model, facts, Path(folder), comm)
     for part, when in undone.items():
         recorder.totals.undone[part] = when
         recorder.log(f"plan: {part}: undone at {when}: the run has begun anew with it")
@@ -146,12 +147,12 @@ def resume(
     mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
     model = prepare(scene, comm, mesh, cell_rank, begins=False)
     settle(model)
-    model = planned(model, notes["totals"]["undone"], cell_rank)
+    model, facts = planned(model, notes["totals"]["undone"], cell_rank)
     with restoring(saved):
         scene.stage[notes["stage"]]
         state = restore_state(model.operators, arrays, notes)
     step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
-    recorder = Recorder(model, folder, comm, notes)
+    recorder = Recorder(model, facts, folder, comm, notes)
     recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
     try:
         return _go(model, recorder, step, began, progress)

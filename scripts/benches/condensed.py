@@ -64,7 +64,7 @@ def worker(name: str, cells: str, joints: str, steps: str, folder: str) -> None:
     from fracflow.advance.stage import run_stage
     from fracflow.advance.step import Stepping, stepper_of
     from fracflow.errors import SolveError
-    from fracflow.model.setup import prepare
+    from fracflow.reduction.prepare import prepare
     from fracflow.scene.scene import Scene
 
     scene = Scene.from_data(scene_of(int(cells), int(joints), int(steps), RIVALS[name]))

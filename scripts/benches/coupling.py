@@ -60,7 +60,7 @@ def worker(unknowns: str, fault: str, drained: str, result: str, apertures: str,
     """Measure all cases of a fault on this rank of several; rank 0 writes them."""
     from fracflow._petsc import MPI, PETSc
     from fracflow.advance.initial_state import rest
-    from fracflow.model.setup import prepare
+    from fracflow.reduction.prepare import prepare
     from fracflow.scene.scene import Scene
 
     comm, case = MPI.COMM_WORLD, {"fault": fault, "drained": json.loads(drained)}

@@ -15,7 +15,7 @@ from fracflow.advance.initial_state import rest
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 SCENE = "report_5_1"

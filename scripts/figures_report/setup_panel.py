@@ -17,7 +17,7 @@ def draw_setup(mesh_axes: Axes, pressure_axes: Axes, scene: str, run: Run, wells
 
     wells  name of the probe at a well -> its share of the pumping, positive into the fault
     """
-    from fracflow.model.setup import read_split
+    from fracflow.reduction.prepare import read_split
     from fracflow.scene.scene import load
 
     loaded = load(ROOT / "meshes" / scene / "scene.toml")

@@ -20,8 +20,9 @@ from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest
 from fracflow.errors import SolveError
 from fracflow.integrators import Newmark, Steady
-from fracflow.model.setup import Model, prepare
+from fracflow.model.setup import Model
 from fracflow.model.state import State
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve import Coupling
 from fracflow.solve.accept import accept

@@ -19,7 +19,7 @@ from fracflow.advance.stage import run_stage
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.errors import SolveError
 from fracflow.integrators import WITH_INERTIA
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f4_impact" / "scene.toml"

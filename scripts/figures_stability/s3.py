@@ -16,7 +16,8 @@ from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping
 from fracflow.integrators import STEPPERS
-from fracflow.model.setup import Model, prepare
+from fracflow.model.setup import Model
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f3_winkler_film" / "scene.toml"

@@ -25,7 +25,8 @@ from fracflow.errors import SolveError
 from fracflow.integrators import Steady
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.model.joints import LawGroup
-from fracflow.model.setup import Model, prepare
+from fracflow.model.setup import Model
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import read_toml
 

@@ -14,7 +14,7 @@ from fracflow.advance.step import Stepping
 from fracflow.diagnostics.rock import STIFF
 from fracflow.integrators import Steady
 from fracflow.model.jump import jump_matrix
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f1_half_open" / "scene.toml"

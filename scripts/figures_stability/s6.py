@@ -18,7 +18,8 @@ from sheets import BLUE, GREEN, INK, ORANGE, PALE, ROOT, SKY, Check, Floats, sav
 
 from fracflow.diagnostics import scene_card
 from fracflow.laws import JOINT_LAWS
-from fracflow.model.setup import place, read_split
+from fracflow.model.setup import place
+from fracflow.reduction.prepare import read_split
 from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f5b_rupture" / "scene.toml"

@@ -21,7 +21,8 @@ from fracflow._petsc import MPI
 from fracflow.diagnostics import scene_card
 from fracflow.elements.flow import conductivity, storage_matrix
 from fracflow.model.flow import STORAGE as PAIRS
-from fracflow.model.setup import Model, place, prepare, read_split
+from fracflow.model.setup import Model, place
+from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import Scene, load
 
 SCENE = ROOT / "meshes" / "failures" / "f8_dissimilar" / "scene.toml"

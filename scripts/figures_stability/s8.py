@@ -14,7 +14,7 @@ from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.stage import run_stage
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 SCENE = ROOT / "meshes" / "failures" / "f9_rigid_motion" / "scene.toml"

@@ -17,8 +17,8 @@ from sheets import BLUE, GREEN, INK, ORANGE, PALE, Check, Floats, save, sheet, w
 
 from fracflow._petsc import MPI
 from fracflow.model.fault_damping import ALIKE, AUTO, asymmetry
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import run
 

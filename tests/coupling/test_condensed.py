@@ -12,7 +12,7 @@ from fracflow.advance.stage import run_stage
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.errors import InputError, NotConverged
 from fracflow.integrators import STEPPERS
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
 from fracflow.solve.condensed_cost import break_even, condensed_step, condensing, fits, full_step

@@ -12,8 +12,8 @@ from fracflow.advance.step import Stepping
 from fracflow.diagnostics.film import coupling_factor
 from fracflow.errors import SolveError
 from fracflow.integrators import BackwardEuler
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import run
 from fracflow.solve.problem import StepProblem

@@ -10,8 +10,8 @@ from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest
 from fracflow.advance.network import Network
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
-from fracflow.model.setup import prepare
 from fracflow.model.state import Memory
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton

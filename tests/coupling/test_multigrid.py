@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve import options as defaults

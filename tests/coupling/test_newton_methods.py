@@ -10,7 +10,7 @@ from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest
 from fracflow.advance.step import Stepping
 from fracflow.integrators import Steady
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.method import Method
 from fracflow.scene.scene import load
 from fracflow.solve.stiffness import NEWTON_METHODS

@@ -11,7 +11,7 @@ from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping
 from fracflow.cli.main import app
 from fracflow.integrators import Steady
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial

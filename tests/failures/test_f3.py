@@ -9,8 +9,8 @@ import pytest
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping, stepper_of
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 

@@ -10,8 +10,8 @@ from scipy import sparse
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest
 from fracflow.errors import SolveError
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve.floating import Floating, null_motions

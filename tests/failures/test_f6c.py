@@ -11,8 +11,8 @@ from fracflow.advance.initial_state import rest
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve.line_search import by_energy, by_residual

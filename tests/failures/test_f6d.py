@@ -10,8 +10,8 @@ from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.toml import read_toml
 from fracflow.simulation.run import run

@@ -5,7 +5,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.mesh.distribute import distribute, rigid_bodies
-from fracflow.model.setup import on_root, read_split
+from fracflow.model.setup import on_root
+from fracflow.reduction.prepare import read_split
 from fracflow.scene.scene import load
 
 COMM = MPI.COMM_WORLD

@@ -9,7 +9,7 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 PROGRAM = """
@@ -70,7 +70,7 @@ def test_an_error_in_what_one_rank_looks_at_alone_is_raised_on_all(name, monkeyp
     def refuse(*given):
         raise InputError("no such thing")
 
-    monkeypatch.setattr(f"fracflow.model.setup.{name}", refuse)
+    monkeypatch.setattr(f"fracflow.reduction.prepare.{name}", refuse)
     scene = load(Path(__file__).parents[2] / "meshes/report_5_2/scene.toml")
     with pytest.raises(InputError, match="no such thing"):
         prepare(scene, MPI.COMM_WORLD)

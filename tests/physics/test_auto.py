@@ -7,8 +7,8 @@ from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest
 from fracflow.advance.regime import Course
 from fracflow.errors import InputError
-from fracflow.model.setup import prepare
 from fracflow.output import read_events, read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 from fracflow.solve.period import longest_period

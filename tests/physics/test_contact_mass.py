@@ -8,8 +8,8 @@ from fracflow.advance.initial_state import rest
 from fracflow.advance.step import Stepping
 from fracflow.errors import InputError
 from fracflow.integrators import STEPPERS
-from fracflow.model.setup import prepare
 from fracflow.model.solid import mass
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 
 ROCK = {"youngs_modulus": 1.0, "poissons_ratio": 0.25, "density": 2.0}

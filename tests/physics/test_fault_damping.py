@@ -9,7 +9,7 @@ from fracflow.cli.main import app
 from fracflow.integrators.explicit import damped_rate
 from fracflow.model.fault_damping import asymmetry, fault_damping, is_sudden
 from fracflow.model.mass import cell_rates
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
 

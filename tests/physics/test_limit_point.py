@@ -7,8 +7,8 @@ from nucleation import UNIFORM
 from fracflow._petsc import MPI
 from fracflow.advance.instability import Jumped
 from fracflow.errors import SolveError
-from fracflow.model.setup import prepare
 from fracflow.output import read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import of_stage, resume, run

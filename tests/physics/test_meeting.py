@@ -5,7 +5,7 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 from .conftest import JOINT, ROCK

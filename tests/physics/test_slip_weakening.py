@@ -5,7 +5,7 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.errors import InputError, SolveError
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
 K_S, ROCK = 2e9, 5e9 / 2.0  # of the joint; of the rock, G over its height [Pa/m]

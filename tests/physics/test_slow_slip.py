@@ -15,8 +15,8 @@ from fracflow.advance.step import Stepping, stepper_of
 from fracflow.cli.main import app
 from fracflow.cli.run import Sight
 from fracflow.errors import Interrupted
-from fracflow.model.setup import prepare
 from fracflow.output import read_events, read_history
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 

@@ -10,9 +10,10 @@ from fracflow._petsc import MPI
 from fracflow.advance.explicit import ExplicitSteps
 from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Step
-from fracflow.model.setup import prepare
 from fracflow.model.state import StepReport
 from fracflow.output import read_history
+from fracflow.reduction.decision import Facts
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import run
@@ -64,7 +65,7 @@ def test_a_step_is_told_once_it_is_on_record(shared_tmp):
     model = prepare(load(file), comm)
     settle(model)
     step = Step(rest(model), 0, 1.0, StepReport(widening=5.0, widest="crack at (1, 1)"), {"fresh": 1.0})
-    recorder = Recorder(model, shared_tmp / "run", comm)
+    recorder = Recorder(model, Facts(model.scene), shared_tmp / "run", comm)
     for grown in (1.0, 5.0, 6.0, 11.0):
         recorder.record(replace(step, report=replace(step.report, widening=grown)))
     assert recorder.totals.widening == 11.0

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import PETSc
+from fracflow.advance.excitation import swing
 from fracflow.errors import Interrupted
 from fracflow.model.state import Motion
 from fracflow.output import read_history
 from fracflow.reduction import inertia
-from fracflow.reduction.apply import swing
 from fracflow.reduction.inertia import kick
 from fracflow.scene.scene import load
 from fracflow.scene.time_table import TimeTable

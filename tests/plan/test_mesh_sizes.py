@@ -10,7 +10,6 @@ from fracflow._petsc import MPI
 from fracflow.cli.main import app
 from fracflow.diagnostics import scene_card
 from fracflow.mesh.read import GeometrySpec, build_mesh
-from fracflow.model.setup import read_split, with_sizes
 from fracflow.output import read_history
 from fracflow.reduction import mesh_size as mesh_sizes
 from fracflow.reduction.lengths import (
@@ -22,6 +21,7 @@ from fracflow.reduction.lengths import (
     shortest_period,
     typical_length,
 )
+from fracflow.reduction.prepare import read_split, with_sizes
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 from fracflow.simulation.run import run

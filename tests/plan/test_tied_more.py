@@ -6,11 +6,12 @@ from test_tied import PAIR, TWO, chosen, done, rock, scene_of  # noqa: F401  don
 
 from fracflow.advance.initial_state import rest, settle
 from fracflow.errors import PutBack
-from fracflow.model.setup import place, prepare, read_split
+from fracflow.model.setup import place
 from fracflow.reduction import Facts
 from fracflow.reduction import tied_fractures as tied
 from fracflow.reduction.apply import planned
 from fracflow.reduction.idle_rock import idle_nodes
+from fracflow.reduction.prepare import prepare, read_split
 from fracflow.reduction.tied_fractures import PART, compliance, together
 from fracflow.reduction.tied_mesh import find_shut, watch_tied
 from fracflow.scene.scene import Scene, load
@@ -135,7 +136,7 @@ def test_rock_on_either_side_is_watched(comm, monkeypatch, side):
     monkeypatch.setattr(tied, "LEAST", 0)
     model = prepare(Scene.from_data(scene_of(1e-4)), comm)
     settle(model)
-    model = planned(model)
+    model, _ = planned(model)
     state, block = rest(model), model.operators.blocks.solid
     watch_tied(model, state)
     first, last = state.motion.displacement.getOwnershipRange()

@@ -11,7 +11,7 @@ from fracflow.advance.initial_state import rest
 from fracflow.advance.step import Stepping
 from fracflow.errors import InputError, SolveError
 from fracflow.integrators import Steady
-from fracflow.model.setup import prepare
+from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 

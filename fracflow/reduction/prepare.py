@@ -1,0 +1,67 @@
+"""A scene made ready: mesh sizes where it states none, its mesh, and the model of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from fracflow._petsc import MPI
+from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
+from fracflow.model.well_parts import told_apart
+from fracflow.reduction.mesh_size import proposed, unresolved
+from fracflow.scene.scene import Scene
+from fracflow.solve.options import set_defaults
+
+
+def read_split(scene: Scene) -> SplitMesh:
+    """Read or build the mesh, of sizes that fit the scene where it states none, and split it. Raises InputError."""
+    with naming(scene):
+        return read_sized(scene.with_geometry(_open_sizes(scene)[0]))
+
+
+def with_sizes(scene: Scene, comm: MPI.Comm) -> Scene:
+    """The scene with the mesh sizes that it leaves open, and notes why they are so. Raises InputError, on every rank.
+
+    Collective.
+    """
+    with naming(scene):
+        keys, notes = comm.bcast(on_root(comm, lambda: _open_sizes(scene)), root=0)
+    return scene.with_geometry(keys, notes)
+
+
+def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
+    def build(trial: Scene) -> tuple[SplitMesh, Mapping[str, int]]:
+        mesh = read_sized(trial)
+        return mesh, place(trial, mesh).wells
+
+    return proposed(scene, build)
+
+
+def prepare(
+    scene: Scene,
+    comm: MPI.Comm,
+    saved: SplitMesh | None = None,
+    cell_rank: Ints | None = None,
+    begins: bool = True,
+) -> Model:
+    """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
+
+    saved, cell_rank  mesh and partition of an earlier run, on rank 0
+    begins            whether the run begins, and notes tell which lengths its mesh does not resolve
+    """
+    with naming(scene):
+        set_defaults(scene.petsc)
+        return _prepare(scene, comm, saved, cell_rank, begins)
+
+
+def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: Ints | None, begins: bool) -> Model:
+    scene = with_sizes(scene, comm)
+    mesh = on_root(comm, lambda: saved or read_sized(scene))
+    placed = comm.bcast(on_root(comm, lambda: place(scene, mesh) if mesh is not None else None), root=0)
+    assert placed is not None
+    wells = placed.wells
+    coarse = on_root(comm, lambda: unresolved(scene, mesh, wells) if mesh is not None and begins else []) or []
+    apart = on_root(comm, lambda: told_apart(scene, mesh, wells) if mesh is not None else []) or []
+    notes = (*scene.notes, *coarse, *apart, *placed.notes)
+    return set_up(scene, comm, mesh, replace(placed, notes=notes, apart=tuple(apart)), cell_rank)
