@@ -10,7 +10,7 @@ from fracflow.integrators import Stepper
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
 from fracflow.solve import COUPLINGS, Coupling
-from fracflow.solve.condensed_plan import condensing, is_chosen, key_of, planned
+from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
 from fracflow.solve.options import is_large, is_meant
 
 MOST_KEPT = (

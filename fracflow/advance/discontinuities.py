@@ -18,8 +18,8 @@ from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
 from fracflow.model.state import Memory, Motion, Past, State
 from fracflow.scene.time_table import Around
-from fracflow.solve.absorption import carried_on
 from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
+from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
 
 KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off

@@ -20,7 +20,7 @@ from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
-from fracflow.solve.condensed_plan import planned as solved
+from fracflow.solve.condensed_cost import planned as solved
 
 PROGRAM, NUMBER = 1.5e8, 8.0  # bytes of the program with its libraries, and of a number
 MATRICES = 150.0  # numbers an unknown in matrices and vectors

@@ -7,9 +7,8 @@ from math import inf, isfinite
 from fracflow.reduction.decision import Decision, Facts
 from fracflow.reduction.inertia import reduced
 from fracflow.scene.scene import Scene
-from fracflow.solve.condensed_cost import USUAL, solves_per_factor
-from fracflow.solve.condensed_plan import AT_LEAST, condensing, is_chosen, planned
-from fracflow.solve.kept_factors import LEAST_WORTH, are_kept
+from fracflow.solve.condensed_cost import AT_LEAST, USUAL, condensing, is_chosen, planned, solves_per_factor
+from fracflow.solve.linear import LEAST_WORTH, are_kept
 
 
 def condensed_rock(facts: Facts) -> list[Decision]:

@@ -7,7 +7,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed import Condensed
-from fracflow.solve.condensed_plan import Condensing
+from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.monolithic import Auto, Monolithic, WholeLU
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.staggered import FixedPoint

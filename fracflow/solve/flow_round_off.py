@@ -22,7 +22,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.scene.values import TimeTable
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.round_off import MOST_DIGITS, digits_of, noise_of_pressure, refuse_few
+from fracflow.solve.residual import MOST_DIGITS, digits_of, noise_of_pressure, refuse_few
 
 BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
 INSIDE = 3.0  # times the round-off at a well: nodes further in a wide fracture leave as much

@@ -1,11 +1,17 @@
-"""The linear solver of Newton: its splits, and when it is done."""
+"""The linear solver of Newton's method: its splits, when it is done, and factors that are kept through a step while they serve.
+
+Kept factors precondition FGMRES on the matrix that there is now. Joints that change are few beside the rock, and a change
+of low rank costs at most about so many iterations (Saad 2003, 6.11); what Newton's method converges to is the same. A step
+begins with factors of its own, so that it does not depend on which steps this process has made before.
+"""
 
 from __future__ import annotations
 
 from fracflow._petsc import PETSc
 from fracflow.errors import Unsolved
-from fracflow.solve.jacobian import PARTS, JoinedMatrix
-from fracflow.solve.near_null import tell_rigid_motions
+from fracflow.scene.scene import Scene
+from fracflow.solve.condensed_cost import USUAL, solves_per_factor
+from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
 BROKEN = 76  # PETSC_ERR_LIB: an external library told of an error
@@ -66,3 +72,111 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:
         if isinstance(error, Unsolved) or error.ierr != BROKEN:
             raise
         raise Unsolved(f"{name}: the linear solver broke: the matrix is singular, or nearly so") from error
+
+
+LEAST_WORTH = 2.0  # solves in the time of a factorisation: below, nothing is saved
+SHARP = 1e-5  # of the right side: what is left there costs Newton's method next to no iteration
+LONGEST_PAUSE = 32  # changes of the matrix
+
+
+class NewFactors:
+    """Whatever solver the options name, set up anew for each matrix; ``factored`` is the matrix that it is set up for."""
+
+    def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
+        """Change nothing."""
+        self.solver, self.matrix, self.factored = solver, matrix, matrix.matrix
+
+    @property
+    def made(self) -> int:
+        """How often the solver was set up."""
+        return self.matrix.fills
+
+    def begin(self) -> None:
+        """A step begins."""
+
+    def changed(self, must: bool = False) -> None:
+        """Take notice of a matrix that was filled."""
+
+    def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
+        """Iterations of the solve that was made."""
+        return int(self.solver.getIterationNumber())
+
+    def destroy(self) -> None:
+        """Nothing is owned here."""
+
+
+class KeptFactors:
+    """LU of the matrix as it was in an earlier iteration of the step.
+
+    New factors are made
+    - where FGMRES takes so long that they would have been cheaper, in one solve, or by what solves have taken beyond
+      ``USUAL`` since the last ones: so both together take about twice the time, at most, of who knows beforehand when;
+    - for a while after they served in no solve: for twice as many changes each time.
+    """
+
+    def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
+        """Make FGMRES of a solver that is LU alone. Collective."""
+        self.solver, self.matrix, self.made = solver, matrix, 0
+        self.factored = matrix.matrix.duplicate()
+        self._worth = solves_per_factor(matrix.layout.total)
+        self._most = max(int(self._worth), 2 * USUAL)
+        self._fills = -1  # of the matrix, when it was factored
+        self.begin()
+        solver.setType("fgmres")
+        solver.setGMRESRestart(self._most)
+        solver.setTolerances(rtol=SHARP, max_it=self._most)
+
+    def begin(self) -> None:
+        """A step begins: what served in the one before is forgotten."""
+        self._spent, self._is_fresh, self._is_first = 0.0, False, True
+        self._pause = self._wait = 0
+
+    def changed(self, must: bool = False) -> None:
+        """Take notice of a matrix that was filled. Collective.
+
+        must  the old factors are not to serve
+        """
+        is_other, is_first = self._fills != self.matrix.fills, self._is_first
+        self._is_first = False
+        if is_other and (must or is_first or self._spent > self._worth or self._wait > 0):
+            self._wait = max(self._wait - 1, 0)
+            self._renew()
+
+    def _renew(self) -> None:
+        self.matrix.matrix.copy(self.factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.made, self._fills, self._spent, self._is_fresh = self.made + 1, self.matrix.fills, 0.0, True
+
+    def check(self, given: PETSc.Vec, step: PETSc.Vec) -> int:
+        """Iterations of the solve that was made; it is repeated with new factors where it did not converge. Collective."""
+        taken = int(self.solver.getIterationNumber())
+        if not self._is_fresh:
+            serves = self.solver.getConvergedReason() > 0
+            self._pause = 0 if serves else min(max(2 * self._pause, 1), LONGEST_PAUSE)
+            self._wait = self._pause
+            if not serves:
+                self._renew()
+                self.solver.solve(given, step)
+                taken += int(self.solver.getIterationNumber())
+            else:
+                self._spent += max(taken - USUAL, 0)
+        self._is_fresh = False
+        return taken
+
+    def destroy(self) -> None:
+        """Free the copy. Collective."""
+        self.factored.destroy()
+
+
+Factors = NewFactors | KeptFactors
+
+
+def are_kept(scene: Scene, unknowns: int) -> bool:
+    """Whether factors of so many unknowns are kept: the scene lets them be, and they are worth several solves."""
+    return scene.method.factors == "kept" and solves_per_factor(unknowns) >= LEAST_WORTH
+
+
+def factors_of(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> Factors:
+    """Factors for a solver whose options are read. Collective."""
+    is_direct = solver.getType() == "preonly" and solver.getPC().getType() == "lu"
+    keeps = is_direct and are_kept(scene, matrix.layout.total)
+    return (KeptFactors if keeps else NewFactors)(solver, matrix)

@@ -8,7 +8,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import start_again, step_report, without_suction
-from fracflow.solve.condensed_plan import Condensing
+from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem

@@ -16,13 +16,11 @@ from fracflow.errors import NotConverged, Restless, SolveError
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
 from fracflow.scene.scene import Scene
-from fracflow.solve.cycling import JUST_PAST, Circles, Rounds, all_changed, statuses
 from fracflow.solve.failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
 from fracflow.solve.floating import Floating
+from fracflow.solve.globalisation import JUST_PAST, Circles, Rounds, all_changed, by_energy, by_residual, statuses
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.kept_factors import factors_of
-from fracflow.solve.line_search import by_energy, by_residual
-from fracflow.solve.linear import set_up, solve_nonlinear
+from fracflow.solve.linear import factors_of, set_up, solve_nonlinear
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
 

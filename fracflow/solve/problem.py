@@ -16,30 +16,30 @@ from fracflow._petsc import PETSc
 from fracflow.errors import NotConverged
 from fracflow.integrators import Alphas, acceleration, velocity
 from fracflow.mesh.data import Floats
-from fracflow.model.compressibility import compression_of
+from fracflow.model.balance import static_balance
+from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.dirichlet import Prescribed
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, Past, Sections, State
 from fracflow.scene.time_table import AT_ONCE, Around, Rates
-from fracflow.solve.absorption import Absorption
-from fracflow.solve.compressibility import lost, uptake_at, why_not_finite
-from fracflow.solve.motion_terms import MovingTerms
+from fracflow.solve.motion_terms import Absorption, Lag, MovingTerms
 from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
     TINY,
     Residual,
+    blur,
     flow_residual,
     flow_sizes,
     largest,
     largest_of,
+    noise_here,
+    noise_of_flow,
+    noise_of_rock,
     over_ranks,
 )
-from fracflow.solve.round_off import blur, noise_here, noise_of_flow, noise_of_rock
-from fracflow.solve.terms import balance_terms
-from fracflow.solve.unapplied import Lag
 
 
 class StepProblem:
@@ -298,3 +298,32 @@ class StepProblem:
         for vector in (self.load, self.source, *trial, self.solid_balance, self.flow_balance):
             vector.destroy()
         self.moving.destroy()
+
+
+def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
+    """Terms of both balances at one instant, with the reactions of what is held. Collective."""
+    ops = problem.operators
+    absorbed = problem.absorption.force(motion.velocity)
+    support = static_balance(
+        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, absorbed
+    )
+    ops.mass.multAdd(motion.acceleration, support, support)
+    conduction, source = ops.layout.flow_vector(), problem.source.copy()
+    if ops.flow is not None:
+        assert problem.conduction is not None
+        ops.flow.outflow(problem.conduction, conduction)
+        drawn = ops.layout.flow_vector()
+        ops.flow.squeeze.multTranspose(motion.velocity, drawn)
+        drawn.axpy(1.0, conduction)
+        if (uptake := problem.uptake()) is not None:
+            drawn.axpy(1.0, uptake)
+            uptake.destroy()
+        for part in problem.loads.pressures:
+            source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
+        drawn.destroy()
+    held = np.zeros(ops.layout.solid_count, dtype=bool)
+    held[problem.loads.held] = True
+    support.getArray()[~held] = 0.0
+    anchor = problem.absorption.anchor
+    kept = None if anchor is None else anchor.copy()
+    return Forces(problem.load.copy(), support, conduction, source, absorbed, kept, problem.absorption.incident)

@@ -1,4 +1,8 @@
-"""How far the balances of a trial are out."""
+"""Residuals of both balances at a trial, and how many digits of the joint tractions a double leaves.
+
+A wall that moved by u is known to eps |u|/2, so the jump between two walls to eps |u|, and the traction to eps k_n |u|. The
+jumps are summed up from the motion of each step, so u is the motion of a wall in one step, not since the start.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,143 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.flow import Conduction
-from fracflow.solve.round_off import ROUND_OFF
+from fracflow.model.flow import Conduction, Flow
+from fracflow.model.operators import Operators
+from fracflow.model.state import Sections, State
+
+ROUND_OFF = 0.5 * float(np.finfo(float).eps)
+NOISE = 2.0  # round-offs of single displacements that meet in the balance of a node
+MOST_DIGITS = 15.65  # -log10 of the spacing of doubles
+LEAST_SHARE = 1e-6
+"""Tractions below this share of the largest in the scene, or of loads, reactions and forces of inertia, have their digits
+counted from there: they may be nothing, as those of a joint that no wave has reached."""
+PRESSURE_SHARE = 1e-3
+"""The same share of the largest pressure above that at rest: effective tractions of a crack that it opens are nothing."""
+
+
+@dataclass(frozen=True)
+class Digits:
+    """Fewest digits of the tractions of a fracture: which, the largest it has carried [stress], and what takes them.
+
+    stiffness  of the joints there, or of the rock beside them, E/h, if that takes more; 0 where nothing has moved
+    by_rock    whether it is that of the rock
+    """
+
+    digits: float
+    fracture: str
+    traction: float
+    stiffness: float
+    by_rock: bool
+
+
+def blur(before: Floats, moved: Floats) -> Floats:
+    """Round-off of the strains (s, dim) after a step [length]; ``moved`` is the sum of sizes of what a jump is made of.
+
+    Steps round off independently of each other.
+    """
+    return np.hypot(before, ROUND_OFF * moved)
+
+
+def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float:
+    """What of a balance of forces is only round-off of this rank's jumps, which no iteration can take away.
+
+    ``moved`` as for ``blur``, of this step. [force per thickness]
+    """
+    force = np.einsum("sij,sj->si", np.abs(sections.tangent), ROUND_OFF * moved) * operators.joints.weights[:, None]
+    return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
+
+
+def noise_of_pressure(network: Flow, conduction: Conduction) -> Floats:
+    """What round-off of the pressures makes of the flow at the joint ends (j, 2) [volume rate per thickness]."""
+    rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
+    noise: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
+    return noise
+
+
+def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
+    """The same of the flow at the joint ends (j, 2), from what openings are the differences of [volume rate per thickness].
+
+    Pressures in a wide fracture in a row with a narrow one differ by hardly more than they are rounded off. A fracture that
+    is nearly closed knows its aperture to few digits, its cube to fewer, and what its walls squeeze out to those of the
+    motion that they share. ``rate`` is alpha_1.
+    """
+    driven = noise_of_pressure(network, conduction)
+    if moved is None:
+        return driven
+    known = NOISE * ROUND_OFF * np.abs(moved)
+    drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
+    through = (np.abs(conduction.slope) * known).sum(axis=1) * drop
+    squeezed: Floats = 0.5 * rate * network.length[:, None] * known + through[:, None]
+    return driven + squeezed
+
+
+def noise_of_rock(operators: Operators, displacement: float) -> float:
+    """The same of the rock [force per thickness], from the largest displacement."""
+    return NOISE * ROUND_OFF * operators.scales.stiffness * displacement
+
+
+def digits_of(operators: Operators, state: State) -> Digits:
+    """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
+
+    Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
+    """
+    sections, displacement = state.sections, state.motion.displacement
+    blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
+    count = len(blocks.joints.fractures)
+    fracture = np.repeat(blocks.joints.fracture, joints.points)
+    error = np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur).max(axis=1, initial=0.0)
+    beside = operators.scales.stiffness / (joints.points * joints.weights)
+    rock = ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
+    stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
+    is_closed = stiff > 0.0
+    largest = np.zeros((5, count))
+    for row, values in enumerate((error, rock * is_closed, sections.record, stiff, beside)):
+        np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
+    comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+    error, rock, size, stiff, beside = largest
+    forces = _largest_force(operators, state)
+    least = LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length)
+    held = np.maximum(size, max(least, PRESSURE_SHARE * state.drive))
+    lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
+    if not lost.any():
+        return Digits(MOST_DIGITS, "", 0.0, 0.0, False)
+    worst = int(lost.argmax())
+    left, by_rock = min(MOST_DIGITS, float(-np.log10(lost[worst]))), bool(rock[worst] > error[worst])
+    stiffness = float(beside[worst] if by_rock else stiff[worst])
+    return Digits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
+
+
+def _largest_force(operators: Operators, state: State) -> float:
+    """The largest load, reaction or force of inertia on a displacement [force per thickness]. Collective."""
+    inertia = state.forces.load.duplicate()
+    operators.mass.mult(state.motion.acceleration, inertia)
+    largest = max(vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support, inertia))
+    inertia.destroy()
+    return float(largest)
+
+
+def refuse_few(found: Digits, limit: int, time: float) -> None:
+    """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
+    if limit == 0 or found.digits >= limit:
+        return
+    enough = 0.5 * found.stiffness * 10.0 ** (found.digits - limit)
+    left = min(max(round(found.digits, 1), 0.0), limit - 0.1)  # not as many as are asked for, by rounding
+    what, remedy = (
+        (
+            "the rock's stiffness E/h =",
+            "in the rock, cells as much larger, or displacements counted from where it is now",
+        )
+        if found.by_rock
+        else ("the larger of normal_stiffness and shear_stiffness,", "or the same motion in more steps")
+    )
+    raise SolveError(
+        f"time {time:.6g}: tractions of {found.fracture} (largest {found.traction:.3g}) keep {left:.1f}"
+        f" digits, accuracy.digits asks for {limit}: {what} {found.stiffness:.3g} times the motion that both walls share"
+        f" is rounded off; a stiffness of {enough:.2g} would do, {remedy}"
+    )
+
 
 TINY = 1e-300  # a network of closed fractures has no terms
 CANCELLATION = 1e-4

@@ -21,7 +21,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import start_again, step_report
-from fracflow.solve.condensed_plan import Condensing
+from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.contraction import (
     Prediction,
     add_diagonal,

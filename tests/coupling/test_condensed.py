@@ -15,8 +15,8 @@ from fracflow.integrators import STEPPERS
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
-from fracflow.solve.condensed_cost import break_even, condensed_step, condensing, fits, full_step
-from fracflow.solve.condensed_rock import Rock
+from fracflow.solve.condensed import Rock
+from fracflow.solve.condensed_cost import break_even, condensed_step, condensing_cost, fits, full_step
 from fracflow.solve.jacobian import JoinedMatrix
 
 JOINT = {"normal_stiffness": 100.0, "shear_stiffness": 50.0, "aperture": 0.02, "friction_coefficient": 0.5}
@@ -162,8 +162,8 @@ def test_break_even_is_where_the_costs_meet(unknowns, jumps):
     for iterations in (1, 4):
         steps = break_even(unknowns, jumps, iterations)
         full, short = full_step(unknowns, iterations), condensed_step(unknowns, jumps, iterations)
-        assert steps * full >= condensing(unknowns, jumps) + steps * short
-        assert (steps - 1) * full < condensing(unknowns, jumps) + (steps - 1) * short
+        assert steps * full >= condensing_cost(unknowns, jumps) + steps * short
+        assert (steps - 1) * full < condensing_cost(unknowns, jumps) + (steps - 1) * short
     assert fits(unknowns, jumps)
     assert break_even(unknowns, 100 * jumps) == np.inf and not fits(unknowns, 100 * jumps)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from figures_work_precision.problems.w6 import PLACES, rupture
 
-from fracflow.solve.condensed_plan import Condensing
+from fracflow.solve.condensed_cost import Condensing
 
 pytestmark = pytest.mark.serial
 ENDS = "method.events=at-step-ends"

@@ -9,7 +9,7 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve import options as defaults
-from fracflow.solve.near_null import near_null_space, rigid_motions
+from fracflow.solve.jacobian import near_null_space, rigid_motions
 
 FEW = 20  # Krylov iterations in a Newton iteration, beyond those with exact blocks
 

@@ -15,7 +15,7 @@ from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
-from fracflow.solve.line_search import by_energy, by_residual
+from fracflow.solve.globalisation import by_energy, by_residual
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6c_bending" / "scene.toml"
 

@@ -5,8 +5,7 @@ import pytest
 import random_networks
 
 from fracflow._petsc import MPI
-from fracflow.solve.residual import flow_residual
-from fracflow.solve.round_off import ROUND_OFF
+from fracflow.solve.residual import ROUND_OFF, flow_residual
 
 pytestmark = pytest.mark.serial
 

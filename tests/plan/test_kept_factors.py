@@ -6,7 +6,7 @@ import pytest
 from fracflow.output import read_history
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
-from fracflow.solve import kept_factors
+from fracflow.solve import linear
 
 ROCK = """
 [output]
@@ -101,7 +101,7 @@ def history(shared_tmp, comm):
 @pytest.mark.parametrize(("text", "moved"), [(INJECTION, "opening"), (SLIDING, "slip")], ids=["injection", "sliding"])
 def test_kept_factors_change_nothing_but_the_work(history, monkeypatch, text, moved):
     new = history(text, "new")
-    monkeypatch.setattr(kept_factors, "LEAST_WORTH", 0.0)
+    monkeypatch.setattr(linear, "LEAST_WORTH", 0.0)
     kept = history(text, "kept")
     found, sought = (each[f"probe/here/{moved}"] for each in (kept, new))
     assert np.abs(sought).max() > 1e-7
@@ -116,7 +116,7 @@ def test_kept_factors_change_nothing_but_the_work(history, monkeypatch, text, mo
 @pytest.mark.serial
 def test_a_resumed_run_makes_the_same_factors(tmp_path, monkeypatch):
     """Cut in the middle of slip: every number of the history to the last bit."""
-    monkeypatch.setattr(kept_factors, "LEAST_WORTH", 0.0)
+    monkeypatch.setattr(linear, "LEAST_WORTH", 0.0)
     file, whole, cut = (tmp_path / name for name in ("scene.toml", "whole", "cut"))
     file.write_text(SLIDING.replace("steps = 40", "steps = 28"))
     scene = load(file, ['method.coupling="whole-lu"', "output.checkpoint_every=5"])
@@ -141,8 +141,8 @@ def test_a_resumed_run_makes_the_same_factors(tmp_path, monkeypatch):
 @pytest.mark.serial
 def test_factors_of_small_matrices_are_made_anew():
     scene = load_text(SLIDING)
-    assert not kept_factors.are_kept(scene, 1000)
-    assert kept_factors.are_kept(scene, 100_000)
+    assert not linear.are_kept(scene, 1000)
+    assert linear.are_kept(scene, 100_000)
 
 
 def load_text(text):
