@@ -1,17 +1,47 @@
-"""Fractures become joints: corners joined across all other facets are one copy of a node."""
+"""Fractures become joints: corners joined across all other facets are one copy of a node.
+
+Distances along a fracture count from its start; walls of locked fractures, which never part, are merged again.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from fracflow.errors import InputError
-from fracflow.mesh.along import arc_length
-from fracflow.mesh.data import Floats, Ints, RawMesh, SplitMesh
+from fracflow.mesh.data import Bools, Floats, Ints, RawMesh, SplitMesh
 from fracflow.mesh.facets import HalfFacets, Matches, components, half_facets, match, number_facets, rows_near, spot
 from fracflow.mesh.quality import worst_cells
+
+
+def arc_length(points: Floats, facets: Ints, fracture_of: Ints) -> Floats:
+    """Distance (f, 2) of both ends of each facet from the start of its fracture, along the trace [length].
+
+    points (n, dim); facets (f, 2), each head to tail in the direction of its trace; fracture_of (f,). A fracture in
+    several pieces starts anew on each; a closed loop starts at the tail of its first facet.
+    """
+    if not len(facets):
+        return np.zeros((0, 2))
+    key = fracture_of[:, None] * (facets.max() + 1) + facets
+    vertex, place = np.unique(key, return_inverse=True)
+    tail, head = place.reshape(facets.shape).T
+    step = np.linalg.norm(points[facets[:, 1]] - points[facets[:, 0]], axis=1)
+    graph = sparse.csr_matrix((step, (tail, head)), shape=(len(vertex), len(vertex)))
+    piece = connected_components(graph, directed=False)[1]
+    is_start = np.zeros(len(vertex), dtype=bool)
+    is_start[tail] = True
+    is_start[head] = False
+    first_facet = np.unique(piece[tail], return_index=True)[1]
+    is_loop = ~np.isin(piece[tail[first_facet]], piece[is_start])
+    is_start[tail[first_facet[is_loop]]] = True
+    distance = dijkstra(graph, indices=np.flatnonzero(is_start), min_only=True)
+    ends = np.stack([distance[tail], distance[tail] + step], axis=1)
+    return np.asarray(ends, dtype=np.float64)
 
 
 def split(raw: RawMesh) -> SplitMesh:
@@ -185,3 +215,48 @@ def _ends(points: Floats, facet: Ints) -> str:
 def _is_repeated(facets: Ints) -> NDArray[np.bool_]:
     (number,) = number_facets(facets)
     return np.bincount(number)[number] > 1
+
+
+def groups(mesh: SplitMesh) -> Ints:
+    """Which fractures (f,) hang together: those that share nodes, directly or by others, have one number."""
+    count = len(mesh.fractures)
+    fracture = np.repeat(mesh.joint_fracture, mesh.joint_flow.shape[1])
+    return components(fracture, count + mesh.joint_flow.ravel(), count + len(mesh.flow_origin))[:count]
+
+
+def parts(mesh: SplitMesh, ties: Ints) -> Ints:
+    """Which nodes (n,) hang together by cells, by joints, or by ``ties``, pairs (m, 2) of node * dim + component."""
+    cell, corner = np.nonzero(mesh.cells >= 0)
+    tied = ties // mesh.points.shape[1]
+    first = np.concatenate([mesh.cells[cell, 0], mesh.joint_bottom.ravel(), tied[:, 0]])
+    second = np.concatenate([mesh.cells[cell, corner], mesh.joint_top.ravel(), tied[:, 1]])
+    return components(first, second, len(mesh.points))
+
+
+def glued(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
+    """The mesh as if there were none of the fractures chosen (f,), which share no node with the others.
+
+    Cells keep their numbers, and nodes those of the raw mesh; copies, joints, flow nodes and fractures are numbered anew.
+    """
+    stays = ~chosen[mesh.joint_fracture]
+    is_shut = np.zeros(len(mesh.points), dtype=bool)
+    is_shut[mesh.flow_origin[mesh.joint_flow[~stays]]] = True
+    same = np.arange(len(mesh.points))
+    one = np.where(is_shut[mesh.origin], mesh.origin, same)  # of all copies the first one
+    node, flow = (np.cumsum(kept) - 1 for kept in (one == same, ~is_shut[mesh.flow_origin]))
+    renamed = node[one]
+    return replace(
+        mesh,
+        points=mesh.points[one == same],
+        origin=mesh.origin[one == same],
+        cells=np.where(mesh.cells >= 0, renamed[mesh.cells], -1),
+        joint_bottom=renamed[mesh.joint_bottom[stays]],
+        joint_top=renamed[mesh.joint_top[stays]],
+        joint_cells=mesh.joint_cells[stays],
+        joint_flow=flow[mesh.joint_flow[stays]],
+        joint_fracture=(np.cumsum(~chosen) - 1)[mesh.joint_fracture[stays]],
+        joint_along=mesh.joint_along[stays],
+        fractures=tuple(name for name, out in zip(mesh.fractures, chosen, strict=True) if not out),
+        flow_origin=mesh.flow_origin[~is_shut[mesh.flow_origin]],
+        side_facets=renamed[mesh.side_facets],
+    )

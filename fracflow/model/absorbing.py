@@ -12,7 +12,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix
-from fracflow.model.sides import outward, side_facets
+from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import nodal_force, nodal_layout, node_unknowns, projected, rock_values
 from fracflow.scene.scene import Absorbing, Scene
 from fracflow.scene.time_table import Around

@@ -14,7 +14,7 @@ from fracflow.elements import flow, joint
 from fracflow.laws.cubic_flow import MEANS, conductance
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
-from fracflow.model.jump import jump_matrix
+from fracflow.model.joints import jump_matrix
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import along_fractures, resting_pressure
 from fracflow.scene.scene import Scene

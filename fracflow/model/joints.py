@@ -1,4 +1,4 @@
-"""The joints: one sparse jump operator G for all sections, and the laws that answer its strains.
+"""The joints: one sparse jump operator G for all sections (2.3)-(2.9), and the laws that answer its strains.
 
 residual  G' W f(G u)      tangent  G' W D G
 """
@@ -17,10 +17,63 @@ from fracflow.errors import InputError
 from fracflow.laws import JOINT_LAWS, JointLaw, make_law, parameters_of
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.jump import SectionGroup, entry_sizes, jump_matrix, section_groups
+from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
+from fracflow.model.solid import nodal_layout, node_unknowns
 from fracflow.model.state import Past, Sections
 from fracflow.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class SectionGroup:
+    """Sections with equal numbers of unknowns: numbers (n,), their unknowns (n, k), and their rows of G (n, dim, k)."""
+
+    sections: Ints
+    unknowns: Ints
+    jump: Floats
+
+
+def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PETSc.Mat:
+    """(2.3)-(2.9) G for sections at natural coordinates ``points`` (q,). The caller destroys it. Collective."""
+    block, dim = blocks.joints, blocks.sizes.dim
+    frame, _ = joint.frame(blocks.solid.points[block.bottom])
+    operators = joint.jump_operator(frame, points)
+    count = len(block.ids) * len(points) * dim
+    matrix = create_matrix(((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 4 * dim, blocks.comm)
+    start = matrix.getOwnershipRange()[0]
+    faces = node_unknowns(blocks, np.stack([block.bottom, block.top], axis=1))  # (joint, face, end, component)
+    shape = operators.reshape(len(block.ids), len(points), dim, 2, dim, dim)
+    ends_of = [np.flatnonzero([not np.isclose(abs(xi), 1.0) or xi == end for end in (-1.0, 1.0)]) for xi in points]
+    for point, ends in enumerate(ends_of):
+        first = start + (np.arange(len(block.ids)) * len(points) + point) * dim
+        width = 2 * len(ends) * dim
+        cols = faces[:, :, ends].reshape(len(block.ids), width)
+        values = shape[:, point][:, :, :, ends].reshape(len(block.ids), dim, width)
+        add_blocks(matrix, first[:, None] + np.arange(dim), cols, values)
+    matrix.assemble()
+    if expand is None:
+        return matrix
+    product = matrix.matMult(expand)
+    matrix.destroy()
+    return product
+
+
+def entry_sizes(matrix: PETSc.Mat) -> PETSc.Mat:
+    """The absolute values of a matrix, entry by entry. The caller destroys it. Collective."""
+    indptr, indices, values = matrix.getValuesCSR()
+    return PETSc.Mat().createAIJ(matrix.getSizes(), csr=(indptr, indices, np.abs(values)), comm=matrix.getComm())
+
+
+def section_groups(jump: PETSc.Mat, dim: int) -> tuple[SectionGroup, ...]:
+    """Rows of G gathered by section; all rows of a section share their columns."""
+    indptr, indices, values = jump.getValuesCSR()
+    first, width = indptr[:-1:dim], np.diff(indptr)[::dim]
+    groups = []
+    for k in np.unique(width):
+        chosen = np.flatnonzero(width == k)
+        rows = (first[chosen, None] + np.arange(dim * k)).reshape(len(chosen), dim, k)
+        groups.append(SectionGroup(chosen, indices[rows[:, 0]].astype(np.int64), values[rows]))
+    return tuple(groups)
 
 
 @dataclass(frozen=True)

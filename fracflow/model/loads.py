@@ -17,8 +17,7 @@ from fracflow.model.absorbing import Wave, resting_unknowns, waves_of
 from fracflow.model.dirichlet import Prescribed, motion, own, prescribe, supported
 from fracflow.model.layout import Layout
 from fracflow.model.network_parts import Closure
-from fracflow.model.properties import initial_pressure, initial_stress
-from fracflow.model.sides import outward, side_facets
+from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Load, Scene, Well

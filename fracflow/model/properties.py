@@ -1,4 +1,4 @@
-"""What a scene says at places: properties along the fractures, stress and pressure before the first step."""
+"""Values that a scene gives at places: properties along the fractures, stress and pressure before the first step, sides."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from fracflow.elements.shape import line_shape
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 
@@ -59,3 +59,21 @@ def body_force(scene: Scene, rock: str) -> Floats:
         return np.zeros(2)
     weight = (scene.rock[rock].density or 0.0) * given.gravity
     return np.array([given.x, given.y - weight])
+
+
+def side_facets(blocks: Blocks, name: str) -> Ints:
+    """Local numbers of this rank's facets of a named side."""
+    sides = blocks.solid.sides
+    return np.flatnonzero(blocks.solid.side_of == sides.index(name)) if name in sides else np.zeros(0, dtype=np.int64)
+
+
+def outward(blocks: Blocks, facets: Ints) -> Floats:
+    """Outward unit normals (s, 2) of boundary facets."""
+    points = blocks.solid.points
+    ends = points[blocks.solid.side_facets[facets]]
+    along = ends[:, 1] - ends[:, 0]
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
+    nodes = blocks.solid.cells[blocks.solid.side_cell[facets]]
+    inside = np.where(nodes[..., None] >= 0, points[nodes], np.nan)
+    away = ends.mean(axis=1) - np.nanmean(inside, axis=1) if len(facets) else ends.mean(axis=1)
+    return normal * np.sign(np.einsum("si,si->s", normal, away))[:, None]

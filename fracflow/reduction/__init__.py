@@ -17,10 +17,10 @@ from dataclasses import asdict, replace
 
 from fracflow.reduction import flow, outputs, solver
 from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.idle_rock import decide_parts
 from fracflow.reduction.inertia import decide_inertia
 from fracflow.reduction.solver import factorisations
 from fracflow.reduction.tied_fractures import decide_tied
-from fracflow.reduction.unloaded import decide_parts
 
 __all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations"]
 

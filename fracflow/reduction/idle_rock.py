@@ -9,10 +9,10 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Bools, SplitMesh
-from fracflow.mesh.glue import parts
+from fracflow.mesh.split import parts
 from fracflow.model.dirichlet import Prescribed, own
 from fracflow.model.setup import Model, on_root
-from fracflow.reduction.decision import Parts
+from fracflow.reduction.decision import Decision, Facts, Parts
 from fracflow.scene.boundary import Support
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
@@ -100,3 +100,15 @@ def without_idle(model: Model) -> tuple[Model, Parts]:
         resting=np.setdiff1d(loads.resting, mine),
     )
     return replace(model, loads=held), replace(found, unknowns=int(comm.allreduce(len(free), op=MPI.SUM)))
+
+
+def decide_parts(facts: Facts) -> list[Decision]:
+    """How many of them there are, and how many are held."""
+    parts = facts.parts
+    idle = parts.count - parts.loaded
+    value = f"{parts.loaded} of {parts.count}" if parts.count > 1 else "all of it is one"
+    saves = f"{parts.unknowns} unknowns, which are held" if idle else "nothing: each part is loaded"
+    criterion = "parts of the rock that hang together, and carry a load, a support that moves, a wave or a well"
+    return [
+        Decision("parts of the rock that nothing loads", idle > 0, criterion, value, "all parts", "none: exact", saves)
+    ]

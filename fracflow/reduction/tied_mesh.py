@@ -14,7 +14,7 @@ from fracflow.errors import PutBack
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.elastic import plane_strain_stiffness
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
-from fracflow.mesh.glue import glued, groups
+from fracflow.mesh.split import glued, groups
 from fracflow.model.contact_mass import redistributes
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root

@@ -26,9 +26,9 @@ from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
 from fracflow.model.stress import rock_fields
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
-from fracflow.output.catalogue_of_run import catalogue_of, instant
-from fracflow.output.chatter import Chatter
+from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
+from fracflow.output.events import Chatter
 from fracflow.output.probes import probe_record
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, Facts, as_records, decide, factorisations

@@ -8,9 +8,9 @@ from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed import Condensed
 from fracflow.solve.condensed_cost import Condensing
+from fracflow.solve.fixed_point.iteration import FixedPoint
 from fracflow.solve.monolithic import Auto, Monolithic, WholeLU
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.staggered import FixedPoint
 
 
 class Coupling(Protocol):

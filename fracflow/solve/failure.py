@@ -14,7 +14,7 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.properties import on_joints
 from fracflow.scene.scene import Scene
-from fracflow.solve.contraction import worst_fracture
+from fracflow.solve.fixed_point.contraction import worst_fracture
 from fracflow.solve.floating import Floating
 from fracflow.solve.linear_check import check_solution, true_residual
 from fracflow.solve.problem import StepProblem

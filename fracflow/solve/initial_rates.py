@@ -10,7 +10,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.errors import SolveError, is_alone
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.jump import entry_sizes
+from fracflow.model.joints import entry_sizes
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene

@@ -16,7 +16,7 @@ from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Compression, Conduction
-from fracflow.model.jump import section_groups
+from fracflow.model.joints import section_groups
 from fracflow.model.layout import Rows, add_blocks, create_matrix, local_rows
 from fracflow.model.loads import Loads
 from fracflow.model.network_parts import Closure, closure_row

@@ -26,9 +26,9 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve import Coupling
 from fracflow.solve.accept import accept
+from fracflow.solve.fixed_point.iteration import FixedPoint
 from fracflow.solve.monolithic import Monolithic
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.staggered import FixedPoint
 
 REACH, STIFFNESS, VISCOSITY, PRESSURE = 10.0, 1e9, 1e-3, 1e5
 """Length of each of the two elements [m], k_n [Pa/m], viscosity [Pa s], pressure of the steady flow [Pa]."""

@@ -13,7 +13,7 @@ from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping
 from fracflow.diagnostics.rock import STIFF
 from fracflow.integrators import Steady
-from fracflow.model.jump import jump_matrix
+from fracflow.model.joints import jump_matrix
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 

@@ -16,9 +16,9 @@ from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import run
+from fracflow.solve.fixed_point.failure import cycles_needed
+from fracflow.solve.fixed_point.iteration import FixedPoint
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.staggered import FixedPoint
-from fracflow.solve.staggered_failure import cycles_needed
 
 LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"

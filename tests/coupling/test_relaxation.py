@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fracflow.solve.relaxation import DEPTH, RELAXATIONS, Cycles, aitken, anderson, least_squares, plain
+from fracflow.solve.fixed_point.relaxation import DEPTH, RELAXATIONS, Cycles, aitken, anderson, least_squares, plain
 
 pytestmark = pytest.mark.serial
 

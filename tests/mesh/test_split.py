@@ -12,7 +12,7 @@ from meshing import areas, check, copies_at, grid
 
 from fracflow.errors import InputError
 from fracflow.mesh.facets import components
-from fracflow.mesh.orient import orient
+from fracflow.mesh.interpret import orient
 from fracflow.mesh.split import split, summary
 
 pytestmark = pytest.mark.serial

@@ -8,8 +8,7 @@ import pytest
 
 from fracflow.errors import Interrupted
 from fracflow.mesh.data import RawMesh
-from fracflow.mesh.glue import glued, groups
-from fracflow.mesh.split import split
+from fracflow.mesh.split import glued, groups, split
 from fracflow.output import read_history
 from fracflow.reduction import Facts
 from fracflow.reduction import tied_fractures as tied

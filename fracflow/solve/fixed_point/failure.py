@@ -10,10 +10,10 @@ import numpy as np
 from fracflow.errors import NotConverged
 from fracflow.model.network_parts import conducting, find_parts
 from fracflow.scene.scene import Scene
-from fracflow.solve.contraction import Cycle, Prediction, limits_of_time_step, scaled
+from fracflow.solve.fixed_point.contraction import Cycle, Prediction, limits_of_time_step, scaled
+from fracflow.solve.fixed_point.relaxation import RELAXATIONS
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.relaxation import RELAXATIONS
 
 MOST_TOLD = 5  # parts of the network that are listed
 LOOK_BACK = 5  # ratios of changes whose mean tells how fast relaxed cycles go

@@ -22,7 +22,7 @@ from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import start_again, step_report
 from fracflow.solve.condensed_cost import Condensing
-from fracflow.solve.contraction import (
+from fracflow.solve.fixed_point.contraction import (
     Prediction,
     add_diagonal,
     change_of,
@@ -30,12 +30,12 @@ from fracflow.solve.contraction import (
     predict,
     solver_of,
 )
+from fracflow.solve.fixed_point.failure import describe_divergence, measured_factor
+from fracflow.solve.fixed_point.relaxation import RELAXATIONS, Cycles
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.relaxation import RELAXATIONS, Cycles
 from fracflow.solve.residual import TINY
-from fracflow.solve.staggered_failure import describe_divergence, measured_factor
 
 CHANGED = 0.1  # relative change of a conductance or stiffness from which on an earlier prediction is too old
 MEASURED = 3  # cycles of a step that is refused, so that the prediction can be held against something
