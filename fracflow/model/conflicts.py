@@ -10,8 +10,8 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.model.dirichlet import AXES, motion
-from fracflow.scene.boundary import Well
-from fracflow.scene.scene import Scene, Support
+from fracflow.scene.boundary import Support, Well
+from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, TimeTable
 
 APART = 1e-12  # of the largest motion there: less is round-off of its tables

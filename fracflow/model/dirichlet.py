@@ -12,7 +12,7 @@ from fracflow._petsc import MPI
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
 from fracflow.mesh.data import Floats, Ints
-from fracflow.scene.scene import Support
+from fracflow.scene.boundary import Support
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
 
 Values = Callable[..., "float | Floats"]

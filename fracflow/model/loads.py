@@ -19,8 +19,9 @@ from fracflow.model.layout import Layout
 from fracflow.model.network_parts import Closure
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
+from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
-from fracflow.scene.scene import Load, Scene, Well
+from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around, Rates
 from fracflow.scene.values import TimeTable
 

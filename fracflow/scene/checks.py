@@ -5,26 +5,23 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from fracflow.errors import InputError
 from fracflow.integrators import WITH_INERTIA, keys_of
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import LONGEST_NAME
 from fracflow.scene.petsc import refusal
+from fracflow.scene.tables import Tables
 from fracflow.scene.units import COMPRESSIBILITY
 from fracflow.scene.values import FractureEnd, Place
 from fracflow.storage.files import PLAIN_TEXT
-
-if TYPE_CHECKING:
-    from fracflow.scene.scene import Scene
 
 MOST_STEPS = 1e9
 MOST_COMPRESSIBLE = 1e-2  # 1/Pa, 1/p of an ideal gas at a thousandth of the atmosphere's pressure
 Fault = tuple[tuple[int | str, ...], str]
 
 
-def contradictions(scene: Scene) -> Iterator[Fault]:
+def contradictions(scene: Tables) -> Iterator[Fault]:
     """List what contradicts, is missing or unknown between tables: (path of the key, what is wrong)."""
     if not scene.stage:
         yield ("stage",), "missing; a run needs at least one [[stage]]"
@@ -61,7 +58,7 @@ def _repeated(names: Sequence[str | None]) -> Iterator[int]:
             seen.add(name)
 
 
-def _method(scene: Scene) -> Iterator[Fault]:
+def _method(scene: Tables) -> Iterator[Fault]:
     method = scene.method
     needs = {"mass": "lumped", "quadrature": "nodal", "storage": "lumped"}
     if scene.has_dynamics:
@@ -91,7 +88,7 @@ def _method(scene: Scene) -> Iterator[Fault]:
             )
 
 
-def against_condensing(scene: Scene) -> Iterator[tuple[str, tuple[str, ...]]]:
+def against_condensing(scene: Tables) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Keys of [method] with which the rock cannot be condensed, and the values that they would need."""
     needs = {"overshoot": ("hold",), "newton_test": ("residual", "out-of-balance")}
     if scene.has_flow:
@@ -101,7 +98,7 @@ def against_condensing(scene: Scene) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield key, allowed
 
 
-def _absorbing(scene: Scene) -> Iterator[Fault]:
+def _absorbing(scene: Tables) -> Iterator[Fault]:
     held = {name for support in scene.support for name in support.on}
     for index, absorbing in enumerate(scene.absorbing):
         for name in absorbing.on if absorbing.wave is not None else ():
@@ -112,7 +109,7 @@ def _absorbing(scene: Scene) -> Iterator[Fault]:
                 )
 
 
-def _geometry(scene: Scene) -> Iterator[Fault]:
+def _geometry(scene: Tables) -> Iterator[Fault]:
     geometry = scene.geometry
     if (geometry is None) == (scene.mesh is None):
         both = geometry is not None
@@ -146,7 +143,7 @@ def _geometry(scene: Scene) -> Iterator[Fault]:
         yield ("rock", name), f"is one too many; [geometry] has one rock, here {next(iter(scene.rock))}"
 
 
-def _materials(scene: Scene) -> Iterator[Fault]:
+def _materials(scene: Tables) -> Iterator[Fault]:
     if not scene.rock:
         yield ("rock",), "missing; a scene needs [rock.NAME]"
     for name, rock in scene.rock.items():
@@ -172,7 +169,7 @@ def _materials(scene: Scene) -> Iterator[Fault]:
         yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
 
 
-def _controls(scene: Scene) -> Iterator[Fault]:
+def _controls(scene: Tables) -> Iterator[Fault]:
     followers = {well.control for well in scene.well} | {load.control for load in scene.load}
     for key in ("well", "load", "stage"):
         for index, entry in enumerate(getattr(scene, key)):
@@ -185,7 +182,7 @@ def _controls(scene: Scene) -> Iterator[Fault]:
                 yield (key, index, "control"), "no well or load has this control: give one control = ..."
 
 
-def _actions(scene: Scene) -> Iterator[Fault]:
+def _actions(scene: Tables) -> Iterator[Fault]:
     for index, load in enumerate(scene.load):
         if load.traction == "initial-stress" and scene.initial_stress is None:
             yield ("load", index, "traction"), "needs the table [initial_stress]"
@@ -215,7 +212,7 @@ def _actions(scene: Scene) -> Iterator[Fault]:
 
 
 def check_mesh_names(
-    scene: Scene,
+    scene: Tables,
     rocks: Collection[str],
     fractures: Collection[str],
     sides: Collection[str],
@@ -232,7 +229,7 @@ def check_mesh_names(
 
 
 def _used_names(
-    scene: Scene,
+    scene: Tables,
     rocks: Collection[str],
     fractures: Collection[str],
     sides: Collection[str],

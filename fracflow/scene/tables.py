@@ -1,0 +1,213 @@
+"""The tables of a scene: their keys, and what follows from them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import (
+    BaseModel,
+    Field,
+    PrivateAttr,
+    model_validator,
+)
+from typing_extensions import Self
+
+from fracflow import __version__
+from fracflow.errors import InputError
+from fracflow.scene.absorbing import Absorbing
+from fracflow.scene.accuracy import Accuracy
+from fracflow.scene.boundary import Control, Load, Probe, Stage, Support, Tie, Well
+from fracflow.scene.materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
+from fracflow.scene.messages import nearest
+from fracflow.scene.method import (
+    Geometry,
+    Line,
+    Mesh,
+    Method,
+    Option,
+    Output,
+    Part,
+    with_default_fracture,
+    with_preset,
+)
+from fracflow.scene.time_table import TimeTable
+from fracflow.scene.units import UnitSystem
+
+
+class Tables(Part):
+    """All tables of a scene, each by itself valid."""
+
+    version: str = Field(default=__version__, description="version of fracflow that wrote the file")
+    title: Line = Field(default="", description="one line for reports")
+    units: str = Field(
+        default="SI",
+        description='units of plain numbers: "SI", LENGTH-FORCE-TIME such as "ft-lbf-s", or "none"',
+    )
+    model: Literal["default", "report", "full"] = Field(
+        default="default",
+        description="report: the choices of the 1976 report; full: the plan leaves nothing out",
+    )
+    method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
+    petsc: dict[str, Option] = Field(
+        default_factory=dict,
+        description="PETSc options, without the leading dash: methods, tolerances, limits; others at the command line after --",
+    )
+    accuracy: Accuracy = Field(
+        default_factory=Accuracy, description="how accurate results are to be; when iterations have converged"
+    )
+    output: Output = Field(default_factory=Output, description="what a run writes")
+    geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
+    mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")
+    rock: dict[str, Rock] = Field(default_factory=dict, description="rocks by name")
+    initial_stress: InitialStress | None = Field(default=None, description="stress before the first step")
+    body_force: BodyForce | None = Field(default=None, description="forces on the volume of the rock")
+    initial: Initial | None = Field(default=None, description="a start away from the initial equilibrium")
+    fracture: dict[str, Fracture] = Field(
+        default_factory=dict, description='fractures by name; "default" serves those without a table'
+    )
+    fluid: Fluid | None = Field(default=None, description="the fluid in the fractures; without it no flow is modelled")
+    support: tuple[Support, ...] = Field(default=(), description="what is held or moved")
+    load: tuple[Load, ...] = Field(default=(), description="tractions on sides")
+    tie: tuple[Tie, ...] = Field(default=(), description="sides that move as one, or as each other")
+    absorbing: tuple[Absorbing, ...] = Field(default=(), description="sides that waves leave through")
+    well: tuple[Well, ...] = Field(default=(), description="where fluid is pumped, or its pressure kept")
+    control: dict[str, Control] = Field(default_factory=dict, description="factors that wells and loads share")
+    probe: tuple[Probe, ...] = Field(default=(), description="places whose history is written")
+    stage: tuple[Stage, ...] = Field(default=(), description="the parts of the run, one after another")
+
+    _file: Path = PrivateAttr(default=Path("scene.toml"))
+    _notes: tuple[str, ...] = PrivateAttr(default=())
+    _trust: bool = PrivateAttr(default=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve_method(cls, data: Any) -> Any:
+        return with_default_fracture(with_preset(data)) if isinstance(data, dict) else data
+
+    @property
+    def source(self) -> str:
+        """The name of the scene file, as error messages give it."""
+        return self._file.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Why keys that its file leaves open have the values they have, a line each."""
+        return self._notes
+
+    @property
+    def trust(self) -> bool:
+        """Whether Gmsh may run the scene's .geo as it is; else only statements that make geometry are read."""
+        return self._trust
+
+    def with_trust(self) -> Self:
+        """The scene as one whose .geo comes from an author who is trusted: Gmsh runs it as it is."""
+        scene = self.model_copy()
+        scene._trust = True
+        return scene
+
+    def with_geometry(self, keys: Mapping[str, float], notes: Sequence[str] = ()) -> Self:
+        """The scene with keys of its [geometry] set, and why they are so."""
+        if self.geometry is None or not keys:
+            return self
+        scene = self.model_copy(update={"geometry": self.geometry.model_copy(update=dict(keys))})
+        scene._notes = (*self._notes, *notes)
+        return scene
+
+    @property
+    def name(self) -> str:
+        """The name of the scene's file without its ending, or of its folder where the file is called scene.toml."""
+        stem = self._file.stem
+        return stem if stem not in ("scene", "..") else self._file.resolve().parent.name
+
+    @property
+    def folder(self) -> Path:
+        """The folder that file names in the scene are relative to."""
+        return self._file.absolute().parent
+
+    @property
+    def mesh_path(self) -> Path | None:
+        """The absolute path of the geometry or mesh file, None where the scene has [geometry]."""
+        return None if self.mesh is None else Path(os.path.realpath(self.folder / self.mesh.file))
+
+    @property
+    def refine(self) -> int:
+        """Times that every cell is cut in four."""
+        table = self.mesh or self.geometry
+        return 0 if table is None else table.refine
+
+    @property
+    def unit_system(self) -> UnitSystem:
+        """The units of all numbers of the scene."""
+        return UnitSystem.parse(self.units)
+
+    @property
+    def has_flow(self) -> bool:
+        """Whether flow is modelled: there is a fluid, and neither viscosity, weight nor density is zero."""
+        fluid = self.fluid
+        return fluid is not None and 0.0 not in (fluid.viscosity, fluid.specific_weight, fluid.density)
+
+    @property
+    def has_dynamics(self) -> bool:
+        """Whether a stage has inertia, or may need it."""
+        return any(stage.kind in ("dynamic", "auto") for stage in self.stage)
+
+    @property
+    def time_tables(self) -> tuple[TimeTable, ...]:
+        """All tables in time, constants among them."""
+        return tuple(_tables(self))
+
+    @property
+    def jump_times(self) -> tuple[float, ...]:
+        """Instants, ascending, at which a table in time jumps [time]."""
+        return tuple(sorted({float(time) for table in self.time_tables for time in table.jumps[0]}))
+
+    @property
+    def driving_tables(self) -> tuple[TimeTable, ...]:
+        """Tables in time of what sends waves into the rock: loads, supports, waves that come in."""
+        return tuple(_tables((self.load, self.support, self.absorbing)))
+
+    @property
+    def jumps_anywhere(self) -> bool:
+        """Whether something prescribed may jump at other instants than ``jump_times``.
+
+        A support that is moved has kinks in its table; a wave that jumps arrives later at nodes further on.
+        """
+        moved = any(len(table.times) > 1 for support in self.support for table in _tables(support))
+        waves = (each.wave.velocity for each in self.absorbing if each.wave is not None)
+        return moved or any(len(velocity.jumps[0]) > 0 for velocity in waves)
+
+    @property
+    def carries_unbalanced(self) -> bool:
+        """Whether the rock carries what initial tractions of fractures and its own stress differ by."""
+        return self.initial_stress is not None and self.initial_stress.unbalanced == "carried"
+
+    @property
+    def equilibrates(self) -> bool:
+        """Whether the run begins by finding its own equilibrium."""
+        return bool(self.stage) and self.stage[0].kind == "equilibrate"
+
+    def fracture_named(self, name: str) -> Fracture:
+        """Find the table of a fracture, or the default one; raises InputError where there is neither."""
+        found = self.fracture.get(name) or self.fracture.get("default")
+        if found is None:
+            raise InputError(f"{self.source}: fracture.{name}: missing; {nearest(name, self.fracture)}")
+        return found
+
+    def is_of(self, fracture: str, table: str) -> bool:
+        """Whether [fracture.TABLE] is the table of a fracture: by its name, or as the default one."""
+        return table == fracture or (table == "default" and fracture not in self.fracture)
+
+
+def _tables(thing: Any) -> Iterator[TimeTable]:
+    """All tables in time that a part of a scene holds."""
+    if isinstance(thing, TimeTable):
+        yield thing
+    elif isinstance(thing, BaseModel):
+        for name in type(thing).model_fields:
+            yield from _tables(getattr(thing, name))
+    elif isinstance(thing, (list, tuple, Mapping)):
+        for each in thing.values() if isinstance(thing, Mapping) else thing:
+            yield from _tables(each)
