@@ -6,10 +6,7 @@ From Python: ``load`` a scene, ``run`` it, or ``open`` the folder of a run; what
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -20,24 +17,8 @@ if TYPE_CHECKING:
     from fracflow.errors import InputError, Interrupted, SolveError
 
 
-class _Face(ModuleType):
-    """This package, with the user's functions imported when they are first asked for: PETSc is not needed to open a run."""
-
-    @property
-    def run(self) -> Callable[..., Run]:
-        """The function, though a module of the package has the same name."""
-        function: Callable[..., Run] = import_module("fracflow.api").run
-        return function
-
-    @run.setter
-    def run(self, module: ModuleType) -> None:
-        """Importing the module ``fracflow.run`` would put it here."""
-
-
 def __getattr__(name: str) -> Any:
+    """A user's function, imported when it is first asked for: PETSc is not needed to open a run."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module("fracflow.errors" if name[0].isupper() and name != "Run" else "fracflow.api"), name)
-
-
-sys.modules[__name__].__class__ = _Face

@@ -307,7 +307,7 @@ class Stepping:
         return self._variants[key] if reached else loads
 
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
-        """A new state, as a stage takes it over; see ``steps.instants``. Collective."""
+        """A new state, as a stage takes it over; see ``advance.discontinuities``. Collective."""
         dt /= self.explicit.count(dt) if isinstance(stepper, Explicit) and dt > 0.0 else 1
         new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
         if not self._counts_volume or new.uptake is None:

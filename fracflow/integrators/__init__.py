@@ -24,7 +24,7 @@ STEPPERS: dict[str, type[Stepper]] = {
 """Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
 
 EXPLICIT: dict[str, type[Stepper]] = {"explicit": Explicit}
-"""Rules with a protocol of their own: see ``coupling.explicit``."""
+"""Rules with a protocol of their own: see ``solve.explicit``."""
 
 WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
 OF_FILMS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}

@@ -119,7 +119,7 @@ def test_what_happens_in_one_process_is_judged(job, key, tmp_path, monkeypatch):
         (0, "", "note: invalid value encountered in divide\n", "stderr: note"),
         (0, "", "words\n", "exit code 0 with stderr"),
         (0, "\x1b[31m", "", "output holds"),
-        (1, "", 'File "/x/fracflow/run.py", line 7, in run\nKeyError: 1\n', "exit code 1: KeyError"),
+        (1, "", 'File "/x/fracflow/simulation/run.py", line 7, in run\nKeyError: 1\n', "exit code 1: KeyError"),
         (-11, "", "", "exit code -11"),
         (139, "", "", "exit code 139"),
     ],
