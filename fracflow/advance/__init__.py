@@ -1,1 +1,1 @@
-"""The kinds of stages: which steps they make, and when they change from rest to waves and back."""
+"""From one state to the next: a step, its substeps and events, and the stages that are made of steps."""

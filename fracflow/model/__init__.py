@@ -1,1 +1,1 @@
-"""A scene made ready: its mesh set up and distributed, what the plan leaves of it, and the state it begins from."""
+"""The discrete model of a scene: unknowns, operators, loads, energy, and the state of a run."""

@@ -1,1 +1,1 @@
-"""What a run leaves: its recorder, its totals, its catalogue of events, and when it saves."""
+"""The run: its stages one after another, its record and its totals, signals, and the same on finer meshes."""

@@ -1,4 +1,4 @@
-"""Solving the balances of rock and fluid of one step together."""
+"""One nonlinear step: the balances of rock and fluid solved together."""
 
 from typing import Protocol
 
