@@ -20,12 +20,13 @@ import fracflow
 from fracflow.mesh.files.geo_check import check_geo
 from fracflow.mesh.read import network_of
 from fracflow.mesh.store import load_mesh
-from fracflow.model.setup import geometry_of, place, read_split
+from fracflow.model.setup import geometry_of, place
 from fracflow.output.checkpoint import read_arrays, read_notes
 from fracflow.output.export import tables
 from fracflow.output.history import read_attributes, read_history
 from fracflow.output.reader import load_run_data
 from fracflow.output.status import read_status
+from fracflow.reduction.prepare import read_split
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.toml import tomllib

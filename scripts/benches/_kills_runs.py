@@ -215,7 +215,7 @@ class One:
 
     def mesh(self, scene: str) -> None:
         """Let forks find the mesh of a scene."""
-        from fracflow.model.setup import read_split
+        from fracflow.reduction.prepare import read_split
         from fracflow.scene.scene import load
 
         read_split(load(Path(scene)))

@@ -5,7 +5,8 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.model.fault_damping import cells_near, fault_damping
-from fracflow.model.setup import on_root, prepare, read_split
+from fracflow.model.setup import on_root
+from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import load
 
 COMM = MPI.COMM_WORLD
