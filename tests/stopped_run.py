@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from fracflow.cli.main import main
+from fracflow.cli.app import main
 from fracflow.errors import Interrupted
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run

@@ -217,7 +217,7 @@ def test_a_network_that_nothing_drains_has_no_fixed_point(tmp_path):
 
 
 def test_what_is_infinite_is_null_for_scripts_with_its_text_beside():
-    from fracflow.cli.main import app
+    from fracflow.cli.app import app
 
     scene = "meshes/crossings/scene.toml"  # nothing drains it: rho_t is infinite
 
@@ -251,7 +251,7 @@ def test_a_bulk_modulus_in_place_of_a_compressibility_is_refused():
 
 def test_the_card_is_printed_logged_and_stored(tmp_path):
     import fracflow
-    from fracflow.cli.main import app
+    from fracflow.cli.app import app
 
     asked = ["--set", "output.pictures=false", "--set", "stage.failure.steps=1"]
     shown = CliRunner().invoke(app, ["run", REPORT_5_3, "-o", str(tmp_path / "run"), *asked])

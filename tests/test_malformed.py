@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from resealed import changed_notes, resealed
 
-from fracflow.cli.main import main
+from fracflow.cli.app import main
 
 pytestmark = pytest.mark.serial
 ROOT = Path(__file__).parents[1]

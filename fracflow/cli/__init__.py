@@ -1,5 +1,5 @@
 """The command line."""
 
-from fracflow.cli.main import main
+from fracflow.cli.app import main
 
 __all__ = ["main"]

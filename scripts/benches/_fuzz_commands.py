@@ -23,7 +23,7 @@ from _fuzz_judge import HANGS, MEMORY, Box, Found, of_command, snapshot
 
 import fracflow
 import fracflow.mesh.files.gmsh as gmsh_side
-from fracflow.cli.main import main
+from fracflow.cli.app import main
 from fracflow.mesh.files import gmsh_worker
 from fracflow.output.checkpoint import read_notes
 from fracflow.scene.scene import load

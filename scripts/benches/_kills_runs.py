@@ -105,7 +105,7 @@ def environment(**more: object) -> dict[str, str]:
 
 def command(words: Sequence[str]) -> int:
     """The exit code of fracflow with these words, in this process; its lines go where standard error goes."""
-    from fracflow.cli import main as cli
+    from fracflow.cli import app as cli
 
     sys.argv = ["fracflow", *words]
     try:
@@ -196,7 +196,7 @@ class One:
 
     def __init__(self) -> None:
         """Import, and take up the shim that is preloaded."""
-        import fracflow.cli.main
+        import fracflow.cli.app
         import fracflow.cli.report
         import fracflow.mesh.files.gmsh as gmsh
         import fracflow.simulation.run  # noqa: F401

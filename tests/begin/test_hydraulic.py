@@ -7,7 +7,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 
 pytestmark = pytest.mark.serial
 

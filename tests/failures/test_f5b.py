@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 from fracflow.output import read_history
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 from fracflow.integrators import Newmark
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load

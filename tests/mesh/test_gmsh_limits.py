@@ -12,7 +12,7 @@ import time
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 from fracflow.errors import InputError, Interrupted
 from fracflow.mesh.files import gmsh
 from fracflow.mesh.files.msh_check import check_msh

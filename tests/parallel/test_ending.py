@@ -40,7 +40,7 @@ def test_a_rank_alone_ends_all(rank):
 
 INTERRUPTED = """
 import sys
-from fracflow.cli import main as cli
+from fracflow.cli import app as cli
 from fracflow.cli import exit as endings
 from fracflow.scene import scene
 from fracflow._petsc import MPI

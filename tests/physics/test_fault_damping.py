@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 from fracflow.integrators.explicit import damped_rate
 from fracflow.model.fault_damping import asymmetry, fault_damping, is_sudden
 from fracflow.model.mass import cell_rates

@@ -12,7 +12,7 @@ from fracflow.advance.inertial_steps import transit
 from fracflow.advance.initial_state import rest
 from fracflow.advance.regime import RADIATED, slipped
 from fracflow.advance.step import Stepping, stepper_of
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 from fracflow.cli.run import Sight
 from fracflow.errors import Interrupted
 from fracflow.output import read_events, read_history

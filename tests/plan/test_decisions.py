@@ -6,7 +6,7 @@ import pytest
 from test_kept_factors import INJECTION, SLIDING, load_text
 from typer.testing import CliRunner
 
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 from fracflow.diagnostics.number import Number
 from fracflow.reduction import Facts, as_lines, decide
 

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.cli.main import app
+from fracflow.cli.app import app
 from fracflow.diagnostics import scene_card
 from fracflow.mesh.read import GeometrySpec, build_mesh
 from fracflow.output import read_history

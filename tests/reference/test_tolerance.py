@@ -8,10 +8,9 @@ import winkler
 from figures_verification.cases.r05 import LINEAR, injection
 from figures_verification.runs import solve
 
-from fracflow import SolveError
+from fracflow import SolveError, run
 from fracflow import open as opened
 from fracflow.scene.scene import load
-from fracflow.simulation import run
 
 pytestmark = pytest.mark.serial  # tests/resume has one on ranks
 

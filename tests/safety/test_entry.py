@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from resealed import resealed
 
-from fracflow.cli.main import main
+from fracflow.cli.app import main
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import COLUMNS, read_events

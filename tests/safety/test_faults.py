@@ -18,7 +18,7 @@ from rich.console import Console
 
 from fracflow._petsc import MPI
 from fracflow.cli import run as cli_runs
-from fracflow.cli.main import main
+from fracflow.cli.app import main
 from fracflow.errors import DiskError, InputError
 from fracflow.mesh.files import gmsh
 from fracflow.output import list_steps, read_events, read_history, read_step
@@ -361,7 +361,7 @@ def test_a_clock_that_is_set_back_changes_nothing(scene, whole, tmp_path, monkey
 
 PROGRAM = """
 import os, resource, sys
-from fracflow.cli import main as cli
+from fracflow.cli import app as cli
 from fracflow._petsc import MPI
 from fracflow.simulation.signals import Watch
 agreed, steps = Watch.wish, 0

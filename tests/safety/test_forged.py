@@ -221,7 +221,7 @@ def test_a_process_that_hangs_or_dies_is_replaced(folder, monkeypatch):
 def test_a_process_that_starts_late_is_no_fault_of_the_file(folder, tmp_path, monkeypatch):
     (tmp_path / "slow").mkdir()
     (tmp_path / "slow" / "sitecustomize.py").write_text(
-        "import sys, time\nif 'h5_worker' in ' '.join(sys.orig_argv):\n    time.sleep(1.0)\n"
+        "import sys, time\nif 'storage/worker.py' in ' '.join(sys.orig_argv):\n    time.sleep(1.0)\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "slow"), prepend=os.pathsep)
     monkeypatch.setattr(h5_reader, "_reader", h5_reader.Reader())
@@ -262,7 +262,7 @@ def test_no_other_part_of_the_program_reads_such_files():
         (path.name, line.strip())
         for path in (ROOT / "fracflow").rglob("*.py")
         for line in path.read_text(encoding="utf-8").splitlines()
-        if "h5py.File(" in line and path.name != "h5_worker.py"
+        if "h5py.File(" in line and path.name != "worker.py"
     ]
     assert calls and all('"w"' in line for _, line in calls), calls
 
