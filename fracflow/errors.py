@@ -63,7 +63,7 @@ class DiskError(Exception):
 
     @classmethod
     def of(cls, error: OSError, where: object, remedy: str = "") -> DiskError:
-        """What the system said of a file, or of any below ``where``, and a remedy."""
+        """The error of the system on a file, or of any below ``where``, and a remedy."""
         return cls(
             f"{error.filename or where}: {error.strerror or error}; {remedy or 'make room, or look at the disk'}"
         )

@@ -79,7 +79,7 @@ class Course:
         return state.time - self.loud >= stage.rest_periods * self.period
 
     def restless(self, before: float, now: float, absorbs: bool, damps: bool) -> str:
-        """What the log tells of an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing.
+        """The line of the log on an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing.
 
         absorbs, damps  the scene has sides that absorb, or damps by its stepper already, which is then no remedy
         """

@@ -39,7 +39,7 @@ if last:
 
 
 class LastWords:
-    """What the terminal is told where ranks are killed: MPI then ends the others before they could say a thing.
+    """The line on the terminal where ranks are killed: MPI then ends the others before they could say a thing.
 
     Another process says it, in a session of its own that mpirun does not end: the launcher leaves ranks a second, and one that
     waits for another cannot speak. Only of several ranks; one alone is seen to be killed by whoever started it.

@@ -33,7 +33,7 @@ END = Token("end", "", 0, 0, "")
 
 @dataclass
 class Checked:
-    """What Gmsh is given: the text of each file by its name there, the first one first, and where each came from."""
+    """Input of Gmsh: the text of each file by its name there, the first one first, and where each came from."""
 
     texts: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Path] = field(default_factory=dict)

@@ -32,7 +32,7 @@ OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Unable to allocate", "ut of memory
 
 @dataclass(frozen=True)
 class Elements:
-    """What a mesh file holds, before it means anything.
+    """Content of a mesh file, before it means anything.
 
     points      (n, 2 or 3)  coordinates [length]
     nodes       kind -> (m, k) rows of ``points``; kinds "point", "line", "triangle", "quad"
@@ -74,7 +74,7 @@ def open_msh(path: Path) -> Elements:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the process of Gmsh may use: CPU time [s], memory and the size of a file it writes [bytes]."""
+    """Limits of the process of Gmsh: CPU time [s], memory and the size of a file it writes [bytes]."""
 
     seconds: int
     memory: int
