@@ -27,12 +27,12 @@ from fracflow.advance.substeps import CALM, Attempted, Place, Rules, in_parts, m
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.elements import joint
 from fracflow.errors import NotConverged, PutBack
-from fracflow.integrators import Explicit
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
+from fracflow.solve.request import StepRequest
 
 NEAR = 1e-9  # of a step: times so near are one
 ROUND_OFF = 1e-14  # of a time
@@ -123,7 +123,7 @@ class _Regimes:
         self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
         stepping.explicit.tell(self.waves, least)
         locates = stepping.explicit.locates(self.waves, least) and scene.method.events != "at-step-ends"
-        if not isinstance(self.waves, Explicit):
+        if not self.waves.explicit:
             stepping.couplings.expect(self.waves, least)
         slow = self.model.slow.get(number)
         self.most = None if slow is None else slow.error
@@ -244,14 +244,21 @@ class _Regimes:
     ) -> Tried:
         """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective.
 
-        iterations  as ``most`` in ``Stepping.step``
+        iterations  as ``StepRequest.max_iterations``
         ahead       length of the step after it, as it is foreseen
         """
         dt, allowed = time - state.time, self.scene.accuracy.step_error
         try:
-            new, report = self.stepping.step(
-                state, self.still, time, dt, state.controls, ahead=ahead, brief=True, most=iterations
+            request = StepRequest(
+                time,
+                dt,
+                state.controls,
+                self.model.loads,
+                next_length=ahead,
+                expects_failure=True,
+                max_iterations=iterations,
             )
+            new, report = self.stepping.step(state, request, self.still)
         except NotConverged as failure:
             if self.most is not None:
                 raise PutBack(self.decision, state.time, "there is no step without it") from failure
@@ -280,7 +287,9 @@ class _Regimes:
 
             def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
                 time, ahead = start + to * whole, whole * (1.0 - to if to < 1.0 else 1.0)
-                return self.stepping.step(old, self.waves, time, share * length, old.controls, hold=hold, ahead=ahead)
+                loads = self.model.loads
+                request = StepRequest(time, share * length, old.controls, loads, hold=hold, next_length=ahead)
+                return self.stepping.step(old, request, self.waves)
 
             return take_part(self.stepping, state, reach, begin, end, length, may_stop)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.advance.network import Network
+from fracflow.advance.sampling import sides_of
 from fracflow.integrators import Alphas, Stepper
 from fracflow.mesh.data import Bools
 from fracflow.model.energy import book, compressed, dissipated, jumped, pushed, switch
@@ -17,10 +17,10 @@ from fracflow.model.energy_motion import Scheme, kinetic_energy
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
 from fracflow.model.state import Memory, Motion, Past, State
-from fracflow.scene.time_table import Around
 from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
 from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 
 KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off
 
@@ -76,22 +76,15 @@ def change(model: Model, network: Network, loads: Loads, state: State, leaving: 
     return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
 
 
-def keep_pace(
-    model: Model,
-    network: Network,
-    loads: Loads,
-    state: State,
-    step: tuple[float, float],
-    controls: Mapping[str, float],
-    around: Around,
-) -> State | None:
-    """The state as the walls of parts that nothing drains take up what wells pump in a ``step`` (end, length). Collective.
+def keep_pace(model: Model, network: Network, state: State, request: StepRequest, stepper: Stepper) -> State | None:
+    """The state as the walls of parts that nothing drains take up what wells pump in a step by a rule. Collective.
 
     The sum of (3.20) over such a part, w v = sum Q, has a rate, w a = sum Q', that jumps where Q bends; the level of its
     pressures jumps with it. A rule that looks back on a would swing about both for ever, as nothing else settles them.
     Motions are as they were; None where all have the pace of the step.
     """
-    ops, dt = model.operators, step[1]
+    ops, loads, dt = model.operators, request.loads, request.length
+    around = sides_of(stepper, dt, request.next_length)
     parts = network.enclosed(loads, state, 0.0)
     if not parts:
         return None
@@ -99,9 +92,9 @@ def keep_pace(
         source, speed = ops.layout.flow_vector(), state.motion.velocity.copy()
         for thing in (source, speed, *(part.walls for part in parts)):
             done.callback(thing.destroy)
-        loads.source(step[0], controls, source, around)
+        loads.source(request.time, request.controls, source, around)
         for moved in loads.supports:
-            speed.getArray()[moved.numbers] = moved.speed(step[0], around)
+            speed.getArray()[moved.numbers] = moved.speed(request.time, around)
         here = np.zeros((len(parts), 3))
         for row, part in zip(here, parts, strict=True):
             pumped, taken = source.getArray()[part.nodes], part.walls.getArray() * speed.getArray()
@@ -153,7 +146,8 @@ def _first_instant(
         if anchor is not None and anchor is not known:
             done.callback(anchor.destroy)
         begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
-        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
+        request = StepRequest(begun.time, 0.0, begun.controls, closed)
+        problem = StepProblem(ops, begun, request, StepRule(now, begun.around, inertia=True))
         done.callback(problem.destroy)
         problem.branch = branch
         problem.evaluate()

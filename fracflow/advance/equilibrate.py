@@ -17,6 +17,7 @@ from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.time_table import AT_ONCE
+from fracflow.solve.request import StepRequest
 
 
 def equilibrate(
@@ -38,7 +39,8 @@ def equilibrate(
     def attempt(state: State, begin: float, end: float, _: bool) -> Attempted:
         held_back.copy(restraint)
         restraint.scale(1.0 - (n - 1 + end) / count)
-        new, report = stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
+        request = StepRequest(state.time, 0.0, state.controls, loads, restraint)
+        new, report = stepping.step(state, request, Steady())
         return Attempted(new, report, end)
 
     restraint = held_back.duplicate()

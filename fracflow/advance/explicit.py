@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 from fracflow.advance.substeps import on_the_way
-from fracflow.integrators import Explicit, Stepper
+from fracflow.integrators import Stepper
 from fracflow.integrators.explicit import parts
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.solve.explicit import ExplicitCoupling
+from fracflow.solve.request import StepRequest
 
-Part = Callable[[State, float, float, Mapping[str, float], float], tuple[State, StepReport]]
-"""(state, time, dt, controls, dt of what follows) -> the state at the end of a part that is not too long."""
+Part = Callable[[State, StepRequest], tuple[State, StepReport]]
+"""The state at the end of a part that is not too long."""
 
 
 class ExplicitSteps:
@@ -38,20 +39,20 @@ class ExplicitSteps:
 
     def part(self, stepper: Stepper, dt: float) -> float:
         """Length of the parts in which a rule takes a step of length ``dt``. Collective."""
-        return dt / self.count(dt) if isinstance(stepper, Explicit) else dt
+        return dt / self.count(dt) if stepper.explicit and dt > 0.0 else dt
 
     def locates(self, stepper: Stepper, dt: float) -> bool:
         """Whether steps of length ``dt`` may end at events. Collective.
 
         Where rock deforms they may not: central differences with parts of all lengths feed energy into the walls' modes.
         """
-        if not isinstance(stepper, Explicit):
+        if not stepper.explicit:
             return True
         return math.isinf(self.coupling.critical) and self.model.operators.flow is None
 
     def tell(self, stepper: Stepper, dt: float) -> None:
         """Log how an explicit rule takes steps of length ``dt``. Collective."""
-        if not isinstance(stepper, Explicit):
+        if not stepper.explicit:
             return
         count, critical, locates = self.count(dt), self.coupling.critical, self.locates(stepper, dt)
         limit = f"critical time step of the rock {critical:.6g}" if math.isfinite(critical) else "no rock deforms"
@@ -61,27 +62,19 @@ class ExplicitSteps:
         damps = "" if damping is None else f"; cells at faults are damped, method.fault_damping = {damping.ratio:g}"
         self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
 
-    def in_parts(
-        self,
-        part: Part,
-        state: State,
-        time: float,
-        around: tuple[float, float],
-        controls: Mapping[str, float],
-        count: int,
-    ) -> tuple[State, StepReport]:
-        """A step to ``time`` in ``count`` equal parts, the controls on their way. Raises SolveError. Collective.
-
-        around  lengths of the step and of the one that follows, 0 where none does
-        """
-        dt, ahead = around
+    def in_parts(self, part: Part, state: State, request: StepRequest, count: int) -> tuple[State, StepReport]:
+        """A step in ``count`` equal parts, the controls on their way. Raises SolveError. Collective."""
+        dt = request.length
+        ahead = dt if request.next_length is None else request.next_length
         then = ahead / self.count(ahead) if ahead > 0.0 else 0.0
         now, total = state, StepReport()
         for done in range(1, count + 1):
-            at = time - dt * (count - done) / count
+            at = request.time - dt * (count - done) / count
             try:
-                way = on_the_way(state.controls, controls, 0.0, done / count)
-                new, report = part(now, at, dt / count, way, dt / count if done < count else then)
+                way = on_the_way(state.controls, request.controls, 0.0, done / count)
+                after = dt / count if done < count else then
+                cut = StepRequest(at, dt / count, way, request.loads, hold=request.hold, next_length=after)
+                new, report = part(now, cut)
             finally:
                 if now is not state:
                     now.destroy()

@@ -125,7 +125,8 @@ class Network:
         numbers = self.model.operators.layout.flow_numbers
         for part, wells, gives in parts:
             rates = [
-                loads.demanded(well, problem.time, problem.controls, problem.around, problem.rates) for well in wells
+                loads.demanded(well, problem.time, problem.controls, problem.rule.adjacent, problem.rule.rates)
+                for well in wells
             ]
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):

@@ -8,9 +8,9 @@ step after it. Flow rates are then sampled as the rule takes the derivative of w
 from __future__ import annotations
 
 from fracflow.integrators import Alphas, Stepper
-from fracflow.model.loads import Loads
 from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
+from fracflow.solve.request import StepRequest, StepRule
 
 MOST_GROWTH = 1e3  # of steps, beyond which the last one tells nothing
 
@@ -22,18 +22,27 @@ def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
     return JUST_BEFORE if dt > 0.0 else JUST_AFTER
 
 
-def begins_anew(rule: Stepper, loads: Loads, state: State, dt: float, ahead: float | None) -> bool:
+def rule_of(stepper: Stepper, state: State, request: StepRequest, follows: Stepper) -> StepRule:
+    """How a step by a rule, which another ``follows``, takes rates and samples what is tabled."""
+    dt, ahead, last = request.length, request.next_length, state.memory.time_step
+    alphas = stepper.alphas(dt, last) if last > 0.0 else stepper.alphas(dt)
+    rates = rates_of(stepper, alphas, state, dt, ahead, follows)
+    return StepRule(alphas, sides_of(stepper, dt, ahead), rates, stepper.inertia)
+
+
+def begins_anew(rule: Stepper, state: State, request: StepRequest) -> bool:
     """Whether a step of a rule that remembers goes without its memory, by backward Euler.
 
     There is none, or that of a step so short that round-off is all of it; or the length of the step after this one is not
     known, with which a rule that weighs both ends would share what a table leaves within this one; or a rate jumps as it
     begins, which such a rule would take by half.
     """
+    dt, ahead = request.length, request.next_length
     if not rule.memory or state.memory.time_step == 0.0 or dt > MOST_GROWTH * state.memory.time_step:
         return True
     if rule.alphas(dt).a4 == 0.0:
         return False
-    tables = [well.value for well in loads.wells if isinstance(well.value, TimeTable)]
+    tables = [well.value for well in request.loads.wells if isinstance(well.value, TimeTable)]
     if any(state.time < time < state.time + 0.5 * dt for table in tables for time in table.jumps[0]):
         return True
     return ahead is None and any(state.time < time < state.time + dt for table in tables for time in table.times)

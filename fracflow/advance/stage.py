@@ -28,6 +28,7 @@ from fracflow.integrators import Steady, Stepper
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport, forgetful
 from fracflow.scene.boundary import Stage
+from fracflow.solve.request import StepRequest
 
 DOUBLINGS = 60
 JUST_OVER = 1.5  # times the shortest part: longer ones are halved where they fail
@@ -56,8 +57,9 @@ class _Search:
         """Utilisation over what is sought, positive where there is no such state. Collective."""
         if value not in self.tried:
             controls = {**self.state.controls, self.control: value}
+            request = StepRequest(self.state.time, 0.0, controls, self.stepping.model.loads)
             try:
-                self.tried[value] = self.stepping.step(self.state, Steady(), self.state.time, 0.0, controls)
+                self.tried[value] = self.stepping.step(self.state, request, Steady())
             except SolveError as error:
                 self.failure = error
                 self.log(f"no state found at control.{self.control} = {value:.12g}, taken as past failure: {error}")
@@ -218,9 +220,17 @@ def run_stage(
                 ahead = 0.0
             elif share == 1.0 and to < 1.0:
                 ahead = min(ahead, share * whole)
-            return stepping.step(
-                old, stepper, moment(n, to), share * whole, now, lacking=lacking, hold=hold, ahead=ahead, brief=brief
+            request = StepRequest(
+                moment(n, to),
+                share * whole,
+                now,
+                model.loads,
+                unapplied=lacking,
+                hold=hold,
+                next_length=ahead,
+                expects_failure=brief,
             )
+            return stepping.step(old, request, stepper)
 
         found = take_part(stepping, state, reach, begin, end, whole, may_stop)
         new, length = found.state, dt * (found.fraction - begin)

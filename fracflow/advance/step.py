@@ -6,15 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from fracflow._petsc import PETSc
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps
 from fracflow.advance.network import Network
-from fracflow.advance.sampling import begins_anew, rates_of, sides_of
+from fracflow.advance.sampling import begins_anew, rule_of
 from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
 from fracflow.errors import NotConverged, SolveError
-from fracflow.integrators import Explicit, Steady, Stepper, first, stepper_from
+from fracflow.integrators import Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.compressibility import narrowing, widening
 from fracflow.model.energy import book, dissipated
@@ -30,6 +29,7 @@ from fracflow.solve.accept import accept, remember
 from fracflow.solve.explicit import ExplicitProblem
 from fracflow.solve.flow_round_off import check_digits
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
@@ -86,58 +86,30 @@ class Stepping:
             self.couplings.forget_closures()
         return found
 
-    def step(
-        self,
-        state: State,
-        stepper: Stepper,
-        time: float,
-        dt: float,
-        controls: Mapping[str, float],
-        loads: Loads | None = None,
-        restraint: PETSc.Vec | None = None,
-        lacking: float = 0.0,
-        hold: bool = False,
-        ahead: float | None = None,
-        brief: bool = False,
-        most: int = 0,
-    ) -> tuple[State, StepReport]:
-        """One step to ``time``, by default under the loads of the scene and no restraint.
+    def step(self, state: State, request: StepRequest, stepper: Stepper) -> tuple[State, StepReport]:
+        """One step by a rule.
 
         A rule of the film that remembers carries walls on as they moved, through a fracture that pinches shut, and leaves
         them there, for nothing flows any more. Backward Euler stops them in time: it makes the steps in which one closes.
 
-        lacking  share of what ``state`` lacks of the prescribed that does not arrive in this step
-        hold     all joint sections keep their status
-        ahead    length of the step that follows, 0 where the stage ends or this one is cut at a jump; by default as long as
-                 this one
-        brief    it will be shortened where sections keep changing, and not be given to another solver
-        most     iterations that it is given while no section changes, where accuracy.max_iterations is more; 0: no such limit
         Raises SolveError, on every rank; ``state`` stays as it is. Collective.
         """
-        if isinstance(stepper, Explicit) and (count := self.explicit.count(dt)) > 1:
-            return self.explicit.in_parts(
-                lambda now, at, part, way, then: self.step(now, stepper, at, part, way, hold=hold, ahead=then),
-                state,
-                time,
-                (dt, dt if ahead is None else ahead),
-                controls,
-                count,
-            )
-        loads = loads or self.model.loads
-        rule = first(stepper) if begins_anew(stepper, loads, state, dt, ahead) else stepper
-        given = (stepper, time, dt, controls, loads, restraint, lacking, hold, ahead, brief, most)
-        begun = self._begun(rule, state, loads, state, time, dt, controls, ahead)
+        time = request.time
+        if stepper.explicit and (count := self.explicit.count(request.length)) > 1:
+            return self.explicit.in_parts(lambda now, part: self.step(now, part, stepper), state, request, count)
+        rule = first(stepper) if begins_anew(stepper, state, request) else stepper
+        begun = self._begun(rule, state, state, request)
         try:
-            new, report = self._step_by(rule, begun or state, *given)
+            new, report = self._step_by(rule, begun or state, request, stepper)
         finally:
             if begun is not None:
                 begun.destroy()
         if set(state.limited) - set(new.limited):  # the step was begun as if these wells stayed at their limits
-            begun = self._begun(rule, state, loads, new, time, dt, controls, ahead)
+            begun = self._begun(rule, state, new, request)
             if begun is not None:
                 new.destroy()
                 try:
-                    new, again = self._step_by(rule, begun, *given)
+                    new, again = self._step_by(rule, begun, request, stepper)
                 finally:
                     begun.destroy()
                 report = again.after(report)
@@ -147,57 +119,34 @@ class Stepping:
             what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
             self.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
             rule = first(stepper)
-            new, report = self._step_by(rule, state, *given)
+            new, report = self._step_by(rule, state, request, stepper)
         self.network.tell(time)
         if rule.storage:
             grown, where = widening(self.model.operators, state, new)
             report = replace(report, widening=grown, widest=where)
         return new, report
 
-    def _begun(
-        self,
-        rule: Stepper,
-        state: State,
-        loads: Loads,
-        limits: State,
-        time: float,
-        dt: float,
-        controls: Mapping[str, float],
-        ahead: float | None,
-    ) -> State | None:
+    def _begun(self, rule: Stepper, state: State, limits: State, request: StepRequest) -> State | None:
         """The state that a step goes from, where that is another; of rules that look back on a. See ``keep_pace``.
 
         limits  the state whose wells at their limits stay there
         """
-        if not rule.inertia or rule.balance != "both" or self.model.operators.flow is None or dt == 0.0:
+        if not rule.inertia or rule.balance != "both" or self.model.operators.flow is None or request.length == 0.0:
             return None
         self.network.look_at(state)
-        limited = self._limited(loads, reached_before(loads, limits))
-        return keep_pace(self.model, self.network, limited, state, (time, dt), controls, sides_of(rule, dt, ahead))
+        limited = self._limited(request.loads, reached_before(request.loads, limits))
+        return keep_pace(self.model, self.network, state, replace(request, loads=limited), rule)
 
     def _step_by(
-        self,
-        rule: Stepper,
-        state: State,
-        stepper: Stepper,
-        time: float,
-        dt: float,
-        controls: Mapping[str, float],
-        loads: Loads,
-        restraint: PETSc.Vec | None,
-        lacking: float,
-        hold: bool,
-        ahead: float | None,
-        brief: bool,
-        most: int,
+        self, stepper: Stepper, state: State, request: StepRequest, follows: Stepper
     ) -> tuple[State, StepReport]:
-        last = state.memory.time_step
-        alphas = rule.alphas(dt, last) if last > 0.0 else rule.alphas(dt)
-        around, rates = sides_of(rule, dt, ahead), rates_of(rule, alphas, state, dt, ahead, stepper)
-        loads = self._standing(loads) if not rule.inertia else loads
-        explicit = self.explicit.coupling if isinstance(rule, Explicit) else None
-        weighs = alphas if rule.inertia and explicit is None else None
-        scheme = Scheme(rule.inertia, rule.storage, rule.balance, weighs, loads.held)
+        """The same by one rule that another ``follows``, with the loads that wells at limits and closed parts leave."""
+        dt, time, controls = request.length, request.time, request.controls
+        rule = rule_of(stepper, state, request, follows)
+        loads = self._standing(request.loads) if not rule.inertia else request.loads
+        explicit = self.explicit.coupling if stepper.explicit else None
+        weighs = rule.alphas if rule.inertia and explicit is None else None
+        scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
         fluid, network = self.model.scene.fluid, self.model.operators.flow
         reached = reached_before(loads, state)
         if network is not None:
@@ -206,40 +155,27 @@ class Stepping:
         failed, same, spent = None, False, 0
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
             limited = self._limited(loads, reached)
-            closed = self._closed(limited, rule.storage)
-            problem = (StepProblem if explicit is None else ExplicitProblem)(
-                self.model.operators,
-                closed,
-                state,
-                alphas,
-                time,
-                controls,
-                restraint,
-                lacking,
-                trial,
-                hold,
-                around,
-                rates,
-            )
-            problem.brief, problem.most = brief, most
+            asked = replace(request, loads=self._closed(limited, stepper.storage))
+            kind = StepProblem if explicit is None else ExplicitProblem
+            problem = kind(self.model.operators, state, asked, rule, trial)
             try:
-                report = (explicit or self.couplings.of(closed)).solve(problem)
+                report = (explicit or self.couplings.of(asked.loads)).solve(problem)
                 new = accept(problem, state.energy)
                 self._refuse_jumps(state, new)
-                asked = self.model.scene.accuracy.digits
-                report = replace(report, digits=check_digits(problem, new, asked, self.network.tell_digits))
-                same = self._is_closed(problem, limited, rule.storage)
+                digits = check_digits(problem, new, self.model.scene.accuracy.digits, self.network.tell_digits)
+                report = replace(report, digits=digits)
+                same = self._is_closed(problem, limited, stepper.storage)
                 trial = None if same else problem.hand_on()
                 try:
-                    full = self.network.overfull(limited, rule.storage, problem) if same else frozenset()
+                    full = self.network.overfull(limited, stepper.storage, problem) if same else frozenset()
                 except SolveError:
                     new.destroy()
                     raise
             except NotConverged as error:
                 spent += problem.tried
                 failed = error.after(spent)
-                if self._is_closed(problem, limited, rule.storage):
-                    full = self.network.overfull(limited, rule.storage, problem)
+                if self._is_closed(problem, limited, stepper.storage):
+                    full = self.network.overfull(limited, stepper.storage, problem)
                     if not full:
                         raise
                     reached |= full
@@ -248,24 +184,20 @@ class Stepping:
             finally:
                 problem.destroy()
             depth = fluid.flow_depth if fluid is not None else 1.0
-            now = reached_after(
-                loads, reached, new, lambda well: loads.demanded(well, time, controls, around, rates), depth
-            )
-            now |= full
+            demanded = partial(loads.demanded, time=time, controls=controls, around=rule.adjacent, rates=rule.rates)
+            now = reached_after(loads, reached, new, demanded, depth) | full
             if now == reached and same:
                 energy = book(self.model.operators, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
-                memory = remember(self.model.operators, state, new, dt) if stepper.memory else Memory()
-                if stepper.memory and loads.limits:
-                    asked_for = partial(limited.demanded, time=time, controls=controls, around=around, rates=rates)
-                    memory = replace(
-                        memory, through=through(loads, limited, now, state, new, alphas, dt, asked_for, depth)
-                    )
+                memory = remember(self.model.operators, state, new, dt) if follows.memory else Memory()
+                if follows.memory and loads.limits:
+                    by_limits = through(replace(request, loads=limited), rule, now, state, new, depth)
+                    memory = replace(memory, through=by_limits)
                 friction, injected = dissipated(state, new), state.injected
                 if self._counts_volume:
                     injected += brought(self.model.operators, limited, state, new, dt, scheme, depth)
                 new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected)
-                return replace(new, memory=memory, around=around), report
+                return replace(new, memory=memory, around=rule.adjacent), report
             new.destroy()
             spent += report.newton
             reached, failed = now, None
@@ -308,7 +240,7 @@ class Stepping:
 
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
         """A new state, as a stage takes it over; see ``advance.discontinuities``. Collective."""
-        dt /= self.explicit.count(dt) if isinstance(stepper, Explicit) and dt > 0.0 else 1
+        dt = self.explicit.part(stepper, dt)
         new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
         if not self._counts_volume or new.uptake is None:
             return new

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NoReturn
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import NotConverged
-from fracflow.integrators import Alphas
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import State
+from fracflow.solve.request import StepRequest, StepRule
 
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
 
@@ -47,22 +48,19 @@ def reached_after(
 
 
 def through(
-    loads: Loads,
-    limited: Loads,
-    reached: frozenset[Limit],
-    old: State,
-    new: State,
-    alphas: Alphas,
-    dt: float,
-    demanded: Callable[[str], float],
-    depth: float,
+    request: StepRequest, rule: StepRule, reached: frozenset[Limit], old: State, new: State, depth: float
 ) -> dict[str, float]:
-    """Mean flow rate, over a step of length ``dt``, of each well that has a limit, as a rule with a memory takes it.
+    """Mean flow rate, over a step, of each well that has a limit, as a rule with a memory takes it.
 
     Collective. A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls'
-    velocities. Of a well at a limit, q is what the limit lets through beside other wells there; else ``demanded`` tells it.
+    velocities. Of a well at a limit, which the loads of the request keep there, q is what the limit lets through beside other
+    wells there; else what it asks for.
     """
+    loads, alphas = request.loads, rule.alphas
     kept, before = {limit.well: limit for limit in reached}, old.memory.through
+    demanded = partial(
+        loads.demanded, time=request.time, controls=request.controls, around=rule.adjacent, rates=rule.rates
+    )
     found: dict[str, float] = {}
     for name in sorted({limit.well for limit in loads.limits}):
         if alphas.a6 > 0.0 and name not in before:
@@ -70,10 +68,10 @@ def through(
         if name in kept:
             limit = kept[name]
             rate = at_node(limit, new.forces.source) * depth
-            rate -= sum(at_node(limit, each.vector) * depth * demanded(str(each.well)) for each in limited.wells)
+            rate -= sum(at_node(limit, each.vector) * depth * demanded(str(each.well)) for each in loads.wells)
         else:
             rate = demanded(name)
-        found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * dt)
+        found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * request.length)
     return found
 
 

@@ -26,6 +26,7 @@ class Explicit:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "step"
     memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """(4.3) Those of what is held and of the film, which follow the trapezoidal rule; time_step [time], positive."""

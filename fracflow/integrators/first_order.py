@@ -57,6 +57,7 @@ class BackwardEuler:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "end"
     memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
@@ -76,6 +77,7 @@ class Trapezoid:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = True
+    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 2/dt, alpha_4 = 1, the rest zero; time_step [time], positive."""
@@ -99,6 +101,7 @@ class BDF2:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = True
+    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 and alpha_6; time_step [time], and ``last`` the length of the last one, None for as long; positive."""

@@ -31,6 +31,7 @@ class GeneralisedAlpha:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Refuse what is not stable."""

@@ -30,6 +30,7 @@ class HHT:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Refuse what is not stable."""

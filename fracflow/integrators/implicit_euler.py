@@ -17,6 +17,7 @@ class ImplicitEuler:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "end"
     memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_0 = 1/dt^2, alpha_1 = alpha_2 = 1/dt, the rest zero; time_step [time], positive."""

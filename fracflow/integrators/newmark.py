@@ -77,13 +77,15 @@ class Stepper(Protocol):
     storage  wall velocities take part in the balance of fluid
     balance  where in a step the fluid's balance is known to hold: at both its ends, only at its end, or over the step as a
              whole, with what the walls move in it
-    memory   it needs a step before it in its stage; see ``film.first``
+    memory   it needs a step before it in its stage; see ``first_order.first``
+    explicit the rock goes by central differences, in steps no longer than the critical one; see ``solve.explicit``
     """
 
     inertia: ClassVar[bool]
     storage: ClassVar[bool]
     balance: ClassVar[Balance]
     memory: ClassVar[bool]
+    explicit: ClassVar[bool]
 
     @property
     def order(self) -> int:
@@ -173,6 +175,7 @@ class Newmark:
     storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     @property
     def order(self) -> int:
@@ -204,6 +207,7 @@ class Steady:
     storage: ClassVar[bool] = False
     balance: ClassVar[Balance] = "end"
     memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """All zero, whatever the time step."""

@@ -104,4 +104,4 @@ class Auto(WholeLU):
 
 def _is_left(problem: StepProblem, failure: NotConverged) -> bool:
     """Whether a step that failed is not tried in other ways: it may be shorter, and its sections kept changing."""
-    return problem.brief and isinstance(failure, Restless)
+    return problem.request.expects_failure and isinstance(failure, Restless)

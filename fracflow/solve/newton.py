@@ -76,7 +76,7 @@ class Newton:
         made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm
         self._rounds = Rounds(problem)
         self.factors.begin()
-        most = BRIEF_CHANGES if problem.brief else MOST_CHANGES
+        most = BRIEF_CHANGES if problem.request.expects_failure else MOST_CHANGES
         for _ in range(most):
             self._pack(problem)
             self._is_start, self._circles, self._polished = True, False, False
@@ -88,9 +88,9 @@ class Newton:
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
-                is_short = 0 < problem.most < self.scene.accuracy.max_iterations
+                is_short = 0 < problem.request.max_iterations < self.scene.accuracy.max_iterations
                 raise self._failure(why_stopped(self.snes, is_short), iterations)
-            if self.only == "flow" or problem.hold:
+            if self.only == "flow" or problem.request.hold:
                 break
             self._restless = self._rounds.change(problem, self._searches())
             if not comm.allreduce(bool(self._restless.any()), op=MPI.LOR):
@@ -124,7 +124,7 @@ class Newton:
         problem = self.problem
         assert problem is not None
         self._unpack(unknowns)
-        problem.evaluate(hold=self.holds or self._is_start or problem.hold)
+        problem.evaluate(hold=self.holds or self._is_start or problem.request.hold)
         middle = self.matrix.layout.solid_count
         local = balance.getArray()
         local[:middle] = problem.solid_balance.getArray(readonly=True) / self.matrix.operators.scales.force
@@ -264,7 +264,7 @@ class Newton:
         self._polished = self._balanced(problem, iteration)
         if self._polished and not (more and iteration < accuracy.max_iterations):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
-        most = min(accuracy.max_iterations, problem.most or accuracy.max_iterations)
+        most = min(accuracy.max_iterations, problem.request.max_iterations or accuracy.max_iterations)
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:

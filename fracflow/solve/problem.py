@@ -7,24 +7,22 @@ flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a co
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.errors import NotConverged
-from fracflow.integrators import Alphas, acceleration, velocity
+from fracflow.integrators import acceleration, velocity
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.dirichlet import Prescribed
 from fracflow.model.flow import Conduction
-from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, Past, Sections, State
-from fracflow.scene.time_table import AT_ONCE, Around, Rates
 from fracflow.solve.motion_terms import Absorption, Lag, MovingTerms
+from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
@@ -48,36 +46,27 @@ class StepProblem:
     def __init__(
         self,
         operators: Operators,
-        loads: Loads,
         state: State,
-        alphas: Alphas,
-        time: float,
-        controls: Mapping[str, float],
-        restraint: PETSc.Vec | None = None,
-        lacking: float = 0.0,
+        request: StepRequest,
+        rule: StepRule,
         start: tuple[Floats, Floats] | None = None,
-        hold: bool = False,
-        around: Around = AT_ONCE,
-        rates: Rates | None = None,
     ) -> None:
-        """Sample loads and wells over the step; ``restraint`` is a force beside the loads. Collective.
+        """Sample loads and wells over the step, under loads whose parts that nothing drains are closed. Collective.
 
-        lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
         start    this rank's motion since the state, and pressures, to begin from
-        hold     sections keep the status they have, whatever their tractions
-        around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
-        rates    how flow rates are sampled, if not as above; without inertia jumps of supports are as ``around`` says
         """
-        self.operators, self.loads, self.state, self.hold, layout = operators, loads, state, hold, operators.layout
-        self.alphas, self.time, self.controls, self.brief, self.most, self.tried = alphas, time, controls, False, 0, 0
-        self.around, self.rates, self.load, self.source = around, rates, layout.solid_vector(), layout.flow_vector()
-        loads.force(time, controls, self.load, around, rates if rates is not None and rates.of_forces else None)
-        if restraint is not None:
-            self.load.axpy(1.0, restraint)
-        loads.source(time, controls, self.source, around, rates)
-        self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
-        self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
-        self.moving = MovingTerms.of(operators, state, alphas, self.absorption)
+        self.operators, self.state, self.request, self.rule, layout = operators, state, request, rule, operators.layout
+        self.loads, self.alphas, self.time, self.controls = request.loads, rule.alphas, request.time, request.controls
+        self.tried, self.load, self.source = 0, layout.solid_vector(), layout.flow_vector()
+        loads, time, controls, unapplied, rates = self.loads, self.time, self.controls, request.unapplied, rule.rates
+        loads.force(time, controls, self.load, rule.adjacent, rates if rates is not None and rates.of_forces else None)
+        if request.restraint is not None:
+            self.load.axpy(1.0, request.restraint)
+        loads.source(time, controls, self.source, rule.adjacent, rates)
+        of_wells = rule.alphas.a1 == 0.0
+        self.lag = Lag.of(loads, state, unapplied, of_wells, self.load, self.source) if unapplied else Lag()
+        self.absorption = Absorption.of(operators, loads, state, time, rule.adjacent, self.load)
+        self.moving = MovingTerms.of(operators, state, self.alphas, self.absorption)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self.pressure = state.pressure.copy()
         if start is not None:
@@ -96,7 +85,7 @@ class StepProblem:
 
     def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write what is prescribed at the end of the step into both vectors."""
-        self.loads.impose(self.time, displacement, pressure, self.around, self.rates)
+        self.loads.impose(self.time, displacement, pressure, self.rule.adjacent, self.rule.rates)
         for vector, parts, lags in (
             (displacement, self.loads.supports, self.lag.displacement),
             (pressure, self.loads.pressures, self.lag.pressure),
@@ -176,7 +165,7 @@ class StepProblem:
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
         result.setArray(acceleration(self.alphas, moved, self._start()))
         for part in self._driven():
-            result.getArray()[part.numbers] = part.acceleration(self.time, self.around)
+            result.getArray()[part.numbers] = part.acceleration(self.time, self.rule.adjacent)
         return result
 
     def velocity(self) -> PETSc.Vec:
@@ -185,11 +174,11 @@ class StepProblem:
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
         for part in self._driven():
-            result.getArray()[part.numbers] = part.speed(self.time, self.around)
+            result.getArray()[part.numbers] = part.speed(self.time, self.rule.adjacent)
         return result
 
     def _driven(self) -> tuple[Prescribed, ...]:  # whose motion the scene gives, and no rule of stepping
-        return self.loads.supports if self.alphas.a0 > 0.0 and max(self.around) > 0.0 else ()
+        return self.loads.supports if self.alphas.a0 > 0.0 and max(self.rule.adjacent) > 0.0 else ()
 
     def uptake(self) -> PETSc.Vec | None:
         """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""

@@ -213,7 +213,7 @@ class SectionSolver:
             for _ in range(self.most_changes):
                 change, report = self._with_statuses(problem, free, change, pulled, given, share, least - total)
                 total += report.iterations
-                if problem.hold:
+                if problem.request.hold:
                     return change, replace(report, iterations=total)
                 changed = problem.change_statuses()
                 if not comm.allreduce(bool(changed.any()), op=MPI.LOR):

@@ -82,6 +82,7 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
     from fracflow.solve import options as defaults
     from fracflow.solve.monolithic import Monolithic
     from fracflow.solve.problem import StepProblem
+    from fracflow.solve.request import StepRequest, StepRule
 
     kinds = {"steady": Steady(), "quasi-static": BackwardEuler(), "dynamic": STEPPERS["newmark"]()}
     defaults.set_defaults(model.scene.petsc, defaults.MULTIGRID_FROM if blocks == "multigrid" else 0)
@@ -100,7 +101,9 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
             reach, EXTENT / (model.operators.layout.total / 2) ** 0.5, length
         )  # of the pressure in one step
         rate = pressure * (aperture**3 / (12 * VISCOSITY * reach) + alphas.a1 * reach / STIFFNESS)
-        problem = StepProblem(replace(model.operators, flow=flow), model.loads, state, alphas, 1.0, {})
+        problem = StepProblem(
+            replace(model.operators, flow=flow), state, StepRequest(1.0, 1.0, {}, model.loads), StepRule(alphas)
+        )
         problem.source.axpy(rate, model.loads.wells[0].vector)
         solves.clear()
         start = time.perf_counter()

@@ -29,6 +29,7 @@ from fracflow.solve.accept import accept
 from fracflow.solve.fixed_point.iteration import FixedPoint
 from fracflow.solve.monolithic import Monolithic
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 
 REACH, STIFFNESS, VISCOSITY, PRESSURE = 10.0, 1e9, 1e-3, 1e5
 """Length of each of the two elements [m], k_n [Pa/m], viscosity [Pa s], pressure of the steady flow [Pa]."""
@@ -103,7 +104,10 @@ class Film:
         assert operators.flow is not None
         flow = replace(operators.flow, aperture=np.full_like(operators.flow.aperture, aperture))
         problem = StepProblem(
-            replace(operators, flow=flow), self.model.loads, state, stepper.alphas(dt), state.time + dt, {}
+            replace(operators, flow=flow),
+            state,
+            StepRequest(state.time + dt, dt, {}, self.model.loads),
+            StepRule(stepper.alphas(dt)),
         )
         problem.source.axpy(rate, self.model.loads.wells[0].vector)
         return problem

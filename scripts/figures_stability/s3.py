@@ -19,6 +19,7 @@ from fracflow.integrators import STEPPERS
 from fracflow.model.setup import Model
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 
 SCENE = ROOT / "meshes" / "failures" / "f3_winkler_film" / "scene.toml"
 PAIRS = {
@@ -39,7 +40,7 @@ def overshoots(model: Model, rule: str, dt: float) -> tuple[float, float]:
     stepping, state = Stepping(model), rest(model)
     found, before = [], state.pressure.getArray().copy()
     for n in range(1, STEPS + 1):
-        new, _ = stepping.step(state, STEPPERS[rule](), n * dt, dt, {})
+        new, _ = stepping.step(state, StepRequest(n * dt, dt, {}, stepping.model.loads), STEPPERS[rule]())
         state.destroy()
         state = new
         pressure = state.pressure.getArray().copy()

@@ -29,6 +29,7 @@ from fracflow.model.setup import Model
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import read_toml
+from fracflow.solve.request import StepRequest
 
 FOLDER = ROOT / "meshes" / "failures" / "f6a_closing"
 D0 = 0.1
@@ -120,7 +121,7 @@ def solver(model: Model, spring: float) -> Iterator[Callable[[float, float], Out
         )
         right = root(force, spring)
         try:
-            new, report = stepping.step(begun, Steady(), 1.0, 1.0, {"push": force})
+            new, report = stepping.step(begun, StepRequest(1.0, 1.0, {"push": force}, stepping.model.loads), Steady())
         except SolveError as error:
             displacement.destroy()
             if "closed beyond its aperture" in str(error):

@@ -16,6 +16,7 @@ from fracflow.integrators import Steady
 from fracflow.model.joints import jump_matrix
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 
 SCENE = ROOT / "meshes" / "failures" / "f1_half_open" / "scene.toml"
 RULES = {"nodal": GREEN, "gauss2": BLUE, "one-point": ORANGE}
@@ -34,7 +35,7 @@ def tractions(stiffness: float, rule: str) -> tuple[Floats, Floats]:
     model = prepare(scene, MPI.COMM_SELF)
     settle(model)
     start, stepping, ops = rest(model), Stepping(model), model.operators
-    state, _ = stepping.step(start, Steady(), 1.0, 1.0, {})
+    state, _ = stepping.step(start, StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
     jump = jump_matrix(ops.blocks, np.array([-1.0, 1.0]), ops.expand)
     openings = jump.createVecLeft()
     jump.mult(state.motion.displacement, openings)

@@ -16,6 +16,7 @@ from fracflow.scene.scene import load
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 
 
 @pytest.mark.parametrize("model", ["default", "report"])
@@ -25,7 +26,12 @@ def test_jacobian_is_the_derivative(stepper, model):
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
     state = rest(prepared)
-    problem = StepProblem(prepared.operators, prepared.loads, state, stepper.alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(stepper.alphas(1e-3)),
+    )
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -55,7 +61,9 @@ def test_jacobian_of_a_compressible_fluid(stepper):
         vector.setArray(1e-5 * random.standard_normal(vector.getLocalSize()))
     state = replace(state, uptake=rate, memory=Memory(2e-3, None, mean))
     alphas = stepper.alphas(1e-3, 2e-3)
-    problem = StepProblem(prepared.operators, prepared.loads, state, alphas, 1e-3, {"pumping": 1e-5})
+    problem = StepProblem(
+        prepared.operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads), StepRule(alphas)
+    )
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -77,7 +85,9 @@ def test_jacobian_where_a_part_keeps_its_fluid():
     network.look(operators.flow.conduct(state.motion.displacement, state.pressure))
     closed = network.close(sealed, stores=False)
     assert {closure.by for closure in closed.closures} == {"fluid"}
-    problem = StepProblem(operators, closed, state, Steady().alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    problem = StepProblem(
+        operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, closed), StepRule(Steady().alphas(1e-3))
+    )
     matrix = JoinedMatrix(operators, closed)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -102,7 +112,9 @@ def test_jacobian_of_weighed_balances_between_absorbing_sides(stepper):
     for vector, size in ((state.motion.velocity, 0.1), (state.motion.acceleration, 1e2)):
         vector.setArray(size * random.standard_normal(vector.getLocalSize()))
     alphas, loads = stepper.alphas(5e-4), prepared.loads
-    problem = StepProblem(prepared.operators, loads, state, alphas, 5e-4, {"pumping": 1e-5}, around=(5e-4, 5e-4))
+    problem = StepProblem(
+        prepared.operators, state, StepRequest(5e-4, 5e-4, {"pumping": 1e-5}, loads), StepRule(alphas, (5e-4, 5e-4))
+    )
     matrix = JoinedMatrix(prepared.operators, loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -151,7 +163,12 @@ def test_jacobian_where_joints_open_slide_and_pinch(stepper):
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
     state, comm = rest(prepared), prepared.operators.layout.comm
-    problem = StepProblem(prepared.operators, prepared.loads, state, stepper.alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(stepper.alphas(1e-3)),
+    )
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem, newton._is_start = problem, False

@@ -13,6 +13,7 @@ from fracflow.integrators import Steady
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.method import Method
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 from fracflow.solve.stiffness import NEWTON_METHODS
 
 SLOW = "accuracy.max_iterations=1000"
@@ -26,7 +27,7 @@ def _steps(file, overshoot, controls, overrides):
         scene = load(f"meshes/{file}/scene.toml", settings)
         model = prepare(scene, MPI.COMM_WORLD) if model is None else replace(model, scene=scene)
         stepping = Stepping(model)
-        found[method] = stepping.step(rest(model), Steady(), 1.0, 1.0, controls)
+        found[method] = stepping.step(rest(model), StepRequest(1.0, 1.0, controls, stepping.model.loads), Steady())
         stepping.destroy()
     return found
 

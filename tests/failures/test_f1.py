@@ -13,6 +13,7 @@ from fracflow.cli.app import app
 from fracflow.integrators import Steady
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f1_half_open/scene.toml"
@@ -23,7 +24,7 @@ def _tractions(rule):
     model = prepare(load(SCENE, [f"method.quadrature={rule}"]), MPI.COMM_SELF)
     settle(model)
     stepping, block = Stepping(model), model.operators.blocks.joints
-    state, _ = stepping.step(rest(model), Steady(), 1.0, 1.0, {})
+    state, _ = stepping.step(rest(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
     closed = np.flatnonzero(block.fracture == block.fractures.index("closed"))
     order = closed[np.argsort(block.along[closed, 0])]
     return state.sections.traction[:, -1].reshape(len(block.ids), -1)[order]

@@ -13,6 +13,7 @@ from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
+from fracflow.solve.request import StepRequest
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f3_winkler_film" / "scene.toml"
 N = 16
@@ -37,7 +38,9 @@ def first_step():
             ready[storage] = Stepping(model), rest(model)
         stepping, start = ready[storage]
         scene = load(SCENE, [f"method.film={film}"])
-        state, _ = stepping.step(start, stepper_of(scene, scene.stage[0]), dt, dt, {})
+        state, _ = stepping.step(
+            start, StepRequest(dt, dt, {}, stepping.model.loads), stepper_of(scene, scene.stage[0])
+        )
         blocks = stepping.model.operators.blocks
         both = np.stack([blocks.flow.points[:, 0], state.pressure.getArray()], axis=1)
         state.destroy()

@@ -16,6 +16,7 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve.globalisation import by_energy, by_residual
+from fracflow.solve.request import StepRequest
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6c_bending" / "scene.toml"
 
@@ -62,7 +63,7 @@ def test_the_searches_find_the_one_equilibrium(search):
     forces, displacement, free = _contact_forces()
     model = prepare(load(SCENE, [*FREE, f"method.line_search={search}"]), MPI.COMM_SELF)
     stepping = Stepping(model)
-    state, report = stepping.step(rest(model), Steady(), 1.0, 1.0, {})
+    state, report = stepping.step(rest(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
     found = state.motion.displacement.getArray()[free]
     assert report.newton <= 30
     assert np.abs(found - displacement).max() <= 1e-6 * np.abs(displacement).max()

@@ -15,6 +15,7 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.toml import read_toml
 from fracflow.simulation.run import run
+from fracflow.solve.request import StepRequest
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "f6d_wedged" / "scene.toml"
 SPRING, BASE = (1.0, 0.05), 10.0  # k_n, k_s of the slope; k_n0 and k_s of the base
@@ -87,7 +88,9 @@ def test_seeded_loads_end_in_an_equilibrium_or_are_named(ratio, search, most):
     for force in np.random.default_rng(1).normal(size=(40, 2)) * [2.0 * friction, 0.5]:
         known = equilibria(force, friction)
         try:
-            new, _ = stepping.step(state, Steady(), 1.0, 1.0, {"x": force[0], "y": force[1]})
+            new, _ = stepping.step(
+                state, StepRequest(1.0, 1.0, {"x": force[0], "y": force[1]}, stepping.model.loads), Steady()
+            )
         except SolveError as error:
             assert "2 sections keep changing between sticking and sliding: base at (0, 0)" in str(error)
             named += 1

@@ -15,6 +15,7 @@ from fracflow.cli.app import app
 from fracflow.integrators import Newmark
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 
 pytestmark = pytest.mark.serial
 SCENE = "meshes/failures/f8_dissimilar/scene.toml"
@@ -123,7 +124,7 @@ def test_a_seeded_wave_grows_in_a_run_as_its_eigenvalue_says():
     left = np.linalg.inv(shapes[:, : len(shape)])[roots.real.argmax() % len(shape)]
     for step in range(1, steps + 1):
         last = now
-        now, _ = stepping.step(last, rule, step * dt, dt, {})
+        now, _ = stepping.step(last, StepRequest(step * dt, dt, {}, stepping.model.loads), rule)
         last.destroy()
         moved = now.motion.displacement.getArray()[waves.unknowns]
         harmonic = np.exp(-1j * wavenumber * waves.places) @ moved / len(waves.places) * 2

@@ -19,6 +19,7 @@ from fracflow.output import read_events, read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
+from fracflow.solve.request import StepRequest
 
 SCENE = """
 title = "a fault that creeps past a crack that pressure opens"
@@ -82,7 +83,7 @@ def test_slip_radiates_by_what_moves_and_not_by_the_least_strength(scene, comm):
     stepping, still = Stepping(model), stepper_of(model.scene, stage, "quasi-static")
     state, ends = rest(model), (200.0, 350.0, 380.0, 400.0)
     for time in ends:
-        new, _ = stepping.step(state, still, time, time - state.time, state.controls)
+        new, _ = stepping.step(state, StepRequest(time, time - state.time, state.controls, stepping.model.loads), still)
         slip = slipped(model, state, new, time - state.time)
         least, before = new.sections.strength.min(), state
         state = new
