@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, ClassVar, Literal, Protocol, cast
 
@@ -14,6 +14,21 @@ Bools = NDArray[np.bool_]
 Parameter = float | Floats
 Past = Mapping[str, Floats]
 Kind = Literal["shear", "scalar"]
+
+
+@dataclass(frozen=True)
+class HistoryVariable:
+    """Meaning of one history variable of a law, for checkpoints and for output.
+
+    kind       "shear" (n, dim-1), in the directions of the shear traction, or "scalar" (n,)
+    dimension  as scenes write them: "1", "length", "time", "force/length**2", ...
+    published  it is a quantity of its own in output; False where another quantity says the same
+    """
+
+    kind: Kind
+    dimension: str
+    meaning: str
+    published: bool = True
 
 
 @dataclass(frozen=True)
@@ -86,7 +101,7 @@ class JointLaw(Protocol):
     no_drop       setting with which its strength does not drop at once; empty where it never does
     """
 
-    history: ClassVar[dict[str, Kind]] = {}
+    history: ClassVar[dict[str, HistoryVariable]] = {}
     status: ClassVar[tuple[str, ...]] = ()
     passes_over: ClassVar[bool] = False
     opens: ClassVar[bool] = False
@@ -148,10 +163,20 @@ class JointLaw(Protocol):
         return np.full(sections, np.inf)
 
 
-def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[str, Floats]:
+def rest_history(history: Mapping[str, HistoryVariable], sections: int, dim: int) -> dict[str, Floats]:
     """Zero arrays of the shapes that ``history`` declares."""
     shapes: dict[Kind, tuple[int, ...]] = {"shear": (sections, dim - 1), "scalar": (sections,)}
-    return {name: np.zeros(shapes[kind]) for name, kind in history.items()}
+    return {name: np.zeros(shapes[variable.kind]) for name, variable in history.items()}
+
+
+def published_history(laws: Iterable[JointLaw | type[JointLaw]]) -> dict[str, HistoryVariable]:
+    """History variables of these laws that output publishes, by name. Raises ValueError where two differ under one name."""
+    found: dict[str, HistoryVariable] = {}
+    for law in laws:
+        for name, variable in law.history.items():
+            if variable.published and found.setdefault(name, variable) != variable:
+                raise ValueError(f"two joint laws give different meanings to the history variable {name}")
+    return found
 
 
 def per_section(value: Parameter, sections: int) -> Floats:

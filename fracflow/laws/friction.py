@@ -7,9 +7,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Bools, Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
+from fracflow.laws.base import (
+    Bools,
+    Floats,
+    HistoryVariable,
+    JointLaw,
+    JointResponse,
+    Parameter,
+    Past,
+    per_section,
+    per_tangent,
+)
 from fracflow.laws.closure import NormalClosure
 
+PLASTIC_SLIP = HistoryVariable("shear", "length", "plastic slip", published=False)  # output has it as plastic_slip
+SLIDING = HistoryVariable("shear", "1", "direction of the sliding traction, 0 while it sticks", published=False)
 ROUND_OFF = 1e-12
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil
 

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
-from fracflow.laws.friction import FrictionLaw, Trial
+from fracflow.laws.base import Floats, HistoryVariable, JointResponse, Parameter, Past, key, per_section
+from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class HyperbolicCoulomb(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "sliding": "shear"}
+    history: ClassVar[dict[str, HistoryVariable]] = {"plastic_slip": PLASTIC_SLIP, "sliding": SLIDING}
     no_drop: ClassVar[str] = "stick_slip_ratio = 1"
 
     def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:

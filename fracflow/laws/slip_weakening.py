@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
-from fracflow.laws.friction import FrictionLaw, Trial
+from fracflow.laws.base import Floats, HistoryVariable, JointResponse, Parameter, Past, key, per_section
+from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,11 @@ class SlipWeakening(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "slip_path": "scalar", "sliding": "shear"}
+    history: ClassVar[dict[str, HistoryVariable]] = {
+        "plastic_slip": PLASTIC_SLIP,
+        "slip_path": HistoryVariable("scalar", "length", "length of the path of plastic slip", published=False),
+        "sliding": SLIDING,
+    }
     weakens_over: ClassVar[str] = "slip_weakening_distance"
 
     def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:

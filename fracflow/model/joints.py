@@ -188,6 +188,16 @@ class Joints:
             for group, start, reached in zip(self.laws, past, branch, strict=True)
         )
 
+    def history(self, past: Past, name: str) -> Floats:
+        """A history variable at all sections of this rank, (s,) or (s, dim-1); NaN where the law has none of that name."""
+        shapes = {"shear": (len(self.weights), self.dim - 1), "scalar": (len(self.weights),)}
+        kind = next((group.law.history[name].kind for group in self.laws if name in group.law.history), "scalar")
+        values = np.full(shapes[kind], np.nan)
+        for group, history in zip(self.laws, past, strict=True):
+            if name in history:
+                values[group.sections] = history[name]
+        return values
+
     def have_changed(self, old: Past, new: Past) -> Bools:
         """Which (s,) of this rank's sections have another status in ``new`` than in ``old``."""
         changed = np.zeros(len(self.weights), dtype=bool)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from fracflow.laws import JOINT_LAWS, keys_of
+from fracflow.laws import JOINT_LAWS, HistoryVariable, keys_of, published_history
 from fracflow.scene.materials import Fracture
+from fracflow.scene.units import UnitSystem
 
 pytestmark = pytest.mark.serial
 
@@ -109,8 +111,8 @@ def test_shapes_and_finite(law, dim):
             assert np.isfinite(getattr(response, name)).all()
         assert (response.margin >= 0).all() and (response.utilisation >= 0).all()  # false for nan
         assert set(response.past) == set(law.history)
-        for name, kind in law.history.items():
-            assert response.past[name].shape == shapes[kind]
+        for name, variable in law.history.items():
+            assert response.past[name].shape == shapes[variable.kind]
         assert (law.step_limit(strain, -strain) > 0).all()
         ahead = np.roll(strain, 1, axis=0) - strain
         change = law.change_at(strain, ahead)
@@ -387,3 +389,24 @@ def test_a_section_at_its_strength_fails_whichever_way_round_off_has_it(name):
     assert slides(some * peak * (1.0 + steps)).all()
     assert not slides(some * peak * (1.0 - 1e-9)).any()
     assert not slides(0.0 * peak, 0.0 * pressed, cohesion=0.0).any()  # no strength, and nothing to resist
+
+
+def test_history_is_declared(law):
+    system = UnitSystem.parse("SI")
+    for name, variable in law.history.items():
+        assert variable.meaning and system.to_si(variable.dimension) > 0.0, name
+    assert set(law.status) <= set(law.history)
+
+
+def test_one_name_of_history_has_one_meaning():
+    class Other(JOINT_LAWS["slip-weakening"]):
+        history: ClassVar = {"slip_path": HistoryVariable("scalar", "time", "age")}
+
+    assert published_history(JOINT_LAWS.values()) == {}, "output has what these laws remember by other names"
+    assert set(published_history([Other])) == {"slip_path"}
+
+    class Third(Other):
+        history: ClassVar = {"slip_path": HistoryVariable("scalar", "length", "path")}
+
+    with pytest.raises(ValueError, match="slip_path"):
+        published_history([Other, Third])
