@@ -278,7 +278,7 @@ def _dense(matrix):
 
 
 def _dense_tangent(ops):
-    rest = ops.joints.respond(np.zeros((len(ops.joints.weights), 2)), ops.joints.rest())
+    rest = ops.joints.evaluate(np.zeros((len(ops.joints.weights), 2)), ops.joints.initial_history())
     total = _dense(ops.stiffness)
     for unknowns, blocks in ops.joints.tangent(rest.tangent):
         for numbers, block in zip(unknowns, blocks, strict=True):

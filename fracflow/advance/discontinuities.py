@@ -65,7 +65,7 @@ def change(model: Model, network: Network, loads: Loads, state: State, leaving: 
     Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
     """
     ops = model.operators
-    branch = ops.joints.flip(state.sections.strain, state.sections.past, leaving)
+    branch = ops.joints.with_other_status(state.sections.strain, state.sections.past, leaving)
     old = state.motion
     motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
     new = _first_instant(model, network, loads, replace(state, motion=motion), branch)

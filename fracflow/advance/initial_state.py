@@ -9,6 +9,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import joint
 from fracflow.errors import InputError
+from fracflow.laws.base import HELD
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
 from fracflow.model.energy import book, dissipated, empty_books, put_in
@@ -95,7 +96,7 @@ def _unmoved(model: Model) -> tuple[Motion, Sections, PETSc.Vec]:
     pressure = layout.flow_vector()
     if ops.flow is not None:
         pressure.setArray(initial_pressure(model.scene, ops.blocks.flow.points))
-    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest(), hold=True)
+    sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history(), HELD)
     return motion, sections, pressure
 
 
@@ -122,7 +123,7 @@ def _moved(model: Model, state: State) -> State:
     pressure = state.pressure.copy()
     if initial.pressure is not None:
         pressure.set(initial.pressure)
-    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest())
+    sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history())
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
     energy = put_in(book(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False)))

@@ -2,7 +2,16 @@
 
 from typing import Any
 
-from fracflow.laws.base import JointLaw, JointResponse, Key, keys_of, parameters_of
+from fracflow.laws.base import (
+    HistoryVariable,
+    JointLaw,
+    JointResponse,
+    Key,
+    LawStep,
+    keys_of,
+    parameters_of,
+    published_history,
+)
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
@@ -22,6 +31,6 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 
 __all__ = [
-    "JOINT_LAWS", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "Linear", "SlipWeakening", "keys_of",
-    "make_law", "parameters_of",
+    "JOINT_LAWS", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "LawStep", "Linear",
+    "SlipWeakening", "keys_of", "make_law", "parameters_of", "published_history",
 ]  # fmt: skip

@@ -27,7 +27,7 @@ class NormalClosure:
     aperture: Parameter
     initial_traction: Parameter
 
-    def respond(self, opening: Floats) -> tuple[Floats, Floats, Floats]:
+    def evaluate(self, opening: Floats) -> tuple[Floats, Floats, Floats]:
         """(2.11) Normal traction f_n <= 0, stiffness k_n and energy int f_n d eps_n of openings (n,).
 
         At or past -d0: -inf, inf, inf, the limits of the hyperbola, so that no solver can accept the state.

@@ -1,4 +1,4 @@
-"""What laws with friction share: the elastic trial, who sticks and who slides, and the answer once that is known."""
+"""What laws with friction share: the elastic trial, who sticks and who slides, and the response once that is known."""
 
 from __future__ import annotations
 
@@ -7,9 +7,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Bools, Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
+from fracflow.laws.base import (
+    Bools,
+    Floats,
+    History,
+    HistoryVariable,
+    JointLaw,
+    JointResponse,
+    Parameter,
+    per_section,
+    per_tangent,
+)
 from fracflow.laws.closure import NormalClosure
 
+PLASTIC_SLIP = HistoryVariable("shear", "length", "plastic slip", published=False)  # output has it as plastic_slip
+SLIDING = HistoryVariable("shear", "1", "direction of the sliding traction, 0 while it sticks", published=False)
 ROUND_OFF = 1e-12
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil
 
@@ -22,13 +34,13 @@ class Trial:
     crushed             at or past -d0, where there is no answer
     free                open, and so without shear traction
     k_s, f_s0           shear stiffness (n,) and initial shear traction (n, dim-1)
-    shear               elastic shear traction (n, dim-1) with the plastic slip of the past; ``size`` its length
+    shear               elastic shear traction (n, dim-1) with the plastic slip of the history; ``size`` its length
     along               what of it points the way that the section slid before
     """
 
     closure: NormalClosure
     strain: Floats
-    past: Past
+    history: History
     f_n: Floats
     k_n: Floats
     normal_energy: Floats
@@ -43,22 +55,22 @@ class Trial:
     was_sliding: Bools
 
     @staticmethod
-    def of(law: FrictionLaw, strain: Floats, past: Past) -> Trial:
+    def of(law: FrictionLaw, strain: Floats, history: History) -> Trial:
         """The trial of a law."""
         sections, dim = strain.shape
         closure = law.closure
         opening = strain[:, -1]
-        f_n, k_n, energy = closure.respond(opening)
+        f_n, k_n, energy = closure.evaluate(opening)
         is_open, k_s = closure.is_open(opening), per_section(law.shear_stiffness, sections)
         f_s0 = per_tangent(law.initial_shear_traction, sections, dim - 1)
-        shear = f_s0 + k_s[:, None] * (strain[:, :-1] - past["plastic_slip"])
-        latch = past["sliding"]
+        shear = f_s0 + k_s[:, None] * (strain[:, :-1] - history["plastic_slip"])
+        latch = history["sliding"]
         return Trial(
-            closure, strain, past, f_n, k_n, energy, ~np.isfinite(f_n), is_open, is_open & (not law.strength_when_open),
+            closure, strain, history, f_n, k_n, energy, ~np.isfinite(f_n), is_open, is_open & (not law.strength_when_open),
             k_s, f_s0, shear, np.linalg.norm(shear, axis=-1), np.einsum("ni,ni->n", shear, latch), latch.any(axis=-1),
         )  # fmt: skip
 
-    def pressed(self) -> Floats:
+    def normal_traction(self) -> Floats:
         """Normal traction (n,), 0 where there is no answer."""
         return np.where(self.crushed, 0.0, self.f_n)
 
@@ -96,7 +108,7 @@ class Trial:
         slack = ROUND_OFF * (
             self.closure.stress_scale(len(change)) + self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
         )
-        along = np.einsum("ni,ni->n", change[:, :-1], self.past["sliding"])
+        along = np.einsum("ni,ni->n", change[:, :-1], self.history["sliding"])
         with np.errstate(invalid="ignore"):
             slips = self.k_s * along + carried * self.k_n * change[:, -1]
             left = strength - self.size
@@ -106,12 +118,12 @@ class Trial:
         return np.stack(distances, axis=1)
 
     def flipped(self, chosen: Bools) -> dict[str, Floats]:
-        """The past with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
+        """The history with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
         starts = ~self.was_sliding & (self.size > 0.0)
         other = np.where(starts[:, None], self.shear / np.where(self.size > 0.0, self.size, 1.0)[:, None], 0.0)
-        return {**self.past, "sliding": np.where(chosen[:, None], other, self.past["sliding"])}
+        return {**self.history, "sliding": np.where(chosen[:, None], other, self.history["sliding"])}
 
-    def answer(
+    def response(
         self,
         slides: Bools,
         carried: Floats,
@@ -129,13 +141,13 @@ class Trial:
         strength   to report
         """
         sections, dim = self.strain.shape
-        latch, size, free, crushed, k_s = self.past["sliding"], self.size, self.free, self.crushed, self.k_s
+        latch, size, free, crushed, k_s = self.history["sliding"], self.size, self.free, self.crushed, self.k_s
         held = np.where(slides, carried, 0.0)
         divisor = np.where(size > 0.0, size, 1.0)
         backwards = self.was_sliding & (self.along <= 0.0)
         direction = np.where(((size > 0.0) & ~backwards)[:, None], self.shear / divisor[:, None], latch)
         f_s = np.where(slides[:, None], held[:, None] * direction, np.where(free[:, None], 0.0, self.shear))
-        plastic = self.past["plastic_slip"] + (self.shear - f_s) / k_s[:, None]
+        plastic = self.history["plastic_slip"] + (self.shear - f_s) / k_s[:, None]
 
         tangent = np.zeros((sections, dim, dim))
         ratio = np.where(slides, held / divisor, np.where(free, 0.0, 1.0)) * k_s
@@ -146,8 +158,8 @@ class Trial:
             slope = np.where(slides & (self.f_n < 0.0) & ~crushed, by_normal, 0.0)
             tangent[:, :-1, -1] = (slope * np.where(crushed, 0.0, self.k_n))[:, None] * direction
 
-        new_past = {
-            "plastic_slip": np.where(crushed[:, None], self.past["plastic_slip"], plastic),
+        new_history = {
+            "plastic_slip": np.where(crushed[:, None], self.history["plastic_slip"], plastic),
             "sliding": np.where(crushed[:, None], latch, slides[:, None] * direction),
         }
         squares = np.einsum("ni,ni->n", f_s, f_s) - np.einsum("ni,ni->n", self.f_s0, self.f_s0)
@@ -155,13 +167,13 @@ class Trial:
             traction=np.concatenate([f_s, self.f_n[:, None]], axis=1),
             tangent=tangent,
             stored=self.normal_energy + squares / (2.0 * k_s),
-            inelastic=np.concatenate([new_past["plastic_slip"], np.zeros((sections, 1))], axis=1),
+            inelastic=np.concatenate([new_history["plastic_slip"], np.zeros((sections, 1))], axis=1),
             strength=strength,
             utilisation=np.where(slides, 1.0, _quotient(np.linalg.norm(f_s, axis=-1), strength)),
             is_sliding=slides,
             is_open=self.is_open,
             margin=margin,
-            past=new_past,
+            history=new_history,
         )
 
 
@@ -176,6 +188,7 @@ class FrictionLaw(JointLaw):
     strength_when_open: bool
 
     status: ClassVar[tuple[str, ...]] = ("sliding",)
+    slides: ClassVar[bool] = True
     opens: ClassVar[bool] = True
 
     @property
@@ -183,7 +196,7 @@ class FrictionLaw(JointLaw):
         """The normal law."""
         return NormalClosure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
 
-    def has_changed(self, old: Past, new: Past) -> Bools:
+    def has_changed(self, old: History, new: History) -> Bools:
         """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
         same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
         changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
@@ -197,9 +210,9 @@ class FrictionLaw(JointLaw):
         """Fraction of the increment at which the walls part or meet."""
         return self.closure.change_at(strain, increment)
 
-    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
-        """``past`` with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
-        return Trial.of(self, strain, past).flipped(chosen)
+    def with_other_status(self, strain: Floats, history: History, chosen: Bools) -> dict[str, Floats]:
+        """``history`` with the chosen sections (n,) sliding the way of their trial traction if they stuck, else sticking."""
+        return Trial.of(self, strain, history).flipped(chosen)
 
 
 def _quotient(size: Floats, peak: Floats) -> Floats:

@@ -132,7 +132,7 @@ def can_slip(joints: Joints) -> Bools:
     """Which of this rank's joints (j,) have a law that lets them slide."""
     slides = np.zeros(len(joints.weights), dtype=bool)
     for group in joints.laws:
-        slides[group.sections] = "sliding" in group.law.status
+        slides[group.sections] = group.law.slides
     found: Bools = slides.reshape(-1, joints.points).any(axis=1)
     return found
 

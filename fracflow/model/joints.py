@@ -14,7 +14,8 @@ from fracflow._petsc import PETSc
 from fracflow.elements import joint
 from fracflow.elements.shape import line_shape
 from fracflow.errors import InputError
-from fracflow.laws import JOINT_LAWS, JointLaw, make_law, parameters_of
+from fracflow.laws import JOINT_LAWS, JointLaw, LawStep, make_law, parameters_of
+from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix
@@ -121,9 +122,9 @@ class Joints:
         """Sections of a joint."""
         return len(self.natural)
 
-    def rest(self) -> Past:
+    def initial_history(self) -> Past:
         """Histories of all laws at the initial state."""
-        return tuple(group.law.rest(len(group.sections), self.dim) for group in self.laws)
+        return tuple(group.law.initial_history(len(group.sections), self.dim) for group in self.laws)
 
     def strain(self, displacement: PETSc.Vec) -> Floats:
         """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
@@ -155,8 +156,8 @@ class Joints:
             return None
         return np.asarray(normal @ line_shape(1.0 / self.natural).T)
 
-    def respond(self, strain: Floats, past: Past, hold: bool = False) -> Sections:
-        """What the laws answer to strains (s, dim) after ``past``, which stays as it is; ``hold`` keeps every status."""
+    def evaluate(self, strain: Floats, history: Past, step: LawStep = INSTANT) -> Sections:
+        """Response of the laws to strains (s, dim) after ``history``, which stays as it is."""
         count = len(strain)
         whole = {
             "strain": strain,
@@ -173,20 +174,30 @@ class Joints:
             "record": np.zeros(count),
         }
         new = []
-        for group, history in zip(self.laws, past, strict=True):
-            answer = group.law.respond(strain[group.sections], history, hold)
+        for group, before in zip(self.laws, history, strict=True):
+            response = group.law.evaluate(strain[group.sections], before, step)
             for name, values in whole.items():
                 if name not in ("strain", "blur", "record"):
-                    values[group.sections] = getattr(answer, name)
-            new.append(answer.past)
+                    values[group.sections] = getattr(response, name)
+            new.append(response.history)
         return Sections(past=tuple(new), **whole)
 
-    def follow(self, past: Past, branch: Past) -> Past:
-        """``past`` with the statuses of ``branch``: the histories from which the next iteration starts."""
+    def with_status(self, history: Past, trial: Past) -> Past:
+        """``history`` with the statuses of ``trial``: the histories from which the next iteration starts."""
         return tuple(
             {**start, **{name: reached[name] for name in group.law.status}}
-            for group, start, reached in zip(self.laws, past, branch, strict=True)
+            for group, start, reached in zip(self.laws, history, trial, strict=True)
         )
+
+    def history(self, past: Past, name: str) -> Floats:
+        """A history variable at all sections of this rank, (s,) or (s, dim-1); NaN where the law has none of that name."""
+        shapes = {"shear": (len(self.weights), self.dim - 1), "scalar": (len(self.weights),)}
+        kind = next((group.law.history[name].kind for group in self.laws if name in group.law.history), "scalar")
+        values = np.full(shapes[kind], np.nan)
+        for group, history in zip(self.laws, past, strict=True):
+            if name in history:
+                values[group.sections] = history[name]
+        return values
 
     def have_changed(self, old: Past, new: Past) -> Bools:
         """Which (s,) of this rank's sections have another status in ``new`` than in ``old``."""
@@ -206,18 +217,19 @@ class Joints:
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([np.inf, *(float(np.min(place)) for place in places)])
 
-    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+    def approach(self, strain: Floats, change: Floats, history: Past, step: LawStep) -> Floats:
         """Distances (s, 2) of this rank's sections from their next event, of friction and of contact; see ``JointLaw``."""
         result = np.full((len(strain), 2), np.inf)
-        for group, history in zip(self.laws, past, strict=True):
-            result[group.sections] = group.law.approach(strain[group.sections], change[group.sections], history)
+        for group, before in zip(self.laws, history, strict=True):
+            g = group.sections
+            result[g] = group.law.approach(strain[g], change[g], before, step.of(g))
         return result
 
-    def flip(self, strain: Floats, past: Past, chosen: Bools) -> Past:
-        """``past`` with the other status of friction at the chosen sections (s,)."""
+    def with_other_status(self, strain: Floats, history: Past, chosen: Bools) -> Past:
+        """``history`` with the other status of friction at the chosen sections (s,)."""
         return tuple(
-            group.law.flip(strain[group.sections], history, chosen[group.sections])
-            for group, history in zip(self.laws, past, strict=True)
+            group.law.with_other_status(strain[group.sections], before, chosen[group.sections])
+            for group, before in zip(self.laws, history, strict=True)
         )
 
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
@@ -297,8 +309,9 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
     for group in () if carried or blocks.comm.allreduce(len(tension)) else groups:
         dim = initial.shape[1]
-        answer = group.law.respond(np.zeros((len(group.sections), dim)), group.law.rest(len(group.sections), dim))
-        failed.update(fracture[group.sections[answer.is_sliding | (answer.utilisation >= 1.0)]].tolist())
+        count = len(group.sections)
+        response = group.law.evaluate(np.zeros((count, dim)), group.law.initial_history(count, dim))
+        failed.update(fracture[group.sections[response.is_sliding | (response.utilisation >= 1.0)]].tolist())
     names = blocks.joints.fractures
     bad_tension = sorted({names[i] for part in blocks.comm.allgather(tension) for i in part})
     bad_failed = sorted({names[i] for part in blocks.comm.allgather(failed) for i in part})

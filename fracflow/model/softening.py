@@ -33,7 +33,7 @@ def steepest(
 
 def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
     """Raise InputError, on every rank, for a fracture that would jump under its initial normal traction. Collective."""
-    worst, name, key = steepest(blocks, joints, joints.initial, joints.rest())
+    worst, name, key = steepest(blocks, joints, joints.initial, joints.initial_history())
     if worst >= 1.0:
         raise InputError(
             f"fracture.{name}: under its initial normal traction its strength falls with slip {worst:.4g} times as fast as"

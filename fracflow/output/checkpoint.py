@@ -16,6 +16,7 @@ from typing_extensions import TypedDict
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import InputError
+from fracflow.laws.base import zero_history
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.model.operators import Operators
@@ -239,7 +240,7 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
     parts = {f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "past"}
     shapes |= {f"sections/{name}": shape for name, shape in parts.items()} | {"friction": joint}
     for number, group in enumerate(operators.joints.laws):
-        past = group.law.rest(1, sizes.dim)
+        past = zero_history(group.law.history, 1, sizes.dim)
         shapes |= {f"past/{number}/{name}": (*joint, *past[name].shape[1:]) for name in group.law.history}
     for name, shape in shapes.items():
         found = arrays[name].shape if name in arrays else (0,)

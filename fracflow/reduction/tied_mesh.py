@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from fracflow.elements import joint, solid
 from fracflow.errors import PutBack
 from fracflow.laws import JOINT_LAWS
+from fracflow.laws.base import HELD
 from fracflow.laws.elastic import plane_strain_stiffness
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.split import glued, groups
@@ -44,7 +45,7 @@ def use_of_strength(model: Model, added: Floats) -> Floats:
             "initial_shear_traction": 0.0 * here[:, :-1],
         }
         law = replace(group.law, **pressed)  # type: ignore[type-var]
-        strength = law.respond(np.zeros_like(here), law.rest(count, joints.dim), hold=True).strength
+        strength = law.evaluate(np.zeros_like(here), law.initial_history(count, joints.dim), HELD).strength
         used = np.linalg.norm(here[:, :-1], axis=1) / np.maximum(strength, least)
         found[group.sections] = np.where(law.opens & (here[:, -1] >= 0.0), inf, used)
     return found
@@ -70,7 +71,7 @@ def find_shut(model: Model, facts: Facts) -> Shut:
     if not count:
         return Shut(why="there are none")
     joints, zero = ops.joints, np.zeros_like(ops.joints.initial)
-    tangent = joints.respond(zero, joints.rest(), hold=True).tangent
+    tangent = joints.evaluate(zero, joints.initial_history(), HELD).tangent
     least = np.einsum("sii->si", tangent).min(axis=1, initial=inf)
     shear = np.linalg.norm(joints.initial[:, :-1], axis=1)
     known = replace(known, stiffness=-_largest(model, -least, count), shear=_largest(model, shear, count))

@@ -138,7 +138,7 @@ def _let_go(scene: Scene) -> Iterator[str]:
     remedy = "" if method.stepper == "explicit" else 'method.stepper = "explicit" with '
     steps = [(stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step) or 0.0 for stage in scene.stage]
     for name, table in scene.fracture.items():
-        slides = "sliding" in JOINT_LAWS[table.law].status
+        slides = JOINT_LAWS[table.law].slides
         pressure = table.pressure if scene.has_flow and slides else None
         if pressure is not None and pressure.is_quick(max(steps)):
             yield (
@@ -189,7 +189,7 @@ def _growing(scene: Scene) -> Iterator[str]:
 
 def _jagged(scene: Scene) -> Iterator[str]:
     """Slip rates that probes record where waves run: those of an instant are not to be read."""
-    slides = any("sliding" in JOINT_LAWS[table.law].status for table in scene.fracture.values())
+    slides = any(JOINT_LAWS[table.law].slides for table in scene.fracture.values())
     names = [
         probe.name
         for probe in scene.probe

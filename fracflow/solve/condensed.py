@@ -219,7 +219,7 @@ class Condensed:
         self._damps = operators.damping is not None and not loads.at_rest
         self._planned = Condensing({}, np.inf)
         self._kept: dict[Key, Kept] = {}  # the one used last comes last
-        start = joints.respond(np.zeros((len(joints.weights), joints.dim)), joints.rest()).tangent
+        start = joints.evaluate(np.zeros((len(joints.weights), joints.dim)), joints.initial_history()).tangent
         self._at_rest = start
         own, natural = np.diagonal(start, axis1=1, axis2=2), scales.force / (scales.displacement * scales.length)
         # any moduli do, for the sections put right what they really are; with these nothing that joints hold is loose

@@ -163,8 +163,8 @@ class Newton:
         """Raise NotConverged where a step carries loose blocks off that no joint stops, in strains. Collective."""
         if not self._floats(problem):
             return
-        joints, before = self.matrix.operators.joints, problem.sections
-        after = joints.respond(before.strain + step, problem.branch, hold=True)
+        before = problem.sections
+        after = problem.evaluate_joints(before.strain + step)
         if not self.matrix.layout.comm.allreduce(bool(np.any(before.is_open & ~after.is_open)), op=MPI.LOR):
             self._refuse_floating(problem, always=False)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.laws.base import HELD
 from fracflow.model.joints import Joints
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -69,8 +70,8 @@ def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
 
 
 def _stuck(joints: Joints, sections: Sections) -> np.ndarray:
-    past = joints.flip(sections.strain, sections.past, sections.is_sliding)
-    return joints.respond(sections.strain, past, hold=True).tangent
+    past = joints.with_other_status(sections.strain, sections.past, sections.is_sliding)
+    return joints.evaluate(sections.strain, past, HELD).tangent
 
 
 def _lowest(stiff: PETSc.Mat, mass: PETSc.Mat, shape: PETSc.Vec, force: PETSc.Vec) -> float:

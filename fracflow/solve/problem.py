@@ -14,6 +14,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
+from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
@@ -113,7 +114,7 @@ class StepProblem:
         ops, u, p = self.operators, self.displacement, self.pressure
         # jumps of this step on top of those of the last state: a motion that walls share costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
-        self.take(ops.joints.respond(strain, self.branch, hold))
+        self.take(self.evaluate_joints(strain, hold))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -143,6 +144,11 @@ class StepProblem:
         for part in self.loads.pressures:
             self.flow_balance.getArray()[part.numbers] = 0.0
         self._measure(max(terms), max(flow_terms))
+
+    def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
+        """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the statuses of now."""
+        step = LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
+        return self.operators.joints.evaluate(strain, self.branch, step)
 
     def take(self, answer: Sections) -> None:
         """Take what the sections answer to the present motion."""
@@ -266,13 +272,13 @@ class StepProblem:
 
     def change_statuses(self) -> np.ndarray:
         """Give every section that has left its status the next one; tell which (s,) of this rank did."""
-        return self.take_statuses(self.operators.joints.respond(self.sections.strain, self.branch).past)
+        return self.take_statuses(self.evaluate_joints(self.sections.strain, hold=False).past)
 
     def take_statuses(self, reached: Past) -> np.ndarray:
         """Give every section the status it has reached; tell which (s,) of this rank had another before."""
         joints = self.operators.joints
         changed = joints.have_changed(self.branch, reached)
-        self.branch = joints.follow(self.state.sections.past, reached)
+        self.branch = joints.with_status(self.state.sections.past, reached)
         return changed
 
     def hand_on(self) -> tuple[Floats, Floats] | None:

@@ -240,7 +240,7 @@ class SectionSolver:
         joints, film, comm = self.operators.joints, self.film, self.operators.layout.comm
         before, weights, most = problem.state.sections, joints.weights[:, None], self.scene.accuracy.max_iterations
         for iteration in range(most + 1):
-            answer = joints.respond(before.strain + change, problem.branch, hold=True)
+            answer = problem.evaluate_joints(before.strain + change)
             problem.sections = answer
             flow, slopes = 0.0, np.zeros((len(free), 2))
             if film is not None and given is not None:

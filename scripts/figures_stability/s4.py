@@ -23,6 +23,7 @@ from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
+from fracflow.laws.base import HELD
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.model.joints import LawGroup
 from fracflow.model.setup import Model
@@ -117,7 +118,7 @@ def solver(model: Model, spring: float) -> Iterator[Callable[[float, float], Out
         begun = replace(
             state,
             motion=replace(state.motion, displacement=displacement),
-            sections=joints.respond(joints.strain(displacement), joints.rest(), hold=True),
+            sections=joints.evaluate(joints.strain(displacement), joints.initial_history(), HELD),
         )
         right = root(force, spring)
         try:

@@ -58,10 +58,10 @@ def runs_away(make: Make, size: float, excess: Floats) -> np.ndarray:
     law = make(np.tile(x < PATCH - 1e-9, len(excess)), tau)
     dt = COURANT * size / np.sqrt(1.0 + np.max(law.shear_stiffness) * size**2 / 4.0)
     strain, speed = np.zeros((len(tau), 2)), np.zeros((len(excess), len(x)))
-    past, beyond = law.rest(len(tau), 2), np.tile(x > FAR, len(excess))
+    past, beyond = law.initial_history(len(tau), 2), np.tile(x > FAR, len(excess))
     for _ in range(int(np.ceil(END / dt))):
-        answer = law.respond(strain, past)
-        past = answer.past
+        answer = law.evaluate(strain, past)
+        past = answer.history
         u = strain[:, 0].reshape(speed.shape)
         pull = np.zeros_like(u)
         pull[:, 1:-1] = u[:, 2:] - 2.0 * u[:, 1:-1] + u[:, :-2]

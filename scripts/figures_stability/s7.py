@@ -20,6 +20,7 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, ROOT, Check, Floats, save, sh
 from fracflow._petsc import MPI
 from fracflow.diagnostics import scene_card
 from fracflow.elements.flow import conductivity, storage_matrix
+from fracflow.laws.base import HELD
 from fracflow.model.flow import STORAGE as PAIRS
 from fracflow.model.setup import Model, place
 from fracflow.reduction.prepare import prepare, read_split
@@ -79,8 +80,8 @@ def tangent(model: Model, friction_sign: float = 1.0) -> sparse.csr_matrix:
     """K_s + G' W D G with every section sliding, by the program's operators."""
     ops = model.operators
     joints, count = ops.joints, ops.layout.solid_count
-    past = tuple({**p, "sliding": np.full_like(p["sliding"], friction_sign)} for p in joints.rest())
-    answer = joints.respond(np.zeros((len(joints.weights), 2)), past, hold=True)
+    past = tuple({**p, "sliding": np.full_like(p["sliding"], friction_sign)} for p in joints.initial_history())
+    answer = joints.evaluate(np.zeros((len(joints.weights), 2)), past, HELD)
     rows, columns, values = ops.stiffness.getValuesCSR()
     total = sparse.csr_matrix((values, columns, rows), shape=(count, count))
     for numbers, blocks in joints.tangent(answer.tangent):

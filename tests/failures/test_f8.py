@@ -13,6 +13,7 @@ from fracflow.advance.initial_state import rest, settle
 from fracflow.advance.step import Stepping
 from fracflow.cli.app import app
 from fracflow.integrators import Newmark
+from fracflow.laws.base import HELD
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.solve.request import StepRequest
@@ -114,9 +115,9 @@ def test_a_seeded_wave_grows_in_a_run_as_its_eigenvalue_says():
     u.getArray()[waves.unknowns] += wave.real
     v.getArray()[waves.unknowns] += (p * wave).real
     joints = model.operators.joints
-    past = tuple({**history, "sliding": np.ones_like(history["sliding"])} for history in joints.rest())
+    past = tuple({**history, "sliding": np.ones_like(history["sliding"])} for history in joints.initial_history())
     strain = joints.strain(u)
-    sections = replace(joints.respond(strain, past, hold=True), blur=state.sections.blur, record=state.sections.record)
+    sections = replace(joints.evaluate(strain, past, HELD), blur=state.sections.blur, record=state.sections.record)
     state = replace(state, sections=sections)
     stepping, rule = Stepping(model), Newmark()
     now, found = stepping.enter(state, rule, dt), []

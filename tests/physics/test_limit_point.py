@@ -129,7 +129,7 @@ def test_the_share_of_a_patch_in_wide_rock_is_that_of_uenishi_and_rice(monkeypat
     x = blocks.solid.points[blocks.joints.bottom][:, :, 0].ravel()
     slides = np.abs(x) < half - 0.5 * size
     weakening = Weakening(np.where(slides, 1.0, 0.0), np.where(slides, 1.0, 0.0), slides[:, None].astype(float))
-    sections = joints.respond(np.zeros((len(x), 2)), joints.rest())
+    sections = joints.evaluate(np.zeros((len(x), 2)), joints.initial_history())
     share, mode, is_sharp = largest_share(model.operators, model.loads, sections, weakening)
     assert half - size < share * UNIFORM * 32e9 < half
     shape = 1.0 - (x[slides] / half) ** 2
