@@ -58,8 +58,7 @@ class ExplicitSteps:
         limit = f"critical time step of the rock {critical:.6g}" if math.isfinite(critical) else "no rock deforms"
         cut = f"; time_step {dt:.6g} is taken in {count} parts of {dt / count:.6g}" if count > 1 else ""
         ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
-        damping = self.coupling.damping
-        damps = "" if damping is None else f"; cells at faults are damped, method.fault_damping = {damping.ratio:g}"
+        damps = "".join(f"; {told}" for told in self.coupling.told)
         self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
 
     def in_parts(self, part: Part, state: State, request: StepRequest, count: int) -> tuple[State, StepReport]:

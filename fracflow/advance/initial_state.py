@@ -86,7 +86,7 @@ def rest(model: Model) -> State:
     motion, sections, pressure = _unmoved(model)
     controls = {name: control.initial for name, control in scene.control.items()}
     holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
-    state = State(0.0, motion, pressure, sections, holding, controls, empty_books(), friction=friction)
+    state = State(0.0, motion, pressure, sections, holding, controls, empty_books(ops.terms), friction=friction)
     return state if scene.initial is None else _moved(model, state)
 
 

@@ -7,16 +7,17 @@ kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import taken_between
-from fracflow.model.energy_motion import Scheme, damping_part, motion_parts, side_parts
+from fracflow.model.energy_motion import Scheme, motion_parts, term_parts
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
+from fracflow.model.terms.term import Term
 
 STORED = (
     "kinetic",
@@ -36,9 +37,9 @@ WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
 
-def empty_books() -> dict[str, float]:
-    """All entries at zero."""
-    return dict.fromkeys(ENTRIES, 0.0)
+def empty_books(terms: Iterable[Term] = ()) -> dict[str, float]:
+    """All entries at zero, those of terms beside the others."""
+    return dict.fromkeys([*ENTRIES, *(name for term in terms for name in term.energy(0.0, 0.0))], 0.0)
 
 
 def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
@@ -52,11 +53,10 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
     mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
     term = change.duplicate()
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
-    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | side_parts(ops, old, new, dt)
-    parts |= damping_part(ops, old, new)
+    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
-    parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
+    parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
     parts["work_boundaries"] += 0.5 * sum(
         vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
     )
@@ -68,7 +68,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_pressure, mean_displacement, term):
         vector.destroy()
-    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in ENTRIES}
+    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in old.energy}
     return _with_residuals(totals)
 
 
@@ -136,7 +136,10 @@ def put_in(totals: Mapping[str, float]) -> dict[str, float]:
 
 
 def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
-    left = sum(totals[name] for name in STORED) - sum(totals[name] for name in WORK)
+    of_terms = [name for name in totals if name not in ENTRIES]
+    work = [*WORK, *(name for name in of_terms if name.startswith("work_"))]
+    stored = [*STORED, *(name for name in of_terms if name not in work)]
+    left = sum(totals[name] for name in stored) - sum(totals[name] for name in work)
     return {
         **totals,
         "residual": left,

@@ -13,12 +13,13 @@ from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.absorbing import Wave, resting_unknowns, waves_of
 from fracflow.model.dirichlet import Prescribed, motion, own, prescribe, supported
 from fracflow.model.layout import Layout
 from fracflow.model.network_parts import Closure
+from fracflow.model.operators import Operators
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
+from fracflow.model.terms.term import held_without_inertia
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene
@@ -60,8 +61,8 @@ class Loads:
     """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
-    Of absorbing sides: ``waves`` that come in with inertia, ``resting`` unknowns (local, and ``fixed_resting`` joined of all
-    ranks) that stay where they are without, and ``at_rest``, which of the two holds.
+    Of terms: ``resting`` unknowns (local, and ``fixed_resting`` joined of all ranks) that stay where they are without
+    inertia, and ``at_rest``, whether there is none.
     """
 
     supports: tuple[Prescribed, ...]
@@ -72,7 +73,6 @@ class Loads:
     fixed_flow: Ints
     limits: tuple[Limit, ...] = ()
     closures: tuple[Closure, ...] = ()
-    waves: tuple[Wave, ...] = ()
     resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     fixed_resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     at_rest: bool = False
@@ -84,7 +84,7 @@ class Loads:
         return np.concatenate(parts) if parts else self.resting[:0]
 
     def standing(self) -> Loads:
-        """The same for a stage without inertia: absorbing sides stay where they are."""
+        """The same for a stage without inertia: what terms hold stays where it is."""
         return replace(self, at_rest=True, fixed_solid=np.union1d(self.fixed_solid, self.fixed_resting))
 
     @property
@@ -236,8 +236,7 @@ def _well_pressure(
 def assemble_loads(
     blocks: Blocks,
     scene: Scene,
-    layout: Layout,
-    expand: PETSc.Mat | None,
+    operators: Operators,
     points: Mapping[str, Ints],
     well_nodes: Mapping[str, int],
 ) -> Loads:
@@ -247,7 +246,7 @@ def assemble_loads(
     well_nodes  name of a well -> PETSc number of its flow node
     Collective. Raises InputError, on every rank, for names the mesh does not have.
     """
-    comm, starts = blocks.comm, blocks.solid.unknown_starts
+    comm, starts, layout, expand = blocks.comm, blocks.solid.unknown_starts, operators.layout, operators.expand
     taken = blocks.solid.unused
     supports = [Prescribed(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
     for support in scene.support:
@@ -255,7 +254,8 @@ def assemble_loads(
             for part, found in supported(blocks, support, name, points).items():
                 here, taken = prescribe(starts, comm, found, taken, motion(support, part))
                 supports.append(here)
-    resting, at_rest = prescribe(starts, comm, resting_unknowns(blocks, scene), taken, lambda time, place, around: 0.0)
+    held_by_terms = held_without_inertia(operators.terms)
+    resting, at_rest = prescribe(starts, comm, held_by_terms, taken, lambda time, place, around: 0.0)
     forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
     if scene.body_force is not None:
         forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
@@ -294,7 +294,6 @@ def assemble_loads(
         layout.solid_numbers(taken.astype(np.int64)),
         layout.flow_numbers(held),
         tuple(limits),
-        waves=waves_of(blocks, scene, expand),
         resting=resting.numbers,
         fixed_resting=layout.solid_numbers(np.setdiff1d(at_rest, taken).astype(np.int64)),
     )

@@ -18,13 +18,13 @@ from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_pl
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
-from fracflow.model.absorbing import describe
 from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.network_parts import label_parts
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
+from fracflow.model.terms.registry import with_terms
 from fracflow.scene.scene import Scene
 from fracflow.scene.values import FractureEnd, Place
 
@@ -247,13 +247,13 @@ def set_up(
     cell_rank  its partition in an earlier run, on rank 0
     """
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
-    operators = assemble(blocks, scene)
+    operators = with_terms(assemble(blocks, scene), scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
     numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
-    loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
+    loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, mesh)
-    placed = replace(placed, notes=(*placed.notes, *describe(blocks, scene)))
+    placed = replace(placed, notes=(*placed.notes, *(line for term in operators.terms for line in term.notes)))
     return Model(scene, mesh, placed, operators, loads, scene)
 
 

@@ -73,37 +73,33 @@ class Forces:
     support     reactions at supported unknowns, zero elsewhere
     conduction  K_F p of (3.20) [volume rate per thickness]
     source      well rates Q, and what prescribed pressures draw in
-    absorbed    forces of absorbing sides against the motion, less those of the waves that come in; None where none act
-    anchor      the part of ``load`` that was the reaction of absorbing sides when inertia came in; None as above
-    incident    power that the waves bring in [energy/time per thickness]
-    damped      forces of the damping at faults against the motion; None where none act
+    of_terms    by the names of terms: forces of their C and D against the motion, less those that they bring in
+    powers      likewise: power of the forces that they bring in [energy/time per thickness]
+    anchor      the part of ``load`` that was the reaction of what terms held until inertia came in; None where none did
     """
 
     load: PETSc.Vec
     support: PETSc.Vec
     conduction: PETSc.Vec
     source: PETSc.Vec
-    absorbed: PETSc.Vec | None = None
+    of_terms: Mapping[str, PETSc.Vec] = field(default_factory=dict)
+    powers: Mapping[str, float] = field(default_factory=dict)
     anchor: PETSc.Vec | None = None
-    incident: float = 0.0
-    damped: PETSc.Vec | None = None
 
     def copy(self) -> Forces:
         """The same in vectors of its own."""
-        absorbed, anchor, damped = (
-            None if vector is None else vector.copy() for vector in (self.absorbed, self.anchor, self.damped)
-        )
+        of_terms = {name: vector.copy() for name, vector in self.of_terms.items()}
+        anchor = None if self.anchor is None else self.anchor.copy()
         load, support, conduction, source = (
             vector.copy() for vector in (self.load, self.support, self.conduction, self.source)
         )
-        return Forces(load, support, conduction, source, absorbed, anchor, self.incident, damped)
+        return Forces(load, support, conduction, source, of_terms, self.powers, anchor)
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        vectors = (self.load, self.support, self.conduction, self.source, self.absorbed, self.anchor, self.damped)
-        for vector in vectors:
-            if vector is not None:
-                vector.destroy()
+        kept = () if self.anchor is None else (self.anchor,)
+        for vector in (self.load, self.support, self.conduction, self.source, *self.of_terms.values(), *kept):
+            vector.destroy()
 
 
 @dataclass(frozen=True)

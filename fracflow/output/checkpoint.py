@@ -49,7 +49,7 @@ NOTES = (
 )
 _NO_CHECKPOINT = "is no checkpoint"
 MEMORY = "mean_velocity"
-SIDES = ("absorbed", "anchor", "damped")  # of absorbing sides, and of damping at faults, where they act
+ANCHOR = "anchor"
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
 DIMENSIONS = {"strain": 1, "traction": 1, "tangent": 2, "inelastic": 1, "blur": 1}  # of each section's value
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
@@ -77,7 +77,7 @@ class Notes(TypedDict, total=False):
     events: dict[str, Any]
     injected: float
     around: tuple[float, float]
-    incident: float
+    powers: dict[str, float]
     through: dict[str, float]
     seals: dict[str, str]
 
@@ -145,9 +145,9 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
     if state.memory.velocity is not None:
         local = state.memory.velocity.getArray(readonly=True)
         arrays[MEMORY] = blocks.gather(places[used], local[used], total)
-    for name in SIDES:
-        if (vector := getattr(state.forces, name)) is not None:
-            arrays[name] = blocks.gather(places[used], vector.getArray(readonly=True)[used], total)
+    anchor = {} if state.forces.anchor is None else {ANCHOR: state.forces.anchor}
+    for name, vector in {**state.forces.of_terms, **anchor}.items():
+        arrays[name] = blocks.gather(places[used], vector.getArray(readonly=True)[used], total)
     for name, rate in zip(RATES, (state.uptake, state.memory.uptake), strict=True):
         if rate is not None:
             arrays[name] = blocks.gather(blocks.flow.ids, rate.getArray().copy(), blocks.sizes.flow_nodes)
@@ -184,9 +184,6 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             vector.setArray(arrays[name][blocks.flow.ids])
         return vector
 
-    def side(name: str) -> PETSc.Vec | None:
-        return solid(name) if name in arrays else None
-
     def saved(name: str) -> PETSc.Vec | None:
         return flow(name) if name in arrays else None
 
@@ -209,10 +206,9 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             solid("support"),
             flow("conduction"),
             flow("source"),
-            side(SIDES[0]),
-            side(SIDES[1]),
-            notes.get("incident", 0.0),
-            side(SIDES[2]),
+            {name: solid(name) for name in _names_of_terms(operators, arrays)},
+            notes.get("powers", {}),
+            solid(ANCHOR) if ANCHOR in arrays else None,
         ),
         controls=notes["controls"],
         energy=notes["energy"],
@@ -229,6 +225,11 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
     )
 
 
+def _names_of_terms(operators: Operators, arrays: Arrays) -> list[str]:
+    """The terms whose forces are there."""
+    return [term.name for term in operators.terms if term.name in arrays]
+
+
 def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
     sizes, joint = operators.blocks.sizes, (operators.blocks.sizes.joints, operators.joints.points)
     flow = FLOW if operators.flow is not None else ()
@@ -236,7 +237,8 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
     shapes |= {name: (sizes.flow_nodes,) for name in flow}
     shapes |= {MEMORY: (unknowns,)} if remembers else {}
     shapes |= {name: (sizes.flow_nodes,) for name in RATES if name in arrays}
-    shapes |= {name: (unknowns,) for name in SIDES if name in arrays}
+    kept = (*_names_of_terms(operators, arrays), *([ANCHOR] if ANCHOR in arrays else []))
+    shapes |= {name: (unknowns,) for name in kept}
     parts = {f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "past"}
     shapes |= {f"sections/{name}": shape for name, shape in parts.items()} | {"friction": joint}
     for number, group in enumerate(operators.joints.laws):

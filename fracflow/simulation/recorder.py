@@ -288,7 +288,7 @@ class Files:
         notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
         notes |= {"through": dict(state.memory.through)}
         notes |= {"drive": state.drive, "power": state.power, "injected": state.injected}
-        notes |= {"incident": state.forces.incident, "around": list(state.around)}
+        notes |= {"powers": dict(state.forces.powers), "around": list(state.around)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}

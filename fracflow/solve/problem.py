@@ -1,6 +1,6 @@
 """(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
 
-solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p + C v - R = 0, C of absorbing sides
+solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p + C v - R = 0, K_s and C with those of terms
 flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of
        the walls, what a part holds is changed by what flows in and out alone
 """
@@ -22,7 +22,7 @@ from fracflow.model.dirichlet import Prescribed
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, Past, Sections, State
-from fracflow.solve.motion_terms import Absorption, Lag, MovingTerms
+from fracflow.solve.motion_terms import Lag, MovingTerms, TermsOfStep
 from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
     CANCELLATION,
@@ -66,8 +66,8 @@ class StepProblem:
         loads.source(time, controls, self.source, rule.adjacent, rates)
         of_wells = rule.alphas.a1 == 0.0
         self.lag = Lag.of(loads, state, unapplied, of_wells, self.load, self.source) if unapplied else Lag()
-        self.absorption = Absorption.of(operators, loads, state, time, rule.adjacent, self.load)
-        self.moving = MovingTerms.of(operators, state, self.alphas, self.absorption)
+        self.terms = TermsOfStep.of(operators, loads, state, time, rule.adjacent, self.load)
+        self.moving = MovingTerms.of(operators, state, self.alphas, self.terms)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self.pressure = state.pressure.copy()
         if start is not None:
@@ -298,9 +298,9 @@ class StepProblem:
 def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     """Terms of both balances at one instant, with the reactions of what is held. Collective."""
     ops = problem.operators
-    absorbed = problem.absorption.force(motion.velocity)
+    of_terms = problem.terms.forces(motion.velocity)
     support = static_balance(
-        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, absorbed
+        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, of_terms.values()
     )
     ops.mass.multAdd(motion.acceleration, support, support)
     conduction, source = ops.layout.flow_vector(), problem.source.copy()
@@ -319,6 +319,5 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     held = np.zeros(ops.layout.solid_count, dtype=bool)
     held[problem.loads.held] = True
     support.getArray()[~held] = 0.0
-    anchor = problem.absorption.anchor
-    kept = None if anchor is None else anchor.copy()
-    return Forces(problem.load.copy(), support, conduction, source, absorbed, kept, problem.absorption.incident)
+    anchor = None if problem.terms.anchor is None else problem.terms.anchor.copy()
+    return Forces(problem.load.copy(), support, conduction, source, of_terms, problem.terms.powers, anchor)

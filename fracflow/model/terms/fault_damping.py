@@ -37,18 +37,19 @@ Order       In TPV205-2D slip is too small by 1.8, 0.79, 0.40 % (rms of seven pl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.elements import joint, solid
-from fracflow.integrators.explicit import critical_step, damped_rate
+from fracflow.integrators import EXPLICIT
+from fracflow.integrators.explicit import damped_rate
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.joints import Joints
 from fracflow.model.layout import add_blocks, create_matrix
-from fracflow.model.mass import by_lanczos, cell_rates, fastest, fastest_cell
+from fracflow.model.mass import cell_rates
 from fracflow.model.operators import Operators
 from fracflow.model.solid import (
     by_shape,
@@ -59,6 +60,7 @@ from fracflow.model.solid import (
     projected,
     rock_values,
 )
+from fracflow.model.terms.term import MeanDamping, Term
 from fracflow.scene.scene import Scene
 
 AUTO = 0.25  # of the critical damping of a cell's fastest vibration
@@ -66,34 +68,28 @@ SUDDEN = 0.45  # the same, where strength falls at once
 QUICK = 1e-3  # of a joint's initial normal traction: the change of pressure in 1/omega of its cells that is at once
 ALIKE = 1e-3  # of ``asymmetry``: less makes no normal traction that counts
 LAYERS = 3  # of cells that are damped, counted from the fault by the nodes they share
-PASSES = 2  # in which the stable step is found: none is above it
 
 
-@dataclass(frozen=True)
-class FaultDamping:
-    """D = sum of eta_e K_e on the unknowns [force time/length per thickness].
+class FaultDamping(Term):
+    """The damping of a scene's cells at faults, in explicit steps."""
 
-    scale  (m,) squared frequency of each local cell with its damping, over that without, as a step's stability sees them
-    ratio  damping of a cell's fastest vibration over the critical one, the largest of all cells
-    """
+    name, entry = "damped", "damping"
 
-    matrix: PETSc.Mat
-    scale: Floats
-    ratio: float
+    def __init__(self, operators: Operators, scene: Scene) -> None:
+        """Nothing is made before a stage takes explicit steps."""
+        self._made = cache(lambda: damping_at_faults(operators, scene))
 
-    def force(self, increment: PETSc.Vec, dt: float) -> PETSc.Vec:
-        """D times the mean velocity of a step, in a new vector. Collective."""
-        result = increment.duplicate()
-        self.matrix.mult(increment, result)
-        result.scale(1.0 / dt)
-        return result
-
-    def destroy(self) -> None:
-        """Free the matrix. Collective."""
-        self.matrix.destroy()
+    def mean_damping(self) -> MeanDamping | None:
+        """D of the cells; None where none is damped. Collective."""
+        return self._made()
 
 
 def fault_damping(operators: Operators, scene: Scene) -> FaultDamping | None:
+    """The term of a scene whose steps are explicit, and that wants it."""
+    return FaultDamping(operators, scene) if scene.method.stepper in EXPLICIT and scene.method.fault_damping else None
+
+
+def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     """Damping of the cells at joints that can slip; None where there are none, or the scene wants none. Collective.
 
     With "auto" at those alone that are not meshed as each other's mirror images, for the others' normal tractions do not
@@ -125,7 +121,8 @@ def fault_damping(operators: Operators, scene: Scene) -> FaultDamping | None:
     scale = np.ones(len(rates))
     for ratio in np.unique(ratios[chosen]).tolist():
         scale[ratios == ratio] = damped_rate(ratio)
-    return FaultDamping(projected(matrix, operators.expand), scale, largest)
+    told = f"cells at faults are damped, method.fault_damping = {largest:g}"
+    return MeanDamping(projected(matrix, operators.expand), scale, largest, told)
 
 
 def can_slip(joints: Joints) -> Bools:
@@ -228,19 +225,3 @@ def _summed(blocks: Blocks, nodes: Ints, values: Floats) -> Floats:
     for each in (whole, wanted, local, scatter):
         each.destroy()
     return found
-
-
-def longest_step(operators: Operators, scene: Scene, inverse: PETSc.Mat, damping: FaultDamping | None) -> float:
-    """The longest stable step: 2/omega without damping, else of 4 = dt^2 omega^2 of M^-1 (K_s + 2 D/dt) [time]. Collective.
-
-    The cells bound it from below. At a step below it, omega^2 is above that of the step itself: so is no pass.
-    """
-    if damping is None:
-        return critical_step(fastest(operators, scene, inverse))
-    step = critical_step(fastest_cell(operators, scene, damping.scale))
-    for _ in range(PASSES):
-        whole = operators.stiffness.copy()
-        whole.axpy(2.0 / step, damping.matrix, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        step = max(step, critical_step(by_lanczos(operators, inverse, whole)))
-        whole.destroy()
-    return step

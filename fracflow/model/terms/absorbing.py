@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,10 @@ from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import nodal_force, nodal_layout, node_unknowns, projected, rock_values
+from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Absorbing, Scene
 from fracflow.scene.time_table import Around
 from fracflow.scene.values import TimeTable
@@ -62,18 +65,15 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
     return Facets(nodes, length, outward(blocks, facets), lam, shear, rock_values(blocks, scene, "density")[cells])
 
 
-def describe(blocks: Blocks, scene: Scene) -> tuple[str, ...]:
-    """What the log should tell of absorbing sides: how much of a wave they send back. Collective."""
-    lines = []
-    for absorbing in scene.absorbing if scene.has_dynamics else ():
-        facets = facets_of(blocks, scene, absorbing)
-        lines += _leaves_by(blocks, absorbing)
-        ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
-        everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
-        for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
-            for told in dashpot.reflections(float(ratio)):
-                lines.append(f"absorbing {', '.join(absorbing.on)}: of {told} (Poisson's ratio {ratio:.4g})")
-    return tuple(lines)
+def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
+    """What the log should tell of an entry: how much of a wave its sides send back. Collective."""
+    lines = _leaves_by(blocks, absorbing)
+    ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
+    everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
+    for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
+        for told in dashpot.reflections(float(ratio)):
+            lines.append(f"absorbing {', '.join(absorbing.on)}: of {told} (Poisson's ratio {ratio:.4g})")
+    return lines
 
 
 def _leaves_by(blocks: Blocks, absorbing: Absorbing) -> list[str]:
@@ -91,37 +91,63 @@ def _leaves_by(blocks: Blocks, absorbing: Absorbing) -> list[str]:
     return lines
 
 
-def damping(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat | None:
-    """C of all absorbing sides on the unknowns, lumped; None where there are none, or no inertia. Collective.
+class AbsorbingSides(Term):
+    """All absorbing sides of a scene: dashpots, waves that come in, and nodes that stay without inertia."""
 
-    A block of dim x dim at each node [force time/length per thickness]: diagonal where sides lie along the axes. The
-    caller destroys it.
-    """
-    if not scene.absorbing or not scene.has_dynamics:
-        return None
-    matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), blocks.sizes.dim, blocks.comm)
-    for absorbing in scene.absorbing:
-        facets = facets_of(blocks, scene, absorbing)
-        values = facets.impedance
-        for end in range(2):
-            numbers = node_unknowns(blocks, facets.nodes[:, end])
-            add_blocks(matrix, numbers, numbers, values)
-    matrix.assemble()
-    return projected(matrix, expand)
+    name, entry = "absorbed", "radiated"
+
+    def __init__(self, operators: Operators, scene: Scene) -> None:
+        """Raises InputError, on every rank. Collective."""
+        blocks, expand = operators.blocks, operators.expand
+        self.sides = [(absorbing, facets_of(blocks, scene, absorbing)) for absorbing in scene.absorbing]
+        self.blocks, self.waves, self._notes = blocks, tuple[Wave, ...](), tuple[str, ...]()
+        if not scene.has_dynamics:
+            return
+        self.damping = self._impedance(expand)
+        waves = [(absorbing, facets) for absorbing, facets in self.sides if absorbing.wave is not None]
+        self.waves = tuple(_wave(blocks, absorbing, facets, expand) for absorbing, facets in waves)
+        self._notes = tuple(line for each in self.sides for line in _notes(blocks, *each))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How much of a wave the sides send back."""
+        return self._notes
+
+    def _impedance(self, expand: PETSc.Mat | None) -> PETSc.Mat:
+        """C, lumped: a block of dim x dim at each node, diagonal where sides lie along the axes. Collective."""
+        layout = nodal_layout(self.blocks)
+        matrix = create_matrix((layout, layout), self.blocks.sizes.dim, self.blocks.comm)
+        for _, facets in self.sides:
+            values = facets.impedance
+            for end in range(2):
+                numbers = node_unknowns(self.blocks, facets.nodes[:, end])
+                add_blocks(matrix, numbers, numbers, values)
+        matrix.assemble()
+        return projected(matrix, expand)
+
+    def held(self) -> tuple[Ints, Floats]:
+        """Unknowns (n,) of this rank's part of the sides that are held without inertia, and their places (n, dim)."""
+        nodes = [facets.nodes.ravel() for absorbing, facets in self.sides if absorbing.without_inertia == "held"]
+        found = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *nodes]))
+        block, dim = self.blocks.solid, self.blocks.sizes.dim
+        return block.unknown[found, :dim].ravel(), np.repeat(block.points[found], dim, axis=0)
+
+    def incoming(self, time: float, around: Around, result: PETSc.Vec) -> float | None:
+        """Add the forces of the waves at the end of a step to ``result``; their power. Collective."""
+        if not self.waves:
+            return None
+        for wave in self.waves:
+            wave.add_force(time, around, result)
+        return sum(wave.power(time, around) for wave in self.waves)
+
+    def energy(self, taken: float, brought: float) -> Mapping[str, float]:
+        """What the sides let out, and what waves bring in."""
+        return {"radiated": taken + brought, "work_incident": brought}
 
 
-def resting_unknowns(blocks: Blocks, scene: Scene) -> tuple[Ints, Floats]:
-    """Unknowns (n,) of this rank's part of the absorbing sides that are held where there is no inertia, and places (n, dim).
-
-    Raises InputError, on every rank. Collective.
-    """
-    nodes = [np.zeros(0, dtype=np.int64)]
-    for absorbing in scene.absorbing:
-        facets = facets_of(blocks, scene, absorbing)
-        if absorbing.without_inertia == "held":
-            nodes.append(facets.nodes.ravel())
-    found, dim = np.unique(np.concatenate(nodes)), blocks.sizes.dim
-    return blocks.solid.unknown[found, :dim].ravel(), np.repeat(blocks.solid.points[found], dim, axis=0)
+def absorbing_sides(operators: Operators, scene: Scene) -> AbsorbingSides | None:
+    """The absorbing sides of a scene that has any. Raises InputError, on every rank. Collective."""
+    return AbsorbingSides(operators, scene) if scene.absorbing else None
 
 
 @dataclass(frozen=True)
@@ -154,16 +180,9 @@ class Wave:
         return float(self.blocks.comm.allreduce(float(np.sum(self.work * self._at(time, around) ** 2))))
 
 
-def waves_of(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> tuple[Wave, ...]:
-    """The waves of all absorbing sides. Raises InputError, on every rank. Collective."""
-    if not scene.has_dynamics:
-        return ()
-    return tuple(_wave(blocks, scene, each, expand) for each in scene.absorbing if each.wave is not None)
-
-
-def _wave(blocks: Blocks, scene: Scene, absorbing: Absorbing, expand: PETSc.Mat | None) -> Wave:
+def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Mat | None) -> Wave:
     """(Joyner and Chen 1975) In the rock without anything else the sides would carry C v + sigma n of the wave alone."""
-    facets, wave, comm = facets_of(blocks, scene, absorbing), absorbing.wave, blocks.comm
+    wave, comm = absorbing.wave, blocks.comm
     assert wave is not None
     if wave.direction is None:
         inward = comm.allreduce(-(facets.normal * facets.length[:, None]).sum(axis=0))
