@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import flow, joint
+from fracflow.elements import facet, flow
 from fracflow.laws.cubic_flow import MEANS, conductance
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
@@ -172,16 +172,19 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     """Operators of the network of a scene that has a fluid. Collective."""
     assert scene.fluid is not None
     comm, block, dim = blocks.comm, blocks.joints, blocks.sizes.dim
-    ends = np.arange(2 * len(block.ids)).reshape(-1, 2)
-    end_layout = (ends.size, 2 * blocks.sizes.joints)
+    corners = blocks.solid.points[block.bottom]
+    width = corners.shape[1]
+    ends = np.arange(width * len(block.ids)).reshape(-1, width)
+    end_layout = (ends.size, width * blocks.sizes.joints)
     node_layout = (len(blocks.flow.ids), blocks.sizes.flow_nodes)
 
-    normal = create_matrix((end_layout, (ends.size * dim, 2 * blocks.sizes.joints * dim)), 1, comm)
+    normal = create_matrix((end_layout, (ends.size * dim, width * blocks.sizes.joints * dim)), 1, comm)
     first = normal.getOwnershipRange()[0]
     rows = (first + ends).reshape(-1, 1)
     add_blocks(normal, rows, rows * dim + dim - 1, np.ones((rows.size, 1, 1)))
     normal.assemble()
-    jump = jump_matrix(blocks, np.array([-1.0, 1.0]), expand)
+    natural = facet.RULES["nodal"][width].natural
+    jump = jump_matrix(blocks, natural, expand)
     opening = normal.matMult(jump)
     normal.destroy()
     jump.destroy()
@@ -189,12 +192,12 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     pick = create_matrix((end_layout, node_layout), 1, comm)
     add_blocks(pick, rows, block.flow.reshape(-1, 1), np.ones((rows.size, 1, 1)))
     pick.assemble()
-    _, length = joint.frame(blocks.solid.points[block.bottom])
+    _, length = facet.frame(corners)
 
     def weighted(kind: str) -> PETSc.Mat:
-        matrix = create_matrix((end_layout, node_layout), 2, comm)
+        matrix = create_matrix((end_layout, node_layout), width, comm)
         numbers = first + ends
-        add_blocks(matrix, numbers, block.flow, flow.storage_matrix(kind, length))
+        add_blocks(matrix, numbers, block.flow, flow.storage_matrix(kind, corners))
         matrix.assemble()
         product = opening.transposeMatMult(matrix)
         matrix.destroy()
@@ -203,7 +206,6 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     kinds = STORAGE[scene.method.storage]
     push = weighted(kinds[0])
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
-    natural = np.array([-1.0, 1.0])
     resting = PETSc.Vec().createMPI(node_layout, comm=comm)
     resting.setArray(resting_pressure(scene, blocks.flow.points))
     return Flow(
@@ -217,7 +219,7 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         length,
         along_fractures(blocks, scene, "conductance", np.zeros(1))[:, 0],
         resting,
-        _apply(pick, resting).reshape(-1, 2),
+        _apply(pick, resting).reshape(-1, width),
         scene.method.conductance,
         scene.fluid.viscosity,
         scene.fluid.compressibility,

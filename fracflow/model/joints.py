@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
-from fracflow.elements.shape import line_shape
+from fracflow.elements import facet, joint
 from fracflow.errors import InputError
 from fracflow.laws import JOINT_LAWS, JointLaw, LawStep, make_law, parameters_of
 from fracflow.laws.base import INSTANT
@@ -35,21 +34,22 @@ class SectionGroup:
 
 
 def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PETSc.Mat:
-    """(2.3)-(2.9) G for sections at natural coordinates ``points`` (q,). The caller destroys it. Collective."""
-    block, dim = blocks.joints, blocks.sizes.dim
-    frame, _ = joint.frame(blocks.solid.points[block.bottom])
-    operators = joint.jump_operator(frame, points)
+    """(2.3)-(2.9) G for sections at natural coordinates (q,) or (q, 2). The caller destroys it. Collective."""
+    block, dim, width = blocks.joints, blocks.sizes.dim, blocks.joints.bottom.shape[1]
+    frame, _ = facet.frame(blocks.solid.points[block.bottom])
+    shapes = facet.shapes(points, width)
+    operators = joint.jump_operator(frame, shapes)
     count = len(block.ids) * len(points) * dim
-    matrix = create_matrix(((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 4 * dim, blocks.comm)
+    matrix = create_matrix(((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 2 * width * dim, blocks.comm)
     start = matrix.getOwnershipRange()[0]
-    faces = node_unknowns(blocks, np.stack([block.bottom, block.top], axis=1))  # (joint, face, end, component)
-    shape = operators.reshape(len(block.ids), len(points), dim, 2, dim, dim)
-    ends_of = [np.flatnonzero([not np.isclose(abs(xi), 1.0) or xi == end for end in (-1.0, 1.0)]) for xi in points]
-    for point, ends in enumerate(ends_of):
+    faces = node_unknowns(blocks, np.stack([block.bottom, block.top], axis=1))  # (joint, face, node, component)
+    parts = operators.reshape(len(block.ids), len(points), dim, 2, width, dim)
+    for point, shape in enumerate(shapes):
         first = start + (np.arange(len(block.ids)) * len(points) + point) * dim
-        width = 2 * len(ends) * dim
-        cols = faces[:, :, ends].reshape(len(block.ids), width)
-        values = shape[:, point][:, :, :, ends].reshape(len(block.ids), dim, width)
+        near = np.flatnonzero(shape)
+        entries = 2 * len(near) * dim
+        cols = faces[:, :, near].reshape(len(block.ids), entries)
+        values = parts[:, point][:, :, :, near].reshape(len(block.ids), dim, entries)
         add_blocks(matrix, first[:, None] + np.arange(dim), cols, values)
     matrix.assemble()
     if expand is None:
@@ -99,7 +99,7 @@ class Joints:
 
     jump      G: displacement unknowns -> strains, rows section * dim + component
     sizes     |G|, entry by entry
-    weights   (s,) length a section stands for [length]
+    weights   (s,) length or area a section stands for
     initial   (s, dim) initial effective traction, joint frame [stress]
     groups    sections by unknowns, for the tangent
     laws      sections by law
@@ -150,11 +150,9 @@ class Joints:
         return local
 
     def openings(self, strain: Floats) -> Floats | None:
-        """Normal jumps (j, 2) at the joint ends of strains (s, dim); None of the one-point rule, which does not tell."""
-        normal = strain[:, -1].reshape(-1, self.points)
-        if self.points == 1:
-            return None
-        return np.asarray(normal @ line_shape(1.0 / self.natural).T)
+        """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None of the one-point rule, which does not tell."""
+        extend = facet.to_nodes(self.natural)
+        return None if extend is None else np.asarray(strain[:, -1].reshape(-1, self.points) @ extend.T)
 
     def evaluate(self, strain: Floats, history: Past, step: LawStep = INSTANT) -> Sections:
         """Response of the laws to strains (s, dim) after ``history``, which stays as it is."""
@@ -250,9 +248,9 @@ class Joints:
 def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     """(2.14) Effective tractions (s, dim) that the initial stress and the initial pressure make, joint frame [stress]."""
     block, dim, points = blocks.joints, blocks.sizes.dim, len(natural)
-    ends = blocks.solid.points[block.bottom]
-    frame, _ = joint.frame(ends)
-    place = on_joints(ends, natural).reshape(-1, dim)
+    corners = blocks.solid.points[block.bottom]
+    frame, _ = facet.frame(corners)
+    place = on_joints(corners, natural).reshape(-1, dim)
     sigma = initial_stress(scene, place)[:, :dim, :dim]
     traction = joint.traction_from_stress(np.repeat(frame, points, axis=0), sigma)
     traction[:, -1] += initial_pressure(scene, place)
@@ -331,9 +329,9 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
 
 def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Joints:
     """Operators and laws of the joints. Collective."""
-    xi, weight = joint.RULES[scene.method.quadrature]
-    _, length = joint.frame(blocks.solid.points[blocks.joints.bottom])
-    weights = joint.section_length(length, weight).ravel()
+    corners = blocks.solid.points[blocks.joints.bottom]
+    sections = facet.RULES[scene.method.quadrature][corners.shape[1]]
+    xi, weights = sections.natural, facet.section_sizes(corners, sections).ravel()
     initial = initial_tractions(blocks, scene, xi)
     groups = law_groups(blocks, scene, initial, xi)
     if not scene.equilibrates:

@@ -132,7 +132,8 @@ def films(pair: str, draws: int, nodes: int = 7) -> Floats:
     ends = np.stack([np.arange(nodes - 1), np.arange(1, nodes)], axis=1)
     for draw in range(draws):
         length, aperture = np.exp(random.normal(0.0, SPREAD, (2, nodes - 1)))
-        matrices = [storage_matrix(kind, length) for kind in (*PAIRS[pair], "lumped")]
+        lines = np.einsum("n,ij->nij", length, [[0.0, 0.0], [1.0, 0.0]])
+        matrices = [storage_matrix(kind, lines) for kind in (*PAIRS[pair], "lumped")]
         matrices += [conductivity(aperture**3 / length), conductivity(1.0 / length)]
         push, squeeze, area, network, bend = (_assembled(each, ends) for each in matrices)
         damping = push[:, 1:] @ np.linalg.solve(network[1:, 1:], squeeze.T[1:])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fracflow.elements import solid
+from fracflow.elements import facet, solid
 from fracflow.errors import InputError
 from fracflow.laws.elastic import plane_strain_stiffness
 
@@ -105,7 +105,7 @@ def test_body_force_and_tractions():
     force = solid.body_force(corners, np.array([[0.0, -8.0]]))
     assert np.allclose(force, [[0, -2] * 4])
     edge = np.array([[[0.0, 0.0], [0.0, 3.0]]])
-    assert np.allclose(solid.edge_length(edge), 3.0)
+    assert np.allclose(facet.frame(edge)[1], 3.0)
     assert np.allclose(solid.traction_force(edge, np.array([[2.0, 4.0]])), [[[3, 6], [3, 6]]])
     linear = solid.traction_force(edge, np.array([[[0.0, 0.0], [6.0, 0.0]]]))
     assert np.allclose(linear, [[[3, 0], [6, 0]]])

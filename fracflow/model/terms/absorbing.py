@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.elements import dashpot
+from fracflow.elements import dashpot, facet
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
@@ -26,10 +26,13 @@ SAME = 1e-9  # relative difference of two speeds, or of a delay to the time acro
 
 @dataclass(frozen=True)
 class Facets:
-    """This rank's facets (n,) of absorbing sides: nodes (n, 2), length, outward normal, and what their own rock is like."""
+    """This rank's facets (n,) of absorbing sides: nodes (n, k), outward normal, and what their own rock is like.
+
+    size  (n, k) length or area that each node stands for
+    """
 
     nodes: Ints
-    length: Floats
+    size: Floats
     normal: Floats
     lam: Floats
     shear: Floats
@@ -42,9 +45,9 @@ class Facets:
 
     @property
     def impedance(self) -> Floats:
-        """C of each end of the facets (n, dim, dim) [force time/length per thickness]."""
+        """C of each node of the facets (n, k, dim, dim) [force time/length per thickness]."""
         of_p, of_s = self.density * self.speed("p"), self.density * self.speed("s")
-        return dashpot.impedance_blocks(self.length, self.normal, of_p, of_s)
+        return dashpot.impedance_blocks(self.size, self.normal, of_p, of_s)
 
 
 def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
@@ -57,12 +60,12 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
     nodes, cells = blocks.solid.side_facets[facets], blocks.solid.side_cell[facets]
     if blocks.comm.allreduce(int((blocks.solid.body[nodes] >= 0).any())):
         raise InputError(f"absorbing: on = {list(absorbing.on)}: lies on a rigid rock, in which no wave travels")
-    ends = blocks.solid.points[nodes]
+    corners = blocks.solid.points[nodes]
     lam, shear = dashpot.lame(
         rock_values(blocks, scene, "youngs_modulus")[cells], rock_values(blocks, scene, "poissons_ratio")[cells]
     )
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    return Facets(nodes, length, outward(blocks, facets), lam, shear, rock_values(blocks, scene, "density")[cells])
+    size, normal = facet.nodal_sizes(corners), outward(blocks, facets)
+    return Facets(nodes, size, normal, lam, shear, rock_values(blocks, scene, "density")[cells])
 
 
 def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
@@ -119,9 +122,9 @@ class AbsorbingSides(Term):
         matrix = create_matrix((layout, layout), self.blocks.sizes.dim, self.blocks.comm)
         for _, facets in self.sides:
             values = facets.impedance
-            for end in range(2):
-                numbers = node_unknowns(self.blocks, facets.nodes[:, end])
-                add_blocks(matrix, numbers, numbers, values)
+            for corner in range(values.shape[1]):
+                numbers = node_unknowns(self.blocks, facets.nodes[:, corner])
+                add_blocks(matrix, numbers, numbers, values[:, corner])
         matrix.assemble()
         return projected(matrix, expand)
 
@@ -152,10 +155,10 @@ def absorbing_sides(operators: Operators, scene: Scene) -> AbsorbingSides | None
 
 @dataclass(frozen=True)
 class Wave:
-    """A plane wave that comes in at the nodes (n, 2) of facets: force (n, 2, dim) and power (n, 2) of a unit of velocity.
+    """A plane wave that comes in at the nodes (n, k) of facets: force (n, k, dim) and power (n, k) of a unit of velocity.
 
     velocity  particle velocity where the wave arrives first
-    delay     (n, 2) how much later it arrives [time]
+    delay     (n, k) how much later it arrives [time]
     """
 
     blocks: Blocks
@@ -184,9 +187,10 @@ def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Ma
     """(Joyner and Chen 1975) In the rock without anything else the sides would carry C v + sigma n of the wave alone."""
     wave, comm = absorbing.wave, blocks.comm
     assert wave is not None
+    length = facets.size.sum(axis=1)
     if wave.direction is None:
-        inward = comm.allreduce(-(facets.normal * facets.length[:, None]).sum(axis=0))
-        total = comm.allreduce(float(facets.length.sum()))
+        inward = comm.allreduce(-(facets.normal * length[:, None]).sum(axis=0))
+        total = comm.allreduce(float(length.sum()))
         if np.linalg.norm(inward) < (1.0 - SAME) * total:
             raise InputError(
                 f"absorbing: on = {list(absorbing.on)}: is not one straight side: give wave.direction, the way the wave goes"
@@ -197,13 +201,13 @@ def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Ma
     motion = direction if wave.kind == "p" else np.array([-direction[1], direction[0]])
     speed = facets.speed(wave.kind)
     traction = dashpot.wave_traction(facets.normal, direction, motion, facets.lam, facets.shear, speed)
-    force = np.einsum("nij,j->ni", facets.impedance, motion) + 0.5 * facets.length[:, None] * traction
+    force = np.einsum("nkij,j->nki", facets.impedance, motion) + facets.size[:, :, None] * traction[:, None]
     along = blocks.solid.points[facets.nodes] @ direction
     first = comm.allreduce(float(along.min(initial=np.inf)), op=MPI.MIN)
     last = comm.allreduce(float(along.max(initial=-np.inf)), op=MPI.MAX)
     slow = comm.allreduce(float(speed.min(initial=np.inf)), op=MPI.MIN)
     fast = comm.allreduce(float(speed.max(initial=0.0)), op=MPI.MAX)
-    size = comm.allreduce(float(facets.length.sum()))
+    size = comm.allreduce(float(length.sum()))
     delay = (along - first) / speed[:, None]
     if last - first <= SAME * size:
         delay = np.zeros_like(delay)
@@ -212,6 +216,5 @@ def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Ma
             f"absorbing: on = {list(absorbing.on)}: lies on rocks with waves of {slow:.6g} and {fast:.6g}: a wave comes in"
             " at an angle on one rock only; give each side its own, or leave wave.direction out"
         )
-    work = 0.5 * facets.length * (traction @ motion)
-    both = np.repeat(force[:, None], 2, axis=1), np.repeat(work[:, None], 2, axis=1)
-    return Wave(blocks, expand, facets.nodes, *both, delay, wave.velocity)
+    work = facets.size * (traction @ motion)[:, None]
+    return Wave(blocks, expand, facets.nodes, force, work, delay, wave.velocity)
