@@ -175,6 +175,8 @@ NOTES = {
     "totals of another kind": ("totals", {"steps": 7, "undone": {}, "colour": 3}),
     "events of another kind": ("events", {"rows": 3}),
     "no numbers in the books": ("energy", {"kinetic": None}),
+    "a time without a value": ("time", float("nan")),
+    "a control without end": ("controls", {"": float("inf")}),
 }
 
 
@@ -189,6 +191,24 @@ def test_a_checkpoint_that_fits_its_seal_alone(name, folder, monkeypatch, capfd)
             notes[NOTES[name][0]] = NOTES[name][1]
     code, said = spoken(["resume", folder], monkeypatch, capfd)
     assert code == 2 and len(said.splitlines()) == 1 and "checkpoint.h5: is no checkpoint" in said
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("displacement", np.nan),
+        ("velocity", -np.inf),
+        ("pressure", np.nan),
+        ("sections/strain", np.inf),
+        ("sections/strength", np.nan),
+        ("past/0/plastic_slip", np.nan),
+    ],
+)
+def test_a_state_with_a_value_that_is_no_number_is_not_gone_on_from(part, value, folder, monkeypatch, capfd):
+    with resealed(folder / "checkpoint.h5") as (arrays, _):
+        arrays[part] = arrays[part].copy()
+        arrays[part].flat[0] = value
+    assert f"checkpoint.h5: is no checkpoint ({part} has values that are" in refused(folder, monkeypatch, capfd)
 
 
 @pytest.mark.parametrize(
