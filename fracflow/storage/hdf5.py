@@ -10,12 +10,12 @@ import struct
 import zlib
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 
-from fracflow.storage.files import open_fresh, open_own
+from fracflow.storage.files import open_fresh, open_own, replacing
 
 Writes = list[tuple[int, bytes]]  # offset in the file, and bytes
 _MAGIC = b"FRACREDO"
@@ -131,8 +131,7 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
 
     is_synced   bring it to disk before
     """
-    part = path.with_name(path.name + ".part")
-    try:
+    with replacing(path) as part:
         backing = Backing(part)
         backing.path = path
         try:
@@ -147,11 +146,6 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
         finally:
             backing.close()
         backing.check()
-        os.replace(part, path)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise
 
 
 class Committed(Backing):

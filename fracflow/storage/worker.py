@@ -29,7 +29,7 @@ import numpy as np
 
 from fracflow.storage import hdf5 as files_hdf
 
-LEAST = 16  # bytes that a name takes in a file, and what it names; a file with more names has some of them many times over
+LEAST = 16  # bytes that a name takes in a file; where more are met, groups are in each other many times over
 DEEPEST = 16  # groups in each other
 ATTEMPTS = 5  # at a file whose writer is under way, which may change it in between
 PAUSE = 0.05  # seconds between them
