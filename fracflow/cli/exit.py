@@ -10,6 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fracflow.storage.files import shown_plain
+
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
 
@@ -112,7 +114,7 @@ def stop(message: str, code: int) -> None:
 
     if code == 2:
         PETSc.Options().delValue("options_left")  # what has not begun has used few of its options
-    line = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
+    line = shown_plain(" ".join(message.split()))
     if MPI.COMM_WORLD.rank == 0:
         print(f"fracflow: {line}", file=sys.stderr, flush=True)
     if not _all_come(MPI.COMM_WORLD):

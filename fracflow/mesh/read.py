@@ -72,6 +72,7 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
     if path.suffix not in SUFFIXES:
         raise InputError(f'{path}: unknown kind of file "{path.suffix}"; give a Gmsh .geo or .msh')
     check_regular(path, "mesh.file names it from the scene's folder", LARGEST)
+    notes: tuple[str, ...] = ()
     if path.suffix == ".msh":
         elements = open_msh(path)
     else:
@@ -79,8 +80,13 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
             # Gmsh says nothing and leaves the line out.
             raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
         is_inside = folder is not None and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
-        elements = open_in_gmsh(path) if trust else open_checked(path, check_geo(path, folder if is_inside else None))
-    return interpret(elements, fractures, str(path))
+        if trust:
+            elements = open_in_gmsh(path)
+        else:
+            checked = check_geo(path, folder if is_inside else None)
+            elements, notes = open_checked(path, checked), checked.notes
+    raw = interpret(elements, fractures, str(path))
+    return replace(raw, notes=(*raw.notes, *notes))
 
 
 def build_mesh(geometry: GeometrySpec) -> RawMesh:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import NonNegativeInt, TypeAdapter, ValidationError
+from pydantic import ConfigDict, NonNegativeInt, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from fracflow._petsc import MPI, PETSc
@@ -51,6 +51,7 @@ _NO_CHECKPOINT = "is no checkpoint"
 MEMORY = "mean_velocity"
 ANCHOR = "anchor"
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
+ENDLESS = ("sections/strength", "sections/margin", "sections/utilisation")  # inf where a joint never fails
 DIMENSIONS = {"strain": 1, "traction": 1, "tangent": 2, "inelastic": 1, "blur": 1}  # of each section's value
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
@@ -60,6 +61,8 @@ class Notes(TypedDict, total=False):
 
     seals  digests of what it belongs to: the roots of "mesh", the last row of "history", the text of "scene"
     """
+
+    __pydantic_config__ = ConfigDict(allow_inf_nan=False)  # type: ignore[misc]
 
     time: float
     controls: dict[str, float]
@@ -119,6 +122,12 @@ def restoring(path: Path) -> Iterator[None]:
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: {_NO_CHECKPOINT} of this version ({what}); {AGAIN}") from error
+
+
+def check_stage(notes: Mapping[str, Any], stages: int) -> None:
+    """Raise InputError for a checkpoint of a stage that the scene, which has so many, has not."""
+    if notes["stage"] >= stages:
+        raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} of this scene (stage {notes['stage']} of {stages}); {AGAIN}")
 
 
 def spread(comm: MPI.Comm, arrays: Arrays | None) -> Arrays:
@@ -249,12 +258,15 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
         if found != shape:
             rows = f"{found[0] if found else 0} rows, not {shape[0]}"
             raise InputError(
-                f"checkpoint.h5: is no checkpoint of this mesh ({name} has"
+                f"checkpoint.h5: {_NO_CHECKPOINT} of this mesh ({name} has"
                 f" {rows if found[:1] != shape[:1] else f'the shape {found}, not {shape}'}); {AGAIN}"
             )
         wanted = "b" if name in ("sections/is_sliding", "sections/is_open") else "f"
         if name in arrays and arrays[name].dtype.kind != wanted:
-            raise InputError(f"checkpoint.h5: is no checkpoint ({name} is of type {arrays[name].dtype}); {AGAIN}")
+            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} is of type {arrays[name].dtype}); {AGAIN}")
+        is_wrong = np.isnan if name in ENDLESS else lambda values: ~np.isfinite(values)
+        if name in arrays and np.any(is_wrong(arrays[name])):
+            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} has values that are no finite numbers); {AGAIN}")
 
 
 def _solid_places(blocks: Blocks) -> tuple[Ints, int]:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from fracflow.output.convergence import LATITUDE, Row
 from fracflow.output.plot_style import COLOURS, INK, PALE, plain, styled
-from fracflow.storage.files import fresh
+from fracflow.storage.files import fresh, replacing
 
 KINDS = ("event", "control", "probe", "energy")
 MOST_ROWS = 40
@@ -92,9 +92,8 @@ def draw(rows: Sequence[Row], folder: Path) -> Path:
         axes.set_xlabel("level")
         axes.set_ylabel("difference to the next level; hollow: estimated error")
         axes.set_title("Convergence, relative to the change of each quantity; energies in grey")
-        part = fresh(folder / "converge.png.part")
-        figure.savefig(part, format="png")
-    part.replace(folder / "converge.png")
+        with replacing(folder / "converge.png") as part:
+            figure.savefig(fresh(part), format="png")
     return folder / "converge.png"
 
 

@@ -9,7 +9,6 @@ import os
 import re
 import secrets
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TextIO
@@ -17,7 +16,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.storage.files import fresh, no_plain_file, open_own, read_text
+from fracflow.storage.files import fresh, no_plain_file, open_own, read_text, replacing
 
 MARKER = ".fracflow"
 _OWN_FILES = (
@@ -42,14 +41,8 @@ _UNFINISHED = ("*.part", *(f"{folder}/*.part" for folder in _OWN_FOLDERS))  # wh
 
 def write_atomic(path: Path, text: str) -> None:
     """Write ``text`` aside and rename, so that ``path`` always holds a whole text. Raises OSError."""
-    part = path.with_name(path.name + ".part")
-    try:
+    with replacing(path) as part:
         fresh(part).write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink()
-        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def to_json(value: Any, indent: int | None = None) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import to_json
+from fracflow.storage.files import part_of
 from fracflow.storage.hdf5 import Committed, complete
 from fracflow.storage.reader import Found, read_h5
 from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
@@ -37,7 +38,7 @@ class HistoryFile:
 
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
-        self._part = self.path.with_name(self.path.name + ".part")
+        self._part = part_of(self.path)
         if self.path.exists():
             complete(self.path)
         self._disk, self._is_shown = Committed(self._part), False

@@ -9,7 +9,7 @@ import numpy as np
 
 from fracflow.output.plot_style import COLOURS, INK, PALE, plain, styled
 from fracflow.output.reader import PROBE_QUANTITIES, RunData, load_run_data
-from fracflow.storage.files import fresh
+from fracflow.storage.files import fresh, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,9 +44,8 @@ def draw(folder: str | Path) -> list[Path]:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    part = fresh(path.with_name(path.name + ".part"))
-    figure.savefig(part, format="png")
-    part.replace(path)
+    with replacing(path) as part:
+        figure.savefig(fresh(part), format="png")
     return path
 
 

@@ -22,7 +22,7 @@ from fracflow.mesh.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport
-from fracflow.output.checkpoint import read_arrays, read_notes, restore_state, restoring, spread
+from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
 from fracflow.output.handed import told_handed
 from fracflow.output.history import read_history
@@ -149,7 +149,7 @@ def resume(
     settle(model)
     model, facts = planned(model, notes["totals"]["undone"], cell_rank)
     with restoring(saved):
-        scene.stage[notes["stage"]]
+        check_stage(notes, len(scene.stage))
         state = restore_state(model.operators, arrays, notes)
     step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
     recorder = Recorder(model, facts, folder, comm, notes)
