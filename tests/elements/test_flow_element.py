@@ -15,7 +15,7 @@ LENGTH = np.array([2.0, 5.0])
 
 
 def walls(frame):
-    """What the openings at the ends (n, 4 dim, 2) make of unit end forces."""
+    """The openings at the ends (n, 4 dim, 2) under unit end forces."""
     return joint.jump_operator(frame, joint.RULES["nodal"][0])[:, :, -1].transpose(0, 2, 1)
 
 
