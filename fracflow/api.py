@@ -34,7 +34,7 @@ _EVENT = {
 
 @dataclass(frozen=True)
 class Run:
-    """What a run left in its ``folder``; n is the number of states on record, the initial one with them.
+    """The results of a run in its ``folder``; n is the number of recorded states, the initial one included.
 
     Numbers are in the scene's own units. Histories are read when first asked for, and then kept: open a folder again
     to see how far a run has got meanwhile.
@@ -59,7 +59,7 @@ class Run:
 
     @property
     def steps(self) -> Arrays:
-        """What each step cost and how it ended, (n,) each: dt, stage, kind, newton, slipping, open, ..."""
+        """Cost and outcome of each step, (n,) each: dt, stage, kind, newton, slipping, open, ..."""
         return self._part("step/")
 
     @property
@@ -85,7 +85,7 @@ class Run:
 
     @property
     def events(self) -> NDArray[Any]:
-        """What slipped or opened: a structured array (events,).
+        """The events of slip and opening: a structured array (events,).
 
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
         way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there,
@@ -163,7 +163,7 @@ def load(path: str | Path, overrides: tuple[str, ...] | list[str] = (), trust: b
 def run(scene: Scene, out: str | Path | None = None, trust: bool = False) -> Run:
     """Run a scene and give what it left in the folder ``out``, by default runs/<name of the scene>.
 
-    Under mpirun every rank must call it, and may use what it gives. What an earlier run left in the folder is replaced; no
+    Under mpirun every rank must call it, and may use what it gives. An earlier run in the folder is replaced; no
     pictures are drawn (``fracflow picture FOLDER``). ``trust`` is as in ``load``.
     Raises, on every rank, InputError, SolveError (``open`` gives what was reached) and Interrupted.
     """

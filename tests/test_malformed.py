@@ -619,7 +619,7 @@ def lay(folder, files):
 
 
 def contents(folder):
-    """What lies in a folder, to the last byte and to when it was written."""
+    """The content of a folder, to the last byte and to its time of writing."""
     return {path: path.is_file() and (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.rglob("*")}
 
 

@@ -1,4 +1,4 @@
-"""What a run keeps for itself while it runs."""
+"""The memory that a run holds while it runs."""
 
 import gc
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the scene card needs of every joint, gathered once from the scene and its split mesh, on one process."""
+"""Values of every joint that the scene card needs, gathered once from the scene and its split mesh, on one process."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What a scene needs and what it does not: model no more than that, say so, and look again while it runs.
+"""The parts of a model that a scene needs: the others are left out, on record, and checked while the scene runs.
 
-What would save no work is not left out: the record says so. What is decided, each in a function of DECISIONS:
+A part whose omission would save no work stays: the record says so. The decisions, each in a function of DECISIONS:
 
 flow       the pressures; what walls that move do to them; storage of the film; compressibility; inertia of the fluid
 inertia    of the rock, in stages whose loads are slow; the run begins anew with it where one swings, slips or opens

@@ -1,4 +1,4 @@
-"""What the plan looks at in a model that was set up, and the model that it leaves."""
+"""Input of the plan from a model that was set up, and the model that the plan leaves."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def planned(
 
 
 def find_facts(model: Model) -> Facts:
-    """What decisions look at, but for the scene card, tied fractures and parts of the rock. Collective."""
+    """The input of decisions, except the scene card, locked fractures and blocks of the rock. Collective."""
     ops, scene = model.operators, model.scene
     facts = Facts(
         scene,

@@ -1,4 +1,4 @@
-"""What the plan decides by, and what a decision is."""
+"""The input of the plan, and the record of a decision."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def is_at_rest(facts: Facts) -> bool:
 
 
 def one_way(facts: Facts) -> list[Decision]:
-    """What walls that move do to the flow."""
+    """The effect of moving walls on the flow."""
     numbers = [facts.card.get(f"coupling, {name}") for name in ("transient", "steady")]
     known = [number.value for number in numbers if number is not None and number.value is not None]
     if not facts.scene.has_flow or not known:
@@ -54,7 +54,7 @@ def one_way(facts: Facts) -> list[Decision]:
 
 
 def film_storage(facts: Facts) -> list[Decision]:
-    """What fractures take up while they fill, in stages without inertia: steady flow for dt > 50 tau_d."""
+    """Storage of fractures while they fill, in stages without inertia: steady flow for dt > 50 tau_d."""
     ringing = facts.card.get("film ringing")
     slow = any(stage.kind in ("quasi-static", "auto") for stage in facts.scene.stage)
     if not facts.scene.has_flow or not slow or ringing is None or ringing.value is None:
@@ -74,7 +74,7 @@ def film_storage(facts: Facts) -> list[Decision]:
 
 
 def compressibility(facts: Facts) -> list[Decision]:
-    """What a fluid stores by its pressure, beside what the walls store."""
+    """Storage of a fluid by its pressure, beside the storage of the walls."""
     number, fluid = facts.card.get("fluid compressibility"), facts.scene.fluid
     if not facts.scene.has_flow or number is None or number.value is None or fluid is None:
         return []

@@ -141,7 +141,7 @@ def decide_inertia(facts: Facts) -> list[Decision]:
 
 
 def key_of(number: int, stage: Stage) -> str:
-    """What the decision on a stage is called where it is undone."""
+    """The name of the decision on a stage where it is undone."""
     return f"{PART}, {number} ({stage.title})"
 
 

@@ -1,4 +1,4 @@
-"""What is computed only where someone asks for it, and what lies outside of what is modelled."""
+"""Quantities computed only on request, and the rock outside of the model."""
 
 from __future__ import annotations
 

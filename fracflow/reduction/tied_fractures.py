@@ -5,7 +5,7 @@ without it (Goodman 1976), and relieves the stress within its own length of it b
 from it by pi E'/(k w) (Schoenberg 1980). So L in E'/(k L) is the least of the area of the rock over the length of those tied,
 the fracture's own length, and with inertia w/pi of the shortest wave that the mesh resolves.
 
-What is measured may be less than what all of the rock does. At a distance r a jump of 1/k over a length l adds a strain of
+The measured effect may be less than that of all of the rock. At a distance r a jump of 1/k over a length l adds a strain of
 about 1/(k r), and moves the rock by 1/k, from farther than l/2 by l/(2 k r) at most, of which a support that mirrors it is half
 (Crouch & Starfield 1983, 5). Whatever loads it, the rock strains there by 1/E', and moves by r/E' where supports are no nearer
 than r. So L is no more than the distance of the nearest probe, and what all of them do at a probe is the sum of
@@ -50,7 +50,7 @@ Use = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Fractures:
-    """What the plan looks at of each fracture (f,), and of the rock around them.
+    """Values of each fracture (f,), and of the rock around them, that the plan decides by.
 
     group      which hang together
     jumps      components of their joints' jumps
@@ -159,7 +159,7 @@ def compliance(rock: Fractures, inertia: bool) -> Floats:
 
 
 def together(rock: Fractures) -> Floats:
-    """What each fracture (m, f) adds, over the rock's own: to the compliance of all of it, and to what each probe measures."""
+    """The share of each fracture (m, f), over the rock's own, in the compliance of the rock and in each probe."""
     rooms = np.vstack([rock.held * rock.size, rock.probed * np.maximum(2.0 * rock.probed, rock.length)])
     found: Floats = rock.modulus * rock.length / (rock.stiffness * np.clip(rooms, NONE, rock.area))
     return found

@@ -94,7 +94,7 @@ def _well_points(model: Model) -> dict[str, Floats]:
 
 
 def _of_mesh(model: Model) -> Fractures | None:
-    """What the mesh tells; stiffness and shear are left at 1 and 0. None of fractures too many to look at. On rank 0."""
+    """Values of fractures from the mesh, on rank 0; stiffness and shear are 1 and 0. None for too many fractures."""
     mesh, scene, placed = model.mesh, model.scene, model.placed
     assert mesh is not None
     count, fracture = len(mesh.fractures), mesh.joint_fracture
@@ -203,7 +203,7 @@ def _displacement(model: Model, state: State) -> Floats | None:
 
 
 def _added(model: Model, motion: Floats) -> Floats:
-    """What tractions (f, side, dim) of tied joints have gained, as the cells on either side tell; 0 at others. On rank 0.
+    """Increase of tractions (f, side, dim) of locked joints, from the cells on either side; 0 at others. On rank 0.
 
     A fluid that cannot leave takes up what presses the walls of its fractures, at most as much as anywhere along them.
     """

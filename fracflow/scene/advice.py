@@ -1,4 +1,4 @@
-"""What is allowed but unusual: a unit may have been forgotten, a step may be too long."""
+"""Values that are allowed but unusual: a unit may have been forgotten, a step may be too long."""
 
 from __future__ import annotations
 

@@ -260,7 +260,7 @@ class Stage(Part):
 
     @property
     def title(self) -> str:
-        """What the log and messages call the stage: its name, or its kind."""
+        """The stage in the log and in messages: its name, or its kind."""
         return self.name or self.kind
 
     @property

@@ -1,4 +1,4 @@
-"""What must hold between the tables of a scene, and between a scene and its mesh."""
+"""Conditions between the tables of a scene, and between a scene and its mesh."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def law_fields() -> dict[str, Any]:
 
 
 def describe_laws() -> str:
-    """What each law is, by the first line of its own documentation."""
+    """A description of each law: the first line of its own documentation."""
     return "; ".join(f"{name}: {(law.__doc__ or '').splitlines()[0].rstrip('.')}" for name, law in JOINT_LAWS.items())
 
 
@@ -60,7 +60,7 @@ def foreign_keys(law: Any) -> set[str]:
 
 
 def defaults(law: str) -> dict[str, float]:
-    """What a law takes for its own keys where a table has none; friction has to be given."""
+    """The defaults of a law's own keys; friction has to be given."""
     given = {field.name: field.default for field in parameters_of(JOINT_LAWS[law]) if field.name in KEYS[law]}
     return {name: v for name, v in given.items() if v is not MISSING and name not in OTHERWISE.values()}
 

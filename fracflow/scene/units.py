@@ -125,7 +125,7 @@ class UnitSystem:
 
 @lru_cache(maxsize=1000)
 def _factor(unit: str, target: str) -> float:
-    """What brings a number of one unit to another. Raises LookupError for an unknown one, TypeError for another dimension."""
+    """The factor from one unit to another. Raises LookupError for an unknown one, TypeError for another dimension."""
     import pint
 
     if not _UNIT.fullmatch(unit):  # pint would work out any arithmetic

@@ -38,7 +38,7 @@ def plain(value: Any) -> Any:
 
 
 class _Annotation:
-    """What the annotations of this file share: pydantic calls ``read`` and writes with ``plain``."""
+    """Base of the annotations of this file: pydantic calls ``read`` and writes with ``plain``."""
 
     def read(self, value: object, info: ValidationInfo) -> Any:
         raise NotImplementedError

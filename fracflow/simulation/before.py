@@ -1,4 +1,4 @@
-"""What an earlier run left in its folder, held against the seals of its checkpoint before a file is changed."""
+"""Files of an earlier run, compared with the seals of its checkpoint before a file is changed."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def _check(folder: Path) -> None:
 
 
 def _found(scene: Scene, folder: Path) -> str:
-    """What there is of the run of a scene in its folder; a mesh file that has changed since leaves nothing."""
+    """The results of a scene in its folder, empty where its mesh file has changed since."""
     check_folder(folder)
     if not (folder / "checkpoint.h5").is_file() or not holds(folder, scene.dump_toml(folder.resolve())):
         return "nothing"

@@ -12,7 +12,7 @@ from fracflow._petsc import MPI
 
 
 class Wish(IntEnum):
-    """What is wanted at the end of a step."""
+    """A request to be met at the end of a step."""
 
     GO_ON = 0
     SAVE = 1
@@ -52,7 +52,7 @@ class Watch:
                 signal.signal(each, handler)
 
     def wish(self, steps: int, must_stop: bool = False) -> Wish:
-        """What all ranks agree on after so many steps; one that must stop stops all. Collective."""
+        """The request that all ranks agree on after so many steps; one rank that must stop stops all. Collective."""
         here = Wish.STOP if must_stop else self._wish
         is_late = self.comm.rank == 0 and clock.monotonic() - self._saved >= self.seconds
         if is_late or (self.every and steps % self.every == 0):

@@ -132,7 +132,7 @@ class Bases:
 
 
 def kind_and_way(seed: int, number: int) -> tuple[str, str]:
-    """What a number damages and how it is read; the same for every run of the bench."""
+    """The damage that a number stands for, and the reader of the file; the same for every run of the bench."""
     drawn = random.Random(f"{seed}/{number}").randrange(sum(SHARES.values()))
     for key, share in SHARES.items():
         drawn -= share
@@ -261,7 +261,7 @@ def lay_out(case: Case, folder: Path, bases: Bases, outside: Path) -> None:
 
 
 def jobs(case: Case, folder: Path) -> Iterator[tuple[str, Callable[[], object]]]:
-    """What is done with a case in one process: names and actions, each of which may refuse it."""
+    """The actions on a case in one process, by name; each may refuse it."""
     if case.is_run:
         yield from _readers(case.target.removeprefix("run/"), folder / "run")
     elif case.kind in ("scene", "traces.csv"):
@@ -296,7 +296,7 @@ def read_mesh(folder: Path) -> None:
 
 
 def _readers(name: str, run: Path) -> Iterator[tuple[str, Callable[[], object]]]:
-    """What reads a file of a run folder."""
+    """The reader of a file of a run folder."""
     if name in ("history.h5", ".fracflow"):
         yield "history", lambda: read_history(run / "history.h5")
         yield "attributes", lambda: read_attributes(run / "history.h5")
@@ -330,7 +330,7 @@ def in_one_process(case: Case, box: Box) -> list[tuple[str, Found]]:
 
 
 def notes_of(case: Case) -> str:
-    """What repeats a case, as text."""
+    """The command that repeats a case, as text."""
     about = {
         "number": case.number, "kind": case.kind, "way": case.way, "how": case.how, "target": case.target,
         "words": case.words, "settings": case.settings, "link": case.link,

@@ -1,10 +1,10 @@
 """Krylov iterations of coupling = "monolithic": coupling.py [UNKNOWNS...] [--ranks N...] [--out DIR].
 
-One time step by the program's own Newton method, into a fault at rest in a square of rock: apertures from 1e-1 to 1e-6 m, the
-fault buried or through-going, with a fixed pressure at its start or closed, so that only its walls can store the fluid; steady
-flow, quasi-static and dynamic; blocks solved exactly (MUMPS) or, for the rock, by multigrid (BoomerAMG). What counts is the
-worst linear solve of a step; its true relative residual |b - A x| / |b|, largest entries, is stated, in the scaled unknowns.
-Exit code 1 where a bar is missed: at most 20 iterations with exact blocks, 40 with multigrid.
+One time step by the program's own Newton method, into a fault at rest in a square of rock: apertures from 1e-1 to 1e-6
+m, the fault buried or through-going, with a fixed pressure at its start or closed, so that only its walls can store the
+fluid; steady flow, quasi-static and dynamic; blocks solved exactly (MUMPS) or, for the rock, by multigrid (BoomerAMG).
+The worst linear solve of a step counts; its true relative residual |b - A x| / |b|, largest entries, is stated, in the
+scaled unknowns. Exit code 1 where a bar is missed: at most 20 iterations with exact blocks, 40 with multigrid.
 """
 
 from __future__ import annotations

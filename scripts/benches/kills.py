@@ -129,7 +129,7 @@ class Case:
 
 @dataclass
 class Finding:
-    """What came of a case: the code of the faulted run, and all that was wrong."""
+    """The result of a case: the exit code of the faulted run, and its faults."""
 
     case: Case
     at: int

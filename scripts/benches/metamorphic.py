@@ -3,10 +3,10 @@
     scripts/bench metamorphic [--scenes 100] [--seed 0] [--only KIND ...] [--ranks-every 4] [--out DIR]
 
 Each scene of ``_meta_scenes`` is run as it is, and changed in each way of ``_meta_turns`` that fits it, stopped and
-resumed, with a tolerance stopped and resumed, and some of them on 2 and 3 ranks. What is told of probes, energies and
-events is read back and compared over sizes that follow from the scene. A difference above the limit is explained only
-where the scene as it is, shaken in the thirteenth digit of its numbers, moves as much, which is its condition; or where
-an aperture more than doubled in one step, which the log tells, for such steps have several solutions.
+resumed, with a tolerance stopped and resumed, and some of them on 2 and 3 ranks. Probes, energies and events are read
+back and compared over sizes that follow from the scene. A difference above the limit is explained only where the scene
+as it is, shaken in the thirteenth digit of its numbers, moves as much, which is its condition; or where an aperture
+more than doubled in one step, which the log tells, for such steps have several solutions.
 
 Exit code 1 if a difference is left unexplained, the energy books stay open, something is no number, or a run fails in
 one way only.

@@ -119,7 +119,7 @@ def once(curve: Curve, size: tuple[Any, ...], folder: Path, program: Path) -> tu
 
 
 def measure(cases: Sequence[str], repeats: int, out: Path, program: Path) -> list[dict[str, Any]]:
-    """All curves of the cases, the programs by turns; medians. What failed has no second try."""
+    """All curves of the cases, the programs by turns; medians. A run that failed has no second try."""
     tasks = [
         (curve, size)
         for level in range(max(len(curve.sizes) for curve in CURVES))

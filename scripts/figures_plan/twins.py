@@ -1,8 +1,8 @@
 """A scene run twice, as it stands and with nothing left out, and how far the two histories are apart.
 
-Values count by their change since the start, over the largest change of their kind: pressures over that of all pressures,
-components of a vector or tensor over that of all of them, energies over that of all entries of the books. What changes less
-than FLOOR of the largest value of its dimension does not.
+Values count by their change since the start, over the largest change of their kind: pressures over that of all
+pressures, components of a vector or tensor over that of all of them, energies over that of all entries of the books. A
+value that changes less than FLOOR of the largest one of its dimension counts as constant.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def columns(history: Mapping[str, NDArray[Any]], key: str) -> Floats:
 
 
 def kind_of(key: str) -> str:
-    """What a key of the history is compared by."""
+    """The measure that a key of the history is compared by."""
     name = key.rpartition("/")[2]
     return "energy" if key.startswith("energy/") else key if key.startswith("step/") else PARTS_OF.get(name, name)
 
@@ -228,7 +228,7 @@ def between(times: Floats, values: Floats, at: Floats) -> Floats:
 def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float]) -> Gap:
     """Each row against the row of the same place that is most like it, or against none, which neither lasts nor slips.
 
-    What reaches its strength at the end of a step slips in this one or from the next on, as round-off has it.
+    A section that reaches its strength at the end of a step slips in this one or from the next on, by round-off.
     """
     duration, found = max(full.end, reduced.end), Gap(0.0)
     most = {

@@ -87,7 +87,7 @@ def row(name: str, group: Sequence[Outcome]) -> str:
 
 
 def asked(outcomes: Sequence[Outcome]) -> list[str]:
-    """What theory or a benchmark demands: exactness, orders, errors of observables."""
+    """The demands of theory or of a benchmark: exactness, orders, errors of observables."""
     exact = ["exact"] if all(o.most <= EXACT for o in outcomes) else []
     orders = sorted({f"order {o.bar.theory}" for o in outcomes if o.bar.theory})
     return exact + orders + [f"{o.observable} to {o.bar.asked:g}" for o in outcomes if o.bar.asked is not None]
@@ -151,7 +151,7 @@ def curves(axis: Axes, outcomes: Sequence[Outcome]) -> None:
 
 
 def strips(axis: Axes, outcomes: Sequence[Outcome]) -> None:
-    """What is exact, a row a reference: the errors of all sizes, and the bars."""
+    """The exact cases, a row a reference: the errors of all sizes, and the bars."""
     names = sorted({outcome.case[:3] for outcome in outcomes}, reverse=True)
     for height, name in enumerate(names):
         group = [outcome for outcome in outcomes if outcome.case.startswith(name)]

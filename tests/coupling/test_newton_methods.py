@@ -1,4 +1,4 @@
-"""What every method of NEWTON_METHODS owes: the same balanced step where nothing unloads."""
+"""Every method of NEWTON_METHODS gives the same balanced step where nothing unloads."""
 
 from dataclasses import replace
 from typing import get_args

@@ -17,7 +17,7 @@ LINES = LENGTH[:, None, None] * np.array([[0.0, 0.0], [0.6, 0.8]])
 
 
 def walls(points):
-    """What the openings at the nodes (n, 2 k dim, k) make of unit nodal forces."""
+    """The openings at the nodes (n, 2 k dim, k) under unit nodal forces."""
     frame, nodes = facet.frame(points)[0], points.shape[1]
     shapes = facet.shapes(facet.RULES["nodal"][nodes].natural, nodes)
     return joint.jump_operator(frame, shapes)[:, :, -1].transpose(0, 2, 1)

@@ -30,7 +30,7 @@ def test_slips_twice_as_far_as_at_rest_and_stops_where_its_speed_is_nil(shared_t
 
 
 def test_slips_less_where_re_stick_waits_for_the_end_of_a_step(shared_tmp):
-    """What the location is worth: from the end of one step to that of another, some slip is missed."""
+    """The gain by location: from the end of one step to that of another, some slip is missed."""
     history, _ = _ran(shared_tmp / "late", "method.events=at-step-ends")
     moved = history["probe/block/displacement"][:, 0]
     assert abs(np.ptp(moved[moved > 0.19]) - 2 * DROP / SPRING) > 1e-3 * 2 * DROP / SPRING

@@ -1,4 +1,4 @@
-"""What every joint law of the registry must keep."""
+"""The contract of every joint law of the registry."""
 
 from __future__ import annotations
 

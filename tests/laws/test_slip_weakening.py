@@ -56,7 +56,7 @@ def test_the_response_does_not_depend_on_the_steps(slip, steps):
 
 
 def test_energy_of_fracture():
-    """What a full weakening dissipates beyond the dynamic strength is (tau_p - tau_d) D_c/2; the mean traction books it."""
+    """A full weakening dissipates (tau_p - tau_d) D_c/2 beyond the dynamic strength; the mean traction counts it."""
     answers = pulled(np.linspace(0.0, END, 51))
     plastic = np.array([each.inelastic[0, 0] for each in answers])
     traction = np.array([each.traction[0, 0] for each in answers])

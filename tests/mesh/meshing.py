@@ -55,7 +55,7 @@ def copies_at(mesh, point):
 
 
 def check(raw, mesh):
-    """What must hold for every split mesh."""
+    """Conditions on every split mesh."""
     assert np.array_equal(mesh.points, raw.points[mesh.origin])
     assert np.array_equal(mesh.origin[: len(raw.points)], np.arange(len(raw.points)))
     back = np.where(mesh.cells < 0, -1, mesh.origin[mesh.cells])

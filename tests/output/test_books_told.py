@@ -1,4 +1,4 @@
-"""What the end of a run says of its books: an alarm where they are open, none where all in them is round-off."""
+"""The summary of a run on its energy balance: an alarm where it is open, none where all of it is round-off."""
 
 import numpy as np
 import pytest

@@ -70,7 +70,7 @@ def test_of_a_fluid_that_is_stored_by_compression_alone():
     "rate", ["[[0, 0], [0.2, 0], [0.21, 1], [0.22, 0]]", "[[0.2, 0], [0.2, 1], [0.21, 1], [0.21, 0]]"]
 )
 def test_pulse_of_a_well_within_the_only_step(rate, tolerance):
-    """What it brings, 0.01, is there in the end: all of it stays in the film."""
+    """The injected volume, 0.01, is there in the end: all of it stays in the fracture."""
     *_, last = history_of_film(LINEAR, f"flow_rate = {rate}", "method.film=bdf2", f"accuracy.tolerance={tolerance}")[1]
     assert (last.sum() - last[[0, -1]].mean()) / N == pytest.approx(0.01, rel=tolerance)
 

@@ -1,4 +1,4 @@
-"""What a checkpoint must hold for every kind of scene: rigid rocks, ties, wells at limits, searches, every kind of stage."""
+"""The content of a checkpoint for every kind of scene: rigid rocks, ties, wells at limits, searches, every kind of stage."""
 
 from __future__ import annotations
 

@@ -508,7 +508,7 @@ def test_units_of_the_field_pass(unit):
     assert _UNIT.fullmatch(unit)
 
 
-# What is promised
+# The promises
 
 
 def test_each_promise_names_a_test_that_is_there():

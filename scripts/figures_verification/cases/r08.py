@@ -1,7 +1,7 @@
 """R08: slip driven by injection into a fault of constant friction, self-similar (Viesca, J. Fluid Mech. 928, A29, 2021).
 
 Mode II, mu* = G/(1 - nu), pressure p0 + dp erfc(|x|/l), l = sqrt(4 alpha t), on the fault; |x| < a = lambda l slips, and
-nothing is singular at its ends. What the friction has lost, averaged over the crack by Abel's equation,
+nothing is singular at its ends. The loss of friction, averaged over the crack by Abel's equation,
     Tau(z) = 2/pi int_0^{pi/2} erfc(z sin theta) d theta,
 gives lambda: Tau(lambda) = T = (1 - tau/(f sigma')) sigma'/dp, and the slip
     delta = f dp a/mu* 2 int_0^{sqrt(1 - X^2)} (Tau(lambda sqrt(X^2 + v^2)) - T) dv, X = x/a.
