@@ -203,9 +203,7 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
     set_defaults(model.scene.petsc, unknowns)
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
-    stepping = Stepping(model)
-    stepping.network.log = recorder.log
-    stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
+    stepping = Stepping(model, recorder.log)
     recorder.tell_saved(getattr(progress, "saved", None))
     try:
         recorder.check()
@@ -248,7 +246,7 @@ def _steps(
     """All steps that are left, on record: the last of them, and what ended them before their time. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
-    going_on = step.progress or {}
+    going_on, tell_trial = step.progress or {}, getattr(progress, "trial", None)
     with Watch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
@@ -261,7 +259,12 @@ def _steps(
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
                 try:
-                    for step in steps(stepping, state, number, recorder.log, going_on):
+                    for made in steps(stepping, state, number, recorder.log, going_on):
+                        if made.trial is not None:
+                            if tell_trial is not None:
+                                tell_trial(made.trial.time, made.trial.length, made.trial.why)
+                            continue
+                        step = made
                         recorder.record(step)
                         watch_tied(stepping.model, step.state)
                         if progress is not None:
