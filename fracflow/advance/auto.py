@@ -82,13 +82,14 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
                     state, waves.place = settled, Place()
                     yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
                     continue
-            before, begun, step = state.time, waves.place.fraction, regimes.wave_step(state, course)
-            found = waves.advance(state, waves.rest_of(state, step))
-            state, dt = found.state, step.length * (found.reached - begun)
+            before, step = state.time, regimes.wave_step(state, course)
+            found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
+            state = found.state
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + (found.reached == 1.0))
             if told := course.restless(before, state.time, bool(model.scene.absorbing), damps):
                 log(f"time {state.time:.9g}: {told}")
-            yield Step(state, number, dt, regimes.counted(found.report), course.as_progress(waves.place), WAVES)
+            report = regimes.counted(found.report)
+            yield Step(state, number, found.length, report, course.as_progress(waves.place), WAVES)
             continue
         if why := regimes.is_shaken(state.time):
             log(f"time {state.time:.9g}: an event begins: {why}")

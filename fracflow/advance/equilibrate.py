@@ -60,9 +60,8 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
     try:
         while n < count:
             step = LoadStep(state.time, n + 1, 0.0, 0.0, 0.0, state.controls, loads)
-            found = parts.advance(state, parts.rest_of(state, step))
-            state = found.state
-            n += found.reached == 1.0
+            found = parts.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
+            state, n = found.state, n + (found.reached == 1.0)
             yield Step(state, number, 0.0, found.report, DONE if n == count else None)
     finally:
         held_back.destroy()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.prescribed import AT_A_TIME, bends_of, latest
 from fracflow.advance.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
 from fracflow.errors import SolveError
-from fracflow.integrators import Rates, Stepper, storage_error
+from fracflow.integrators import FilmRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import compression_of
 from fracflow.model.operators import Operators
@@ -252,7 +253,7 @@ class Judge:
         if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
             last = 0.0
         rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
-        wrong: Floats = storage_error(self.stepper, dt, rates)
+        wrong: Floats = storage_error(cast(FilmRule, self.stepper), dt, rates)
         wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
         return self._sum(wrong)
 

@@ -14,6 +14,7 @@ class Outcome:
     """Where an advance came to, and what it cost.
 
     reached   fraction of the stage's step: less than was asked for where it ended at an event, or where something jumps
+    length    of what was advanced, of a part of a stage's step [time]
     error     estimated, over what is allowed [1]; 0 where nobody estimates it
     foreseen  it ended early because something prescribed jumps or bends there, which is no event
     """
@@ -21,6 +22,7 @@ class Outcome:
     state: State
     report: StepReport
     reached: float = 1.0
+    length: float = 0.0
     error: float = 0.0
     foreseen: bool = False
 

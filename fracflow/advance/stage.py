@@ -126,19 +126,17 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + (n + 1) * stage.increment_per_step)
         step = LoadStep(start, n + 1, whole, dt, following, dict(controls), model.loads, given.ends, given.jumps, fills)
-        begin = parts.place.fraction
-        found = method.advance(state, parts.rest_of(state, step))
-        state, length = found.state, dt * (found.reached - begin)
-        n += found.reached == 1.0
+        found = method.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
+        state, n = found.state, n + (found.reached == 1.0)
         failed = utilisation(model, state) >= 1.0
         if failed and stage.then == "hold" and not held:
             held, controls[control] = True, state.controls[control]
             log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
-        judge.follow(state, length)
+        judge.follow(state, found.length)
         ends = stage.until == "incipient" and failed
         there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
         there = {**there, **parts.place.as_progress(), **judge.as_progress()}
-        yield Step(state, number, length, found.report, DONE if ends else there)
+        yield Step(state, number, found.length, found.report, DONE if ends else there)
         if not ends and (line := judge.outlook(state.time)):
             log(f"stage {stage.title}: {line}")
     if judge.finest:

@@ -105,12 +105,8 @@ class Substepped:
         self.inner, self.rules, self.log = inner, rules, log
         self.place, self.prescribed = place or Place(), prescribed or Prescribed()
 
-    def rest_of(self, state: State, step: LoadStep) -> StepRequest:
-        """What is left of a step from the place and the state there."""
-        return step.part(state.controls, self.place.fraction, 1.0)
-
     def advance(self, state: State, request: StepRequest) -> Outcome:
-        """The next part of the step of a request, from the place on.
+        """The next part of the step that a request asks for the rest of, from the place on.
 
         Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
         """
@@ -144,7 +140,8 @@ class Substepped:
             break
         place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
         self.place = place.next_step() if place.fraction == 1.0 else place
-        return replace(found, report=found.report.after_trials(spent))
+        length = step.length * (found.reached - start)
+        return replace(found, report=found.report.after_trials(spent), length=length)
 
     def _is_straight(self, step: LoadStep, begin: float, end: float) -> bool:
         end = step.first(step.ends, begin, end) or end

@@ -41,7 +41,8 @@ def taken(attempt, rules, place=None, start=0.0):
     steps, state, found = Substepped(Inner(attempt), rules, lambda line: None, place), Fake(start), []
     step = LoadStep(0.0, 1, 1.0, 1.0, 1.0, {}, None)
     while not found or found[-1][1] < 1.0:
-        begin, done = steps.place.fraction, steps.advance(state, steps.rest_of(state, step))
+        begin = steps.place.fraction
+        done = steps.advance(state, step.part({}, begin, 1.0))
         state = done.state
         found.append((begin, done.reached, steps.place))
     return found
