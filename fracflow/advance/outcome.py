@@ -14,17 +14,17 @@ class Outcome:
     """Where an advance came to, and what it cost.
 
     reached   fraction of the stage's step: less than was asked for where it ended at an event, or where something jumps
-    length    of what was advanced, of a part of a stage's step [time]
     error     estimated, over what is allowed [1]; 0 where nobody estimates it
     foreseen  it ended early because something prescribed jumps or bends there, which is no event
+    length    of what was advanced, of a part of a stage's step [time]
     """
 
     state: State
     report: StepReport
     reached: float = 1.0
-    length: float = 0.0
     error: float = 0.0
     foreseen: bool = False
+    length: float = 0.0
 
 
 class Advance(Protocol):
