@@ -9,6 +9,7 @@ from fracflow.advance.error_control import step_error
 from fracflow.advance.events import EventLocated
 from fracflow.advance.excitation import next_kink, shaken, why_inertia
 from fracflow.advance.instability import patch_at_limit
+from fracflow.advance.outcome import Log
 from fracflow.advance.prescribed import prescribed
 from fracflow.advance.regime import (
     LONG,
@@ -22,7 +23,7 @@ from fracflow.advance.regime import (
     slipped,
     weak_waves,
 )
-from fracflow.advance.step import Log, Progress, Step, Stepping, Trial, stepper_of
+from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.substeps import CALM, Place, Rules, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.elements import joint

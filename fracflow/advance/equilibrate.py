@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.advance.initial_state import imbalance
-from fracflow.advance.outcome import Advance, Outcome
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.step import DONE, Progress, Step, Stepping
-from fracflow.advance.substeps import Log, Rules, Substepped, most_halvings
+from fracflow.advance.substeps import Rules, Substepped, most_halvings
 from fracflow.integrators import Steady
 from fracflow.model.loads import Loads, Prescribed
 from fracflow.model.properties import initial_pressure
@@ -21,12 +21,14 @@ from fracflow.scene.time_table import AT_ONCE
 from fracflow.solve.request import LoadStep, StepRequest
 
 
+@dataclass(frozen=True)
 class Restrained:
-    """Advances under what is left of a force that is taken away over so many steps."""
+    """Advances under what is left of a ``force`` that is taken away over so many steps."""
 
-    def __init__(self, inner: Advance, force: PETSc.Vec, count: int) -> None:
-        """The ``force`` stays the caller's."""
-        self.inner, self.force, self.count, self.left = inner, force, count, force.duplicate()
+    inner: Advance
+    force: PETSc.Vec
+    left: PETSc.Vec
+    count: int
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The same at the end of a request. Raises SolveError, on every rank. Collective."""
@@ -34,10 +36,6 @@ class Restrained:
         self.force.copy(self.left)
         self.left.scale(1.0 - (request.step.number - 1 + request.end) / self.count)
         return self.inner.advance(state, replace(request, restraint=self.left))
-
-    def destroy(self) -> None:
-        """Free what is left of the force."""
-        self.left.destroy()
 
 
 def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
@@ -54,8 +52,10 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
     held_back = imbalance(model, state.motion.displacement, state.sections.traction, state.pressure)
     model.loads.standing().release(held_back)
 
-    restrained = Restrained(stepping.by(Steady()), held_back, count)
-    parts = Substepped(restrained, Rules(most_halvings(model.scene)), log)
+    left = held_back.duplicate()
+    parts = Substepped(
+        Restrained(stepping.by(Steady()), held_back, left, count), Rules(most_halvings(model.scene)), log
+    )
     n = 0
     try:
         while n < count:
@@ -65,7 +65,7 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
             yield Step(state, number, 0.0, found.report, DONE if n == count else None)
     finally:
         held_back.destroy()
-        restrained.destroy()
+        left.destroy()
     log(f"equilibrium: {_summary(model, state)}")
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from fracflow.advance.outcome import Advance, Outcome
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.integrators import Stepper
 from fracflow.integrators.explicit import parts
 from fracflow.model.setup import Model
@@ -18,7 +17,7 @@ from fracflow.solve.request import StepRequest, on_the_way
 class ExplicitSteps:
     """The explicit coupling of a model, and what the log is told of its critical time step."""
 
-    def __init__(self, model: Model, log: Callable[[str], None]) -> None:
+    def __init__(self, model: Model, log: Log) -> None:
         """Make the coupling when a stage first needs it."""
         self.model, self.log = model, log
         self._coupling: ExplicitCoupling | None = None

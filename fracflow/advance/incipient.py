@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fracflow._petsc import MPI
-from fracflow.advance.step import DONE, Log, Progress, Step, Stepping
+from fracflow.advance.outcome import Log
+from fracflow.advance.step import DONE, Progress, Step, Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
 from fracflow.model.setup import Model

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 from fracflow.model.state import State, StepReport
 from fracflow.solve.request import StepRequest
+
+Log = Callable[[str], None]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from fracflow.advance.error_control import ErrorControlled, Judge
 from fracflow.advance.events import EventLocated
 from fracflow.advance.incipient import search_incipient, utilisation
 from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
-from fracflow.advance.outcome import Advance, Outcome
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed import Prescribed, prescribed
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
-from fracflow.advance.substeps import Log, Place, Rules, Substepped, most_halvings
+from fracflow.advance.substeps import Place, Rules, Substepped, most_halvings
 from fracflow.integrators import Stepper
 from fracflow.model.state import State, forgetful
 from fracflow.scene.boundary import Stage

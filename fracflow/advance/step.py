@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import Network
-from fracflow.advance.outcome import Advance, Outcome
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.sampling import begins_anew, rule_of
 from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
 from fracflow.errors import NotConverged, SolveError
@@ -33,7 +32,6 @@ from fracflow.solve.problem import StepProblem
 from fracflow.solve.request import StepRequest
 
 Progress = Mapping[str, float]
-Log = Callable[[str], None]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
 DONE: Progress = {"done": 1.0}
@@ -207,15 +205,16 @@ class SingleStep:
     def _solve(self, stepper: Stepper, state: State, request: StepRequest) -> tuple[State, StepReport]:
         """The same by one rule, with the loads that wells at limits and closed parts of the network leave."""
         solvers, follows = self.solvers, self.stepper
-        dt, time, controls = request.length, request.time, request.controls
+        if not stepper.inertia:
+            request = replace(request, loads=solvers.standing(request.loads))
+        dt, loads, ops = request.length, request.loads, solvers.model.operators
         rule = rule_of(stepper, state, request, follows)
-        loads = solvers.standing(request.loads) if not rule.inertia else request.loads
         explicit = solvers.explicit.coupling if stepper.explicit else None
         weighs = rule.alphas if rule.inertia and explicit is None else None
         scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
-        fluid, network = solvers.model.scene.fluid, solvers.model.operators.flow
-        reached = reached_before(loads, state)
-        if network is not None:
+        fluid, reached = solvers.model.scene.fluid, reached_before(loads, state)
+        depth = fluid.flow_depth if fluid is not None else 1.0
+        if ops.flow is not None:
             solvers.network.look_at(state)
         trial: tuple[Floats, Floats] | None = None
         failed, same, spent = None, False, 0
@@ -223,16 +222,16 @@ class SingleStep:
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
             kind = StepProblem if explicit is None else ExplicitProblem
-            problem = kind(solvers.model.operators, state, asked, rule, trial)
+            problem = kind(ops, state, asked, rule, trial)
             try:
                 report = (explicit or solvers.couplings.of(asked.loads)).solve(problem)
                 new = accept(problem, state.energy)
-                self._refuse_jumps(state, new)
-                digits = check_digits(problem, new, solvers.model.scene.accuracy.digits, solvers.network.tell_digits)
-                report = replace(report, digits=digits)
-                same = self._is_closed(problem, limited, stepper.storage)
-                trial = None if same else problem.hand_on()
                 try:
+                    refuse_jumps(ops.blocks, ops.joints, state, new)
+                    needed = solvers.model.scene.accuracy.digits
+                    digits = check_digits(problem, new, needed, solvers.network.tell_digits)
+                    same = self._is_closed(problem, limited, stepper.storage)
+                    trial = None if same else problem.hand_on()
                     full = solvers.network.overfull(limited, stepper.storage, problem) if same else frozenset()
                 except SolveError:
                     new.destroy()
@@ -249,40 +248,29 @@ class SingleStep:
                 continue
             finally:
                 problem.destroy()
-            depth = fluid.flow_depth if fluid is not None else 1.0
-            demanded = partial(loads.demanded, time=time, controls=controls, around=rule.adjacent, rates=rule.rates)
-            now = reached_after(loads, reached, new, demanded, depth) | full
+            now = reached_after(request, rule, reached, new, depth) | full
             if now == reached and same:
-                energy = book(solvers.model.operators, state, new, dt, scheme)
+                energy = book(ops, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
-                memory = remember(solvers.model.operators, state, new, dt) if follows.memory else Memory()
+                memory = remember(ops, state, new, dt) if follows.memory else Memory()
                 if follows.memory and loads.limits:
                     by_limits = through(replace(request, loads=limited), rule, now, state, new, depth)
                     memory = replace(memory, through=by_limits)
                 friction, injected = dissipated(state, new), state.injected
                 if solvers.counts_volume:
-                    injected += brought(solvers.model.operators, limited, state, new, dt, scheme, depth)
+                    injected += brought(ops, limited, state, new, dt, scheme, depth)
                 new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected)
-                return replace(new, memory=memory, around=rule.adjacent), report
+                return replace(new, memory=memory, around=rule.adjacent), replace(report, digits=digits)
             new.destroy()
             spent += report.newton
             reached, failed = now, None
         if same and not failed:
-            refuse_cycle(reached, time, spent)
+            refuse_cycle(reached, request.time, spent)
         raise NotConverged(
-            f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
-            f" time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
+            f"time {request.time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a"
+            f" smaller time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
             spent,
         )
-
-    def _refuse_jumps(self, old: State, new: State) -> None:
-        """Raise SolveError, on every rank, where a joint's strength fell faster than its spring unloads. Collective."""
-        ops = self.solvers.model.operators
-        try:
-            refuse_jumps(ops.blocks, ops.joints, old, new)
-        except SolveError:
-            new.destroy()
-            raise
 
     def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
         """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""

@@ -6,17 +6,15 @@ Parts are powers of 1/2 of a step, or of what is left of it after an event, each
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from fracflow.advance.outcome import Advance, Outcome
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed import Prescribed
 from fracflow.errors import NotConverged
 from fracflow.model.state import State, StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
-
-Log = Callable[[str], None]
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
 MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
@@ -145,8 +143,8 @@ class Substepped:
 
     def _is_straight(self, step: LoadStep, begin: float, end: float) -> bool:
         end = step.first(step.ends, begin, end) or end
-        start, inside = step.start + (step.number - 1) * step.spacing, (begin + 2.0 * AT_A_JUMP, end - 2.0 * AT_A_JUMP)
-        return self.prescribed.is_straight(*(start + fraction * step.length for fraction in inside))
+        inside = begin + 2.0 * AT_A_JUMP, end - 2.0 * AT_A_JUMP
+        return self.prescribed.is_straight(*(step.begin + fraction * step.length for fraction in inside))
 
 
 def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:

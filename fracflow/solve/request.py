@@ -99,16 +99,26 @@ class LoadStep:
         length = self.following if fraction == 1.0 else (1.0 - fraction) * self.length
         return to_next(self.ends, self.time(fraction), length)
 
+    @property
+    def begin(self) -> float:
+        """When it begins [time]."""
+        return self.start + (self.number - 1) * self.spacing
+
     def first(self, times: Sequence[float], begin: float, end: float) -> float | None:
         """The fraction at which the first of some times lies that comes after ``begin``, up to ``end``; None for none."""
-        return next_jump(times, self.start + (self.number - 1) * self.spacing, self.length, begin, end)
+        for time in times:
+            place = (time - self.begin) / self.length
+            if begin + AT_A_JUMP < place <= end + AT_A_JUMP:
+                return end if place > end - AT_A_JUMP else place
+        return None
 
     def part(self, before: Mapping[str, float], begin: float, end: float) -> StepRequest:
         """What is asked of it between two fractions, from a state with the controls ``before``."""
         length, ahead = self.length * (end - begin), self.after(end)
         if end < 1.0 and self.in_halves:
             ahead = min(ahead, length)
-        unapplied = 0.0 if self.fills else still_lacking(begin, end, self.first(self.jumps, begin, 1.0) or 1.0)
+        there = self.first(self.jumps, begin, 1.0) or 1.0  # all that was prescribed as the part begins
+        unapplied = 0.0 if self.fills else (there - end) / (there - begin)
         controls = on_the_way(before, self.controls, begin, end)
         return StepRequest(
             self.time(end),
@@ -138,14 +148,9 @@ class StepRule:
     rates: Rates | None = None
     inertia: bool = False
 
-
-def next_jump(jumps: Sequence[float], start: float, time_step: float, begin: float, end: float) -> float | None:
-    """Fraction of the step from ``start`` at which something prescribed first jumps after ``begin``, up to ``end``."""
-    for jump in jumps:
-        place = (jump - start) / time_step
-        if begin + AT_A_JUMP < place <= end + AT_A_JUMP:
-            return end if place > end - AT_A_JUMP else place
-    return None
+    def demanded(self, request: StepRequest, well: str) -> float:
+        """Flow rate that a well asks for in a step, over the whole depth [volume rate]."""
+        return request.loads.demanded(well, request.time, request.controls, self.adjacent, self.rates)
 
 
 def to_next(times: Sequence[float], now: float, length: float) -> float:
@@ -159,8 +164,3 @@ def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: f
         return dict(after)
     share = (end - start) / (1.0 - start)
     return {name: value + share * (after[name] - value) for name, value in before.items()}
-
-
-def still_lacking(start: float, end: float, arrives: float = 1.0) -> float:
-    """Share, at ``end``, of what the state at ``start`` lacks of the prescribed: by ``arrives`` all of it is there."""
-    return (arrives - end) / (arrives - start)
