@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 from fracflow.advance.error_control import step_error
-from fracflow.advance.events import take_part
+from fracflow.advance.events import EventLocated
 from fracflow.advance.excitation import next_kink, shaken, why_inertia
 from fracflow.advance.instability import patch_at_limit
+from fracflow.advance.outcome import Log
 from fracflow.advance.prescribed import prescribed
 from fracflow.advance.regime import (
     LONG,
@@ -22,8 +23,8 @@ from fracflow.advance.regime import (
     slipped,
     weak_waves,
 )
-from fracflow.advance.step import Progress, Step, Stepping, stepper_of
-from fracflow.advance.substeps import CALM, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
+from fracflow.advance.substeps import CALM, Place, Rules, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.elements import joint
 from fracflow.errors import NotConverged, PutBack
@@ -32,14 +33,13 @@ from fracflow.model.state import State, StepReport
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
-from fracflow.solve.request import StepRequest
+from fracflow.solve.request import LoadStep, StepRequest
 
 NEAR = 1e-9  # of a step: times so near are one
 ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
 TOLD = 4  # trials rejected on the way to one step: the log tells of so many
 REST, WAVES = "quasi-static", "dynamic"
-Log = Callable[[str], None]
 
 
 def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
@@ -53,7 +53,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
     model, stage = stepping.model, stepping.model.scene.stage[number]
     goes_on = bool(progress) and "moving" not in progress
     course, place = (Course.of(progress), Place.of(progress)) if goes_on else (begin(model, state, stage), Place())
-    regimes = _Regimes(stepping, number, log, course.least, course.period)
+    regimes = _Regimes(stepping, number, log, course, place)
     method = model.scene.method
     damps = method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
     if not goes_on:
@@ -73,32 +73,45 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             state = stepping.enter(state, regimes.still)
             yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
     assert stage.end is not None
-    while stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
-        if not course.moves:
-            found, report, course = regimes.slow_step(state, course)
-            if found is None:
-                entered = stepping.enter(state, regimes.waves, course.least)
-                period = longest_period(model.operators, model.loads, state.sections)
-                course = course.onset(entered, period, weak_waves(model, state, period))
-                yield Step(entered, number, 0.0, report, course.as_progress(), WAVES)
-                state = entered
-                continue
-            dt, state = found.time - state.time, found
-            yield Step(state, number, dt, report, course.as_progress(), REST)
-            continue
-        if not place.fraction and course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
-            settled, course = regimes.rest(state, course)
-            if settled is not None:
-                state, place = settled, Place()
-                yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
-                continue
-        for part, dt in regimes.wave_step(state, course, place):
-            before = state.time
-            state, place = part.state, part.place.next_step() if part.is_last else part.place
-            course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
+    spent, waves = StepReport(), regimes.waves
+    while waves.place.fraction or stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
+        if course.moves:
+            if not waves.place.fraction and course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
+                settled, course, trials = regimes.rest(state, course)
+                yield from (Step(state, number, 0.0, StepReport(), trial=trial) for trial in trials)
+                if settled is not None:
+                    state, waves.place = settled, Place()
+                    yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
+                    continue
+            before, step = state.time, regimes.wave_step(state, course)
+            found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
+            state = found.state
+            course = replace(course.moved_to(state, stage.at_rest), count=course.count + (found.reached == 1.0))
             if told := course.restless(before, state.time, bool(model.scene.absorbing), damps):
                 log(f"time {state.time:.9g}: {told}")
-            yield Step(state, number, dt, regimes.counted(part.report), course.as_progress(place), WAVES)
+            report = regimes.counted(found.report)
+            yield Step(state, number, found.length, report, course.as_progress(waves.place), WAVES)
+            continue
+        if why := regimes.is_shaken(state.time):
+            log(f"time {state.time:.9g}: an event begins: {why}")
+        else:
+            tried = regimes.slow_step(state, course)
+            if tried.state is not None:
+                course, state = regimes.accepted(state.time, course, tried, spent), tried.state
+                report, spent = tried.report.after_trials(spent), StepReport()
+                yield Step(state, number, tried.length, report, course.as_progress(), REST)
+                continue
+            spent = spent.with_rejected(tried.newton)
+            yield Step(state, number, 0.0, StepReport(), trial=Trial(state.time, tried.length, tried.why))
+            if min(tried.length, course.step) > course.least * (1.0 + NEAR):
+                course = replace(course, step=max(0.5 * tried.length, course.least), calm=0.0)
+                continue
+            regimes.tell_onset(state, course.trials + spent.rejected, tried.why)
+        entered = stepping.enter(state, regimes.moving, course.least)
+        period = longest_period(model.operators, model.loads, state.sections)
+        course = course.onset(entered, period, weak_waves(model, state, period))
+        yield Step(entered, number, 0.0, spent, course.as_progress(), WAVES)
+        state, spent = entered, StepReport()
 
 
 def in_words(spent: StepReport) -> str:
@@ -109,66 +122,56 @@ def in_words(spent: StepReport) -> str:
 class _Regimes:
     """Steps of both regimes of one stage."""
 
-    def __init__(self, stepping: Stepping, number: int, log: Log, least: float, period: float) -> None:
-        scene = stepping.model.scene
-        self.stepping, self.model, self.log, self.scene, self.stage = (
-            stepping,
-            stepping.model,
-            log,
-            scene,
-            scene.stage[number],
-        )
-        share = scene.accuracy.tolerance or SEEN
-        self.prescribed = prescribed(scene, inertia=False, splits=True, share=share)
-        self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        stepping.explicit.tell(self.waves, least)
-        locates = stepping.explicit.locates(self.waves, least) and scene.method.events != "at-step-ends"
-        if not self.waves.explicit:
-            stepping.couplings.expect(self.waves, least)
-        slow = self.model.slow.get(number)
+    def __init__(self, stepping: Stepping, number: int, log: Log, course: Course, place: Place) -> None:
+        model, scene, least = stepping.model, stepping.model.scene, course.least
+        self.stepping, self.model, self.log, self.scene, self.stage = stepping, model, log, scene, scene.stage[number]
+        self.prescribed = prescribed(scene, inertia=False, splits=True, share=scene.accuracy.tolerance or SEEN)
+        self.still, self.moving = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
+        stepping.explicit.tell(self.moving, least)
+        locates = stepping.explicit.locates(self.moving, least) and scene.method.events != "at-step-ends"
+        if not self.moving.explicit:
+            stepping.couplings.expect(self.moving, least)
+        events = scene.accuracy.max_events if locates else 0
+        step = stepping.by(self.moving)
+        step = EventLocated(step, stepping) if events else step
+        self.waves = Substepped(step, Rules(most_halvings(scene), 0, events), log, place)
+        slow = model.slow.get(number)
         self.most = None if slow is None else slow.error
         self.decision = "" if slow is None else slow.name
-        self.period = period
+        self.period = course.period
         self.vain = StepReport()
         self.coarse: dict[str, tuple[str, ...]] | None = None
-        self.shaken = () if self.most is not None else shaken(scene, period)
+        self.shaken = () if self.most is not None else shaken(scene, course.period)
         shakes = {span.start for span in self.shaken}
         self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
-        self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
 
-    def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
-        """The longest step without inertia that may be taken; no state where none may be. Collective."""
-        assert self.stage.time_step is not None and self.stage.end is not None
-        if why := self.is_shaken(state.time):
-            self.log(f"time {state.time:.9g}: an event begins: {why}")
-            return None, StepReport(), course
-        spent = StepReport()
-        while True:
-            time, jumps = self._target(state.time, course.step)
-            dt = time - state.time
-            ends = jumps or time >= self.stage.end
-            ahead = 0.0 if ends else self._target(time, course.step)[0] - time
-            tried = self._attempt(state, time, ahead=ahead)
-            if not tried.why:
-                break
-            spent = spent.with_rejected(tried.newton)
-            self.stepping.tell_trial(state.time, dt, tried.why)
-            if min(dt, course.step) <= course.least * (1.0 + NEAR):
-                done = f"an event begins, after {course.trials + spent.rejected:.0f} trials rejected"
-                self.log(f"time {state.time:.9g}: {done}: {tried.why}{self._coarse(state)}")
-                if patch := patch_at_limit(self.model, state):
-                    self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
-                return None, spent, course
-            course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
+    def slow_step(self, state: State, course: Course) -> Tried:
+        """A step without inertia as long as it is foreseen, or why it may not be taken. Collective."""
+        assert self.stage.end is not None
+        time, jumps = self._target(state.time, course.step)
+        ends = jumps or time >= self.stage.end
+        ahead = 0.0 if ends else self._target(time, course.step)[0] - time
+        return replace(self._attempt(state, time, ahead=ahead), jumps=jumps)
+
+    def accepted(self, time: float, course: Course, tried: Tried, spent: StepReport) -> Course:
+        """The course after a step without inertia from a time, with the trials rejected on the way to it."""
+        assert self.stage.time_step is not None and tried.state is not None
         if spent.rejected >= TOLD:
-            self.log(f"time {state.time:.9g}: {in_words(spent)}; the step of {dt:.3g} is taken")
+            self.log(f"time {time:.9g}: {in_words(spent)}; the step of {tried.length:.3g} is taken")
         course = replace(course, calm=course.calm + 1.0, trials=course.trials + spent.rejected)
         if course.calm > CALM and tried.may_double:
             course = replace(course, step=min(2.0 * course.step, max(self.stage.time_step, course.least)), calm=0.0)
-        if jumps:
+        if tried.jumps:
             after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
             course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
-        return tried.state, tried.report.after_trials(spent), course
+        return course
+
+    def tell_onset(self, state: State, trials: float, why: str) -> None:
+        """Log that an event begins as no step without inertia may be taken. Collective."""
+        done = f"an event begins, after {trials:.0f} trials rejected"
+        self.log(f"time {state.time:.9g}: {done}: {why}{self._coarse(state)}")
+        if patch := patch_at_limit(self.model, state):
+            self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
 
     def _where(self, slip: Slipped) -> str:
         """Fracture and place of the section that slips the most, so far as anyone resists it. Collective."""
@@ -248,21 +251,21 @@ class _Regimes:
         ahead       length of the step after it, as it is foreseen
         """
         dt, allowed = time - state.time, self.scene.accuracy.step_error
+        request = StepRequest(
+            time,
+            dt,
+            state.controls,
+            self.model.loads,
+            next_length=ahead,
+            expects_failure=True,
+            max_iterations=iterations,
+        )
         try:
-            request = StepRequest(
-                time,
-                dt,
-                state.controls,
-                self.model.loads,
-                next_length=ahead,
-                expects_failure=True,
-                max_iterations=iterations,
-            )
             new, report = self.stepping.step(state, request, self.still)
         except NotConverged as failure:
             if self.most is not None:
                 raise PutBack(self.decision, state.time, "there is no step without it") from failure
-            return Tried(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton)
+            return Tried(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton, length=dt)
         self._must_not_matter(state, new)
         slip = slipped(self.model, state, new, dt)
         why = slip.why_not(radiated)
@@ -272,34 +275,25 @@ class _Regimes:
         elif why:
             why += f", most in {self._where(slip)}"
         if not why:
-            return Tried("", report.newton, new, report, slip.may_double)
+            return Tried("", report.newton, new, report, slip.may_double, dt)
         new.destroy()
-        return Tried(why, report.newton)
+        return Tried(why, report.newton, length=dt)
 
-    def wave_step(self, state: State, course: Course, place: Place) -> Iterator[tuple]:
-        """The parts of a step with inertia, from a place in it, and their lengths. Collective."""
+    def wave_step(self, state: State, course: Course) -> LoadStep:
+        """The step with inertia that a state is in."""
         assert self.stage.end is not None
         start = course.begun + course.count * course.least
         whole = min(course.least, self.stage.end - start)
+        return LoadStep(start, 1, whole, whole, whole, state.controls, self.model.loads, in_halves=False)
 
-        def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
-            length = (end - begin) * whole
+    def rest(self, state: State, course: Course) -> tuple[State | None, Course, list[Trial]]:
+        """The state as it is taken over without inertia, if a step without it keeps what slips as it is; and what was tried.
 
-            def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
-                time, ahead = start + to * whole, whole * (1.0 - to if to < 1.0 else 1.0)
-                loads = self.model.loads
-                request = StepRequest(time, share * length, old.controls, loads, hold=hold, next_length=ahead)
-                return self.stepping.step(old, request, self.waves)
-
-            return take_part(self.stepping, state, reach, begin, end, length, may_stop)
-
-        for part in in_parts(attempt, state, self.rules, self.log, place):
-            yield part, whole * (part.end - part.start)
-
-    def rest(self, state: State, course: Course) -> tuple[State | None, Course]:
-        """The state as it is taken over without inertia, if a step without it keeps what slips as it is. Collective."""
+        Collective.
+        """
+        trials: list[Trial] = []
         if not may_rest(self.model, state):
-            return None, course
+            return None, course, trials
         entered, still, lasted = self.stepping.enter(state, self.still), course.at_rest(), state.time - course.begun
         # of what has come to rest long ago Newton's method may find no balance for the length of the step alone
         for length in (still.step, course.least) if lasted > LONG * course.period else (still.step,):
@@ -308,9 +302,9 @@ class _Regimes:
             if tried.state is not None:
                 tried.state.destroy()
                 self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
-                return entered, replace(still, step=length)
+                return entered, replace(still, step=length), trials
             why, self.vain = tried.why, self.vain.with_rejected(tried.newton)
-            self.stepping.tell_trial(state.time, time - state.time, why)
+            trials.append(Trial(state.time, time - state.time, why))
         entered.destroy()
         self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {why}")
-        return None, replace(course, loud=state.time)
+        return None, replace(course, loud=state.time), trials

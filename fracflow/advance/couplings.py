@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
+from fracflow.advance.outcome import Log
 from fracflow.integrators import Stepper
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
@@ -21,7 +21,7 @@ MOST_KEPT = (
 class Couplings:
     """Makes the coupling of each set of loads when a step first needs it."""
 
-    def __init__(self, model: Model, log: Callable[[str], None]) -> None:
+    def __init__(self, model: Model, log: Log) -> None:
         """Plan which steps are condensed; where any are, the first coupling that is made tells the log. Collective."""
         self.model, self.log, self._told = model, log, False
         operators = model.operators

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.advance.explicit import ExplicitSteps
+from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.prescribed import AT_A_TIME, bends_of, latest
 from fracflow.advance.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
 from fracflow.errors import SolveError
-from fracflow.integrators import Rates, Stepper, storage_error
+from fracflow.integrators import FilmRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import compression_of
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
+from fracflow.solve.request import StepRequest
 
 FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
 LATE = 2.0  # as much less a film may be wrong, over what is allowed at the end of a stage, than as it begins
@@ -249,7 +253,7 @@ class Judge:
         if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
             last = 0.0
         rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
-        wrong: Floats = storage_error(self.stepper, dt, rates)
+        wrong: Floats = storage_error(cast(FilmRule, self.stepper), dt, rates)
         wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
         return self._sum(wrong)
 
@@ -269,3 +273,20 @@ class Judge:
 
     def _sum(self, at_nodes: Floats) -> float:
         return float(self.operators.layout.comm.allreduce(float(np.abs(at_nodes).sum()), op=MPI.SUM))
+
+
+@dataclass(frozen=True)
+class ErrorControlled:
+    """Tells how wrong a part of a step is, over what is allowed."""
+
+    inner: Advance
+    judge: Judge
+    explicit: ExplicitSteps
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same with its error. Raises SolveError, on every rank. Collective."""
+        found, judge = self.inner.advance(state, request), self.judge
+        assert request.step is not None
+        length = request.step.length * (found.reached - request.begin)
+        error = judge.error(length, self.explicit.part(judge.stepper, length), state, found.state)
+        return replace(found, error=error)

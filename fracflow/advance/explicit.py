@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from fracflow.advance.substeps import on_the_way
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.integrators import Stepper
 from fracflow.integrators.explicit import parts
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.solve.explicit import ExplicitCoupling
-from fracflow.solve.request import StepRequest
-
-Part = Callable[[State, StepRequest], tuple[State, StepReport]]
-"""The state at the end of a part that is not too long."""
+from fracflow.solve.request import StepRequest, on_the_way
 
 
 class ExplicitSteps:
     """The explicit coupling of a model, and what the log is told of its critical time step."""
 
-    def __init__(self, model: Model, log: Callable[[str], None]) -> None:
+    def __init__(self, model: Model, log: Log) -> None:
         """Make the coupling when a stage first needs it."""
         self.model, self.log = model, log
         self._coupling: ExplicitCoupling | None = None
@@ -61,23 +57,41 @@ class ExplicitSteps:
         damps = "".join(f"; {told}" for told in self.coupling.told)
         self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
 
-    def in_parts(self, part: Part, state: State, request: StepRequest, count: int) -> tuple[State, StepReport]:
-        """A step in ``count`` equal parts, the controls on their way. Raises SolveError. Collective."""
-        dt = request.length
+    def destroy(self) -> None:
+        """Free the coupling. Collective."""
+        if self._coupling is not None:
+            self._coupling.destroy()
+
+
+@dataclass(frozen=True)
+class ExplicitSubsteps:
+    """Takes a step in equal parts that are no longer than the critical one, the controls on their way."""
+
+    inner: Advance
+    explicit: ExplicitSteps
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """All parts, one after the other. Raises SolveError, on every rank. Collective."""
+        dt, count = request.length, self.explicit.count(request.length)
+        if count == 1:
+            return self.inner.advance(state, request)
         ahead = dt if request.next_length is None else request.next_length
-        then = ahead / self.count(ahead) if ahead > 0.0 else 0.0
+        then = ahead / self.explicit.count(ahead) if ahead > 0.0 else 0.0
         now, total = state, StepReport()
         for done in range(1, count + 1):
-            at = request.time - dt * (count - done) / count
+            part = replace(
+                request,
+                time=request.time - dt * (count - done) / count,
+                length=dt / count,
+                controls=on_the_way(state.controls, request.controls, 0.0, done / count),
+                next_length=dt / count if done < count else then,
+            )
             try:
-                way = on_the_way(state.controls, request.controls, 0.0, done / count)
-                after = dt / count if done < count else then
-                cut = StepRequest(at, dt / count, way, request.loads, hold=request.hold, next_length=after)
-                new, report = part(now, cut)
+                found = self.inner.advance(now, part)
             finally:
                 if now is not state:
                     now.destroy()
-            now = new
+            now, report = found.state, found.report
             widest = max(total, report, key=lambda each: each.widening)
             total = replace(
                 report.after(total),
@@ -87,9 +101,4 @@ class ExplicitSteps:
                 widening=widest.widening,
                 widest=widest.widest,
             )
-        return now, total
-
-    def destroy(self) -> None:
-        """Free the coupling. Collective."""
-        if self._coupling is not None:
-            self._coupling.destroy()
+        return Outcome(now, total, request.end)

@@ -8,13 +8,12 @@ unstable somewhere on its way. Such a step is refused and halved, and where no s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.advance.substeps import PartOfStep
+from fracflow.advance.outcome import Advance, Outcome
 from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.slip import critical_length
 from fracflow.errors import NotConverged, SolveError
@@ -22,6 +21,7 @@ from fracflow.model.properties import on_joints
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import Sections, State
 from fracflow.scene.scene import Scene
+from fracflow.solve.request import StepRequest
 from fracflow.solve.stability import Weakening, largest_share, of_state, of_step
 
 RESOLVED = 0.1  # of the slip over which strength falls: in a shorter step it cannot have jumped
@@ -164,22 +164,46 @@ def to_the_next(scene: Scene, number: int, step: float) -> int:
     return min(MOST_HALVED, math.ceil(math.log2(step / after.time_step)))
 
 
-def to_limit_point(model: Model, state: State, parts: Iterator[PartOfStep], least: float) -> Iterator[PartOfStep]:
-    """The parts of a step without inertia from a state, up to where there is no other: at a limit point or not.
+@dataclass(frozen=True)
+class StableSlip:
+    """Refuses steps without inertia in which slip goes on by itself; where strength falls over a length of slip.
 
-    least  length of the shortest part [time]
-
-    Raises LimitPoint or NotConverged, on every rank. Collective.
+    shortest  fraction of the step, above which a part costs little where it fails: it is halved then
     """
-    try:
-        for part in parts:
-            yield part
-            state = part.state
-    except NotConverged as failure:
-        error = limit_point(model, state, failure, least)
-        if error is None:
-            raise
-        raise error from failure
+
+    inner: Advance
+    model: Model
+    shortest: float
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same, or Jumped is raised, on every rank. Collective."""
+        halves = request.end - request.begin > self.shortest or is_near(self.model, state)
+        found = self.inner.advance(state, replace(request, expects_failure=halves))
+        refuse_unstable_slip(self.model, state, found.state, found.report.newton)
+        return found
+
+
+@dataclass(frozen=True)
+class UpToLimitPoint:
+    """Tells a limit point from other failures of a stage without inertia.
+
+    halvings  of a step, at most
+    """
+
+    inner: Advance
+    model: Model
+    halvings: int
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same, or LimitPoint in the place of NotConverged is raised, on every rank. Collective."""
+        try:
+            return self.inner.advance(state, request)
+        except NotConverged as failure:
+            assert request.step is not None
+            error = limit_point(self.model, state, failure, request.step.length * 0.5**self.halvings)
+            if error is None:
+                raise
+            raise error from failure
 
 
 def limit_point(model: Model, state: State, failure: NotConverged, least: float) -> LimitPoint | None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.advance.outcome import Log
 from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Conduction
@@ -37,7 +37,7 @@ class _Closed:
 class Network:
     """The parts of a model's network as they are now."""
 
-    def __init__(self, model: Model, log: Callable[[str], None] = lambda line: None) -> None:
+    def __init__(self, model: Model, log: Log = lambda line: None) -> None:
         """No part is known before the first step."""
         self.model, self.log = model, log
         self._conducts: np.ndarray | None = None

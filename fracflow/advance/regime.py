@@ -145,6 +145,8 @@ class Tried:
     newton      iterations spent on it
     state       that it led to, with its ``report``; None where it may not be taken
     may_double  whether one twice as long may follow, as far as its slip tells
+    length      of it [time]
+    jumps       something prescribed jumps just behind its end
     """
 
     why: str
@@ -152,6 +154,8 @@ class Tried:
     state: State | None = None
     report: StepReport = field(default_factory=StepReport)
     may_double: bool = False
+    length: float = 0.0
+    jumps: bool = False
 
 
 def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
-from fracflow.advance.explicit import ExplicitSteps
+from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import Network
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.sampling import begins_anew, rule_of
 from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
 from fracflow.errors import NotConverged, SolveError
@@ -35,8 +35,15 @@ Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
 DONE: Progress = {"done": 1.0}
-Trial = Callable[[float, float, str], None]
-"""(time, length, why) of a step that was tried from a time, and thrown away."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A step of a length that was tried from a time, and thrown away, and why [time]."""
+
+    time: float
+    length: float
+    why: str
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,7 @@ class Step:
 
     progress  what the stage needs to go on from here; None where it cannot
     regime    the kind of step, where the stage chooses it; empty where that is the kind of the stage
+    trial     this is not to be recorded, but tells of a trial from the state before it; else None
     """
 
     state: State
@@ -53,6 +61,7 @@ class Step:
     report: StepReport
     progress: Progress | None = None
     regime: str = ""
+    trial: Trial | None = None
 
 
 def stepper_of(scene: Scene, stage: Stage, regime: str = "") -> Stepper:
@@ -64,21 +73,20 @@ def stepper_of(scene: Scene, stage: Stage, regime: str = "") -> Stepper:
 
 
 class Stepping:
-    """Makes steps of one model; keeps the solvers between them."""
+    """Solvers of one model, kept between the steps that they make."""
 
-    def __init__(self, model: Model) -> None:
-        """Make the solvers that the stages need when they first need them."""
-        self.model = model
-        self.tell_trial: Trial = lambda time, length, why: None
-        self.network = Network(model)
-        self.couplings = Couplings(model, lambda line: self.network.log(line))
+    def __init__(self, model: Model, log: Log = lambda line: None) -> None:
+        """Make the solvers that the stages need when they first need them; ``log`` takes lines about them."""
+        self.model, self.log = model, log
+        self.network = Network(model, log)
+        self.couplings = Couplings(model, log)
         self._network_version = 0
         self._at_rest: dict[Loads, Loads] = {}
         self._variants: dict[tuple[Loads, frozenset[Limit]], Loads] = {}
-        self.explicit = ExplicitSteps(model, lambda line: self.network.log(line))
-        self._counts_volume = any(stage.kind == "auto" for stage in model.scene.stage)  # for the catalogue of events
+        self.explicit = ExplicitSteps(model, log)
+        self.counts_volume = any(stage.kind == "auto" for stage in model.scene.stage)  # for the catalogue of events
 
-    def _closed(self, loads: Loads, stores: bool) -> Loads:
+    def closed(self, loads: Loads, stores: bool) -> Loads:
         """The loads with what nothing drains closed; solvers for parts of the network that are no more are freed."""
         found = self.network.close(loads, stores)
         if self.network.version != self._network_version:
@@ -86,153 +94,26 @@ class Stepping:
             self.couplings.forget_closures()
         return found
 
+    def by(self, stepper: Stepper) -> Advance:
+        """The way to advance by one step of a rule."""
+        single = SingleStep(self, stepper)
+        return ExplicitSubsteps(single, self.explicit) if stepper.explicit else single
+
     def step(self, state: State, request: StepRequest, stepper: Stepper) -> tuple[State, StepReport]:
-        """One step by a rule.
+        """One step by a rule, and what it cost. Raises SolveError, on every rank. Collective."""
+        found = self.by(stepper).advance(state, request)
+        return found.state, found.report
 
-        A rule of the film that remembers carries walls on as they moved, through a fracture that pinches shut, and leaves
-        them there, for nothing flows any more. Backward Euler stops them in time: it makes the steps in which one closes.
-
-        Raises SolveError, on every rank; ``state`` stays as it is. Collective.
-        """
-        time = request.time
-        if stepper.explicit and (count := self.explicit.count(request.length)) > 1:
-            return self.explicit.in_parts(lambda now, part: self.step(now, part, stepper), state, request, count)
-        rule = first(stepper) if begins_anew(stepper, state, request) else stepper
-        begun = self._begun(rule, state, state, request)
-        try:
-            new, report = self._step_by(rule, begun or state, request, stepper)
-        finally:
-            if begun is not None:
-                begun.destroy()
-        if set(state.limited) - set(new.limited):  # the step was begun as if these wells stayed at their limits
-            begun = self._begun(rule, state, new, request)
-            if begun is not None:
-                new.destroy()
-                try:
-                    new, again = self._step_by(rule, begun, request, stepper)
-                finally:
-                    begun.destroy()
-                report = again.after(report)
-        left = narrowing(self.model.operators, state, new) if rule.memory else 1.0
-        if left < NARROWS:
-            new.destroy()
-            what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
-            self.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
-            rule = first(stepper)
-            new, report = self._step_by(rule, state, request, stepper)
-        self.network.tell(time)
-        if rule.storage:
-            grown, where = widening(self.model.operators, state, new)
-            report = replace(report, widening=grown, widest=where)
-        return new, report
-
-    def _begun(self, rule: Stepper, state: State, limits: State, request: StepRequest) -> State | None:
-        """The state that a step goes from, where that is another; of rules that look back on a. See ``keep_pace``.
-
-        limits  the state whose wells at their limits stay there
-        """
-        if not rule.inertia or rule.balance != "both" or self.model.operators.flow is None or request.length == 0.0:
-            return None
-        self.network.look_at(state)
-        limited = self._limited(request.loads, reached_before(request.loads, limits))
-        return keep_pace(self.model, self.network, state, replace(request, loads=limited), rule)
-
-    def _step_by(
-        self, stepper: Stepper, state: State, request: StepRequest, follows: Stepper
-    ) -> tuple[State, StepReport]:
-        """The same by one rule that another ``follows``, with the loads that wells at limits and closed parts leave."""
-        dt, time, controls = request.length, request.time, request.controls
-        rule = rule_of(stepper, state, request, follows)
-        loads = self._standing(request.loads) if not rule.inertia else request.loads
-        explicit = self.explicit.coupling if stepper.explicit else None
-        weighs = rule.alphas if rule.inertia and explicit is None else None
-        scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
-        fluid, network = self.model.scene.fluid, self.model.operators.flow
-        reached = reached_before(loads, state)
-        if network is not None:
-            self.network.look_at(state)
-        trial: tuple[Floats, Floats] | None = None
-        failed, same, spent = None, False, 0
-        for _ in range(MOST_TRIES + 2 * len(loads.limits)):
-            limited = self._limited(loads, reached)
-            asked = replace(request, loads=self._closed(limited, stepper.storage))
-            kind = StepProblem if explicit is None else ExplicitProblem
-            problem = kind(self.model.operators, state, asked, rule, trial)
-            try:
-                report = (explicit or self.couplings.of(asked.loads)).solve(problem)
-                new = accept(problem, state.energy)
-                self._refuse_jumps(state, new)
-                digits = check_digits(problem, new, self.model.scene.accuracy.digits, self.network.tell_digits)
-                report = replace(report, digits=digits)
-                same = self._is_closed(problem, limited, stepper.storage)
-                trial = None if same else problem.hand_on()
-                try:
-                    full = self.network.overfull(limited, stepper.storage, problem) if same else frozenset()
-                except SolveError:
-                    new.destroy()
-                    raise
-            except NotConverged as error:
-                spent += problem.tried
-                failed = error.after(spent)
-                if self._is_closed(problem, limited, stepper.storage):
-                    full = self.network.overfull(limited, stepper.storage, problem)
-                    if not full:
-                        raise
-                    reached |= full
-                trial = problem.hand_on()
-                continue
-            finally:
-                problem.destroy()
-            depth = fluid.flow_depth if fluid is not None else 1.0
-            demanded = partial(loads.demanded, time=time, controls=controls, around=rule.adjacent, rates=rule.rates)
-            now = reached_after(loads, reached, new, demanded, depth) | full
-            if now == reached and same:
-                energy = book(self.model.operators, state, new, dt, scheme)
-                wells = tuple(sorted(limit.well for limit in now))
-                memory = remember(self.model.operators, state, new, dt) if follows.memory else Memory()
-                if follows.memory and loads.limits:
-                    by_limits = through(replace(request, loads=limited), rule, now, state, new, depth)
-                    memory = replace(memory, through=by_limits)
-                friction, injected = dissipated(state, new), state.injected
-                if self._counts_volume:
-                    injected += brought(self.model.operators, limited, state, new, dt, scheme, depth)
-                new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected)
-                return replace(new, memory=memory, around=rule.adjacent), report
-            new.destroy()
-            spent += report.newton
-            reached, failed = now, None
-        if same and not failed:
-            refuse_cycle(reached, time, spent)
-        raise NotConverged(
-            f"time {time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a smaller"
-            f" time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
-            spent,
-        )
-
-    def _refuse_jumps(self, old: State, new: State) -> None:
-        """Raise SolveError, on every rank, where a joint's strength fell faster than its spring unloads. Collective."""
-        ops = self.model.operators
-        try:
-            refuse_jumps(ops.blocks, ops.joints, old, new)
-        except SolveError:
-            new.destroy()
-            raise
-
-    def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
-        """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
-        if problem.conduction is None:
-            return True
-        self.network.look(problem.conduction)
-        return self.network.close(loads, stores) is problem.loads
-
-    def _standing(self, loads: Loads) -> Loads:
+    def standing(self, loads: Loads) -> Loads:
+        """The loads of a step without inertia."""
         if not len(self.model.loads.fixed_resting) and self.model.operators.damping is None:
             return loads
         if loads not in self._at_rest:
             self._at_rest[loads] = loads.standing()
         return self._at_rest[loads]
 
-    def _limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
+    def limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
+        """The loads with wells kept at the limits they have reached."""
         key = (loads, reached)
         if reached and key not in self._variants:
             self._variants[key] = loads.at_limit(reached)
@@ -242,7 +123,7 @@ class Stepping:
         """A new state, as a stage takes it over; see ``advance.discontinuities``. Collective."""
         dt = self.explicit.part(stepper, dt)
         new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
-        if not self._counts_volume or new.uptake is None:
+        if not self.counts_volume or new.uptake is None:
             return new
         fluid = self.model.scene.fluid
         jumped = stored(self.model.operators, state, new, fluid.flow_depth if fluid is not None else 1.0)
@@ -253,10 +134,147 @@ class Stepping:
         return change(self.model, self.network, self._limited_now(state), state, leaving)
 
     def _limited_now(self, state: State) -> Loads:
-        return self._limited(self.model.loads, reached_before(self.model.loads, state))
+        return self.limited(self.model.loads, reached_before(self.model.loads, state))
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
         self.couplings.destroy()
         self.explicit.destroy()
         self.network.destroy()
+
+
+@dataclass(frozen=True)
+class SingleStep:
+    """One step by a rule, by the solvers of its model.
+
+    A rule of the film that remembers carries walls on as they moved, through a fracture that pinches shut, and leaves
+    them there, for nothing flows any more. Backward Euler stops them in time: it makes the steps in which one closes.
+    """
+
+    solvers: Stepping
+    stepper: Stepper
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The state at the end of the step. Raises SolveError, on every rank; ``state`` stays as it is. Collective."""
+        solvers, stepper, time = self.solvers, self.stepper, request.time
+        rule = first(stepper) if begins_anew(stepper, state, request) else stepper
+        begun = self._begun(rule, state, state, request)
+        try:
+            new, report = self._solve(rule, begun or state, request)
+        finally:
+            if begun is not None:
+                begun.destroy()
+        if set(state.limited) - set(new.limited):  # the step was begun as if these wells stayed at their limits
+            begun = self._begun(rule, state, new, request)
+            if begun is not None:
+                new.destroy()
+                try:
+                    new, again = self._solve(rule, begun, request)
+                finally:
+                    begun.destroy()
+                report = again.after(report)
+        left = narrowing(solvers.model.operators, state, new) if rule.memory else 1.0
+        if left < NARROWS:
+            new.destroy()
+            what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
+            solvers.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
+            rule = first(stepper)
+            new, report = self._solve(rule, state, request)
+        solvers.network.tell(time)
+        if rule.storage:
+            grown, where = widening(solvers.model.operators, state, new)
+            report = replace(report, widening=grown, widest=where)
+        return Outcome(new, report, request.end)
+
+    def _begun(self, rule: Stepper, state: State, limits: State, request: StepRequest) -> State | None:
+        """The state that a step goes from, where that is another; of rules that look back on a. See ``keep_pace``.
+
+        limits  the state whose wells at their limits stay there
+        """
+        if (
+            not rule.inertia
+            or rule.balance != "both"
+            or self.solvers.model.operators.flow is None
+            or request.length == 0.0
+        ):
+            return None
+        self.solvers.network.look_at(state)
+        limited = self.solvers.limited(request.loads, reached_before(request.loads, limits))
+        return keep_pace(self.solvers.model, self.solvers.network, state, replace(request, loads=limited), rule)
+
+    def _solve(self, stepper: Stepper, state: State, request: StepRequest) -> tuple[State, StepReport]:
+        """The same by one rule, with the loads that wells at limits and closed parts of the network leave."""
+        solvers, follows = self.solvers, self.stepper
+        if not stepper.inertia:
+            request = replace(request, loads=solvers.standing(request.loads))
+        dt, loads, ops = request.length, request.loads, solvers.model.operators
+        rule = rule_of(stepper, state, request, follows)
+        explicit = solvers.explicit.coupling if stepper.explicit else None
+        weighs = rule.alphas if rule.inertia and explicit is None else None
+        scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
+        fluid, reached = solvers.model.scene.fluid, reached_before(loads, state)
+        depth = fluid.flow_depth if fluid is not None else 1.0
+        if ops.flow is not None:
+            solvers.network.look_at(state)
+        trial: tuple[Floats, Floats] | None = None
+        failed, same, spent = None, False, 0
+        for _ in range(MOST_TRIES + 2 * len(loads.limits)):
+            limited = solvers.limited(loads, reached)
+            asked = replace(request, loads=solvers.closed(limited, stepper.storage))
+            kind = StepProblem if explicit is None else ExplicitProblem
+            problem = kind(ops, state, asked, rule, trial)
+            try:
+                report = (explicit or solvers.couplings.of(asked.loads)).solve(problem)
+                new = accept(problem, state.energy)
+                try:
+                    refuse_jumps(ops.blocks, ops.joints, state, new)
+                    needed = solvers.model.scene.accuracy.digits
+                    digits = check_digits(problem, new, needed, solvers.network.tell_digits)
+                    same = self._is_closed(problem, limited, stepper.storage)
+                    trial = None if same else problem.hand_on()
+                    full = solvers.network.overfull(limited, stepper.storage, problem) if same else frozenset()
+                except SolveError:
+                    new.destroy()
+                    raise
+            except NotConverged as error:
+                spent += problem.tried
+                failed = error.after(spent)
+                if self._is_closed(problem, limited, stepper.storage):
+                    full = solvers.network.overfull(limited, stepper.storage, problem)
+                    if not full:
+                        raise
+                    reached |= full
+                trial = problem.hand_on()
+                continue
+            finally:
+                problem.destroy()
+            now = reached_after(request, rule, reached, new, depth) | full
+            if now == reached and same:
+                energy = book(ops, state, new, dt, scheme)
+                wells = tuple(sorted(limit.well for limit in now))
+                memory = remember(ops, state, new, dt) if follows.memory else Memory()
+                if follows.memory and loads.limits:
+                    by_limits = through(replace(request, loads=limited), rule, now, state, new, depth)
+                    memory = replace(memory, through=by_limits)
+                friction, injected = dissipated(state, new), state.injected
+                if solvers.counts_volume:
+                    injected += brought(ops, limited, state, new, dt, scheme, depth)
+                new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected)
+                return replace(new, memory=memory, around=rule.adjacent), replace(report, digits=digits)
+            new.destroy()
+            spent += report.newton
+            reached, failed = now, None
+        if same and not failed:
+            refuse_cycle(reached, request.time, spent)
+        raise NotConverged(
+            f"time {request.time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a"
+            f" smaller time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
+            spent,
+        )
+
+    def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
+        """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
+        if problem.conduction is None:
+            return True
+        self.solvers.network.look(problem.conduction)
+        return self.solvers.network.close(loads, stores) is problem.loads

@@ -1,4 +1,4 @@
-"""A step is taken whole, or in parts: to where it converges, to where it is accurate, to its events.
+"""A step is taken whole, or in substeps: to where it converges, to where it is accurate, to its events.
 
 Parts are powers of 1/2 of a step, or of what is left of it after an event, each at a multiple of its own length.
 """
@@ -6,37 +6,21 @@ Parts are powers of 1/2 of a step, or of what is left of it after an event, each
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from fracflow.advance.outcome import Advance, Log, Outcome
+from fracflow.advance.prescribed import Prescribed
 from fracflow.errors import NotConverged
 from fracflow.model.state import State, StepReport
 from fracflow.scene.scene import Scene
+from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
 MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
 LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/2) in a film that a jump enters
 DEEPEST = 6  # halvings at once
 HOPELESS = 1e100  # times what is allowed: errors beyond are as large as each other
-AT_A_JUMP = 1e-9  # of a step: times so near are one
-
-
-@dataclass(frozen=True)
-class Attempted:
-    """Where an attempt came to: state and cost, the fraction of the step, and its error over what is allowed.
-
-    foreseen  it ends early because something prescribed jumps or bends there, which is no event
-    """
-
-    state: State
-    report: StepReport
-    fraction: float
-    error: float = 0.0
-    foreseen: bool = False
-
-
-Attempt = Callable[[State, float, float, bool], Attempted]
-"""(state, from, to, may stop at an event) -> the state at a fraction of a step, or at an event before; raises NotConverged."""
 
 
 @dataclass(frozen=True)
@@ -95,61 +79,51 @@ class Place:
         return cls(base, part, *(int(progress.get(f"place_{name}", 0)) for name in ("level", "calm", "events")))
 
 
-@dataclass(frozen=True)
-class PartOfStep:
-    """A state that was reached, the part of the step that led to it, and the place after it."""
-
-    state: State
-    report: StepReport
-    start: float
-    place: Place
-
-    @property
-    def end(self) -> float:
-        """Fraction of the step."""
-        return self.place.fraction
-
-    @property
-    def is_last(self) -> bool:
-        """Whether the step ends here."""
-        return self.end == 1.0
-
-
 def most_halvings(scene: Scene) -> int:
     """How often a step may be halved: never where the report's own methods are to show how they fail."""
     return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
 
 
-def in_parts(
-    attempt: Attempt,
-    state: State,
-    rules: Rules,
-    log: Callable[[str], None],
-    place: Place | None = None,
-    is_straight: Callable[[float, float], bool] = lambda start, end: True,
-) -> Iterator[PartOfStep]:
-    """The whole step or the fewest parts of it that ``rules`` ask for, from ``place`` in it.
+class Substepped:
+    """Takes a step of a stage in the fewest parts that ``rules`` ask for, one at a time, each by another way to advance.
 
-    A part that may be halved to be accurate is, untried, where what is prescribed in it is not straight.
-    Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
+    place       where in the step it goes on
+    prescribed  a part that may be halved to be accurate is, untried, where this is not straight in it
     """
-    place = place or Place()
-    while place.fraction < 1.0:
-        most = rules.most + min(place.level, rules.finest)
-        refused: list[tuple[int, float]] = []
-        spent = StepReport()
+
+    def __init__(
+        self,
+        inner: Advance,
+        rules: Rules,
+        log: Log,
+        place: Place | None = None,
+        prescribed: Prescribed | None = None,
+    ) -> None:
+        """From a place in the first step."""
+        self.inner, self.rules, self.log = inner, rules, log
+        self.place, self.prescribed = place or Place(), prescribed or Prescribed()
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The next part of the step that a request asks for the rest of, from the place on.
+
+        Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
+        """
+        rules, place, step = self.rules, self.place, request.step
+        assert step is not None
+        most, refused, spent = rules.most + min(place.level, rules.finest), list[tuple[int, float]](), StepReport()
         for level, size in _sizes(place, max(most, rules.finest)):
             if rules.finest and level < place.level:
                 continue
             start, end = place.fraction, replace(place, part=place.part + size).fraction
-            if level < rules.finest and not is_straight(start, end):
+            if level < rules.finest and not self._is_straight(step, start, end):
                 place = replace(place, level=level + 1, calm=0)
                 continue
+            asked = replace(step.part(state.controls, start, end), may_stop=place.events < rules.events)
             try:
-                found = attempt(state, start, end, place.events < rules.events)
+                found = self.inner.advance(state, asked)
             except NotConverged as error:
                 spent = spent.with_rejected(error.newton)
-                log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
+                self.log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
                 if level < most:
                     continue
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
@@ -163,8 +137,14 @@ def in_parts(
                 continue
             break
         place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
-        yield PartOfStep(found.state, found.report.after_trials(spent), start, place)
-        state = found.state
+        self.place = place.next_step() if place.fraction == 1.0 else place
+        length = step.length * (found.reached - start)
+        return replace(found, report=found.report.after_trials(spent), length=length)
+
+    def _is_straight(self, step: LoadStep, begin: float, end: float) -> bool:
+        end = step.first(step.ends, begin, end) or end
+        inside = begin + 2.0 * AT_A_JUMP, end - 2.0 * AT_A_JUMP
+        return self.prescribed.is_straight(*(step.begin + fraction * step.length for fraction in inside))
 
 
 def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:
@@ -185,10 +165,10 @@ def _sizes(place: Place, most: int) -> Iterator[tuple[int, float]]:
     yield from ((n, 0.5**n) for n in range(level, max(most, level) + 1))
 
 
-def _after(place: Place, size: float, found: Attempted, end: float, rules: Rules) -> Place:
+def _after(place: Place, size: float, found: Outcome, end: float, rules: Rules) -> Place:
     """The place after a part: at an event the rest of the step is divided anew."""
-    if found.fraction < end:
-        return replace(place, base=found.fraction, part=0.0, events=place.events + (not found.foreseen))
+    if found.reached < end:
+        return replace(place, base=found.reached, part=0.0, events=place.events + (not found.foreseen))
     place = replace(place, part=place.part + size)
     if not rules.order:
         return place
@@ -205,30 +185,3 @@ def next_part(start: float) -> float:
         return 1.0
     numerator, denominator = start.as_integer_ratio()
     return (numerator & -numerator) / denominator
-
-
-def next_jump(jumps: Sequence[float], start: float, time_step: float, begin: float, end: float) -> float | None:
-    """Fraction of the step from ``start`` at which something prescribed first jumps after ``begin``, up to ``end``."""
-    for jump in jumps:
-        place = (jump - start) / time_step
-        if begin + AT_A_JUMP < place <= end + AT_A_JUMP:
-            return end if place > end - AT_A_JUMP else place
-    return None
-
-
-def to_next(times: Sequence[float], now: float, length: float) -> float:
-    """Time to the next of some ascending times, or ``length``, if that is less."""
-    return min([length, *(time - now for time in times if time - now > AT_A_JUMP * length)])
-
-
-def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: float, end: float) -> dict[str, float]:
-    """Controls at the fraction ``end`` of a step that goes on to ``after``, from ``before`` at the fraction ``start``."""
-    if end == 1.0:
-        return dict(after)
-    share = (end - start) / (1.0 - start)
-    return {name: value + share * (after[name] - value) for name, value in before.items()}
-
-
-def still_lacking(start: float, end: float, arrives: float = 1.0) -> float:
-    """Share, at ``end``, of what the state at ``start`` lacks of the prescribed: by ``arrives`` all of it is there."""
-    return (arrives - end) / (arrives - start)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
 from typing import NoReturn
 
 from fracflow._petsc import MPI, PETSc
@@ -27,19 +25,19 @@ def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
 
 
 def reached_after(
-    loads: Loads, reached: frozenset[Limit], trial: State, demanded: Callable[[str], float], depth: float
+    request: StepRequest, rule: StepRule, reached: frozenset[Limit], trial: State, depth: float
 ) -> frozenset[Limit]:
     """Limits at which wells have to be kept once a trial of a step is known. Collective.
 
-    ``demanded`` tells what a well asks for in the step. A well comes to a limit that its pressure has passed, and leaves it
+    A well comes to a limit that its pressure has passed, and leaves it
     when the limit lets more through than it asks for.
     """
     now = set(reached)
-    for limit in loads.limits:
+    for limit in request.loads.limits:
         pressure = at_node(limit, trial.pressure)
         if limit in reached:
             through = at_node(limit, trial.forces.source) * depth
-            asked = demanded(limit.well)
+            asked = rule.demanded(request, limit.well)
             if limit.sign * (through - asked) > CLOSE * abs(asked):
                 now.discard(limit)
         elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):
@@ -58,9 +56,6 @@ def through(
     """
     loads, alphas = request.loads, rule.alphas
     kept, before = {limit.well: limit for limit in reached}, old.memory.through
-    demanded = partial(
-        loads.demanded, time=request.time, controls=request.controls, around=rule.adjacent, rates=rule.rates
-    )
     found: dict[str, float] = {}
     for name in sorted({limit.well for limit in loads.limits}):
         if alphas.a6 > 0.0 and name not in before:
@@ -68,9 +63,10 @@ def through(
         if name in kept:
             limit = kept[name]
             rate = at_node(limit, new.forces.source) * depth
-            rate -= sum(at_node(limit, each.vector) * depth * demanded(str(each.well)) for each in loads.wells)
+            others = ((each.vector, str(each.well)) for each in loads.wells)
+            rate -= sum(at_node(limit, vector) * depth * rule.demanded(request, well) for vector, well in others)
         else:
-            rate = demanded(name)
+            rate = rule.demanded(request, name)
         found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * request.length)
     return found
 

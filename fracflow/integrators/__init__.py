@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 from fracflow.integrators.explicit import Explicit
-from fracflow.integrators.first_order import BDF2, BackwardEuler, Rates, Trapezoid, first, storage_error
+from fracflow.integrators.first_order import BDF2, BackwardEuler, FilmRule, Rates, Trapezoid, first, storage_error
 from fracflow.integrators.generalised_alpha import GeneralisedAlpha
 from fracflow.integrators.hht import HHT
 from fracflow.integrators.implicit_euler import ImplicitEuler
@@ -46,6 +46,7 @@ __all__ = [
     "Alphas",
     "BackwardEuler",
     "Explicit",
+    "FilmRule",
     "GeneralisedAlpha",
     "HasMotion",
     "ImplicitEuler",

@@ -9,7 +9,7 @@ BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked, error_by_rate
 
@@ -27,8 +27,25 @@ class Rates:
     mean_last: Any
     last: float
 
+    @property
+    def bend_last(self) -> Any:
+        """The second derivative that the rule itself had."""
+        return 2.0 / self.last * (self.old - self.mean_last)
 
-def storage_error(stepper: Stepper, dt: float, rates: Rates) -> Any:
+    def bend(self, dt: float) -> Any:
+        """The second derivative over this step and the last one."""
+        return 2.0 / (dt + self.last) * (self.mean - self.mean_last)
+
+
+class FilmRule(Stepper, Protocol):
+    """A rule with storage and without inertia."""
+
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """About the error in what is stored that a step adds after another one, of its own order and either sign."""
+        ...
+
+
+def storage_error(rule: FilmRule, dt: float, rates: Rates) -> Any:
     """About the error in what is stored that a step of a film rule adds, either sign, of its own order.
 
     With divided differences for the derivatives: backward Euler leaves dt^2/2 of the second one, the trapezoid dt^3/12
@@ -36,16 +53,7 @@ def storage_error(stepper: Stepper, dt: float, rates: Rates) -> Any:
     memory begin by backward Euler. Of a stage's first step, whose rate at its start nobody knows, it is about a third of
     what is stored in it: a half where the rate rises evenly, 0.19 where a pressure jumps (erfc against its exponential).
     """
-    last = rates.last
-    if last == 0.0:
-        return dt * (rates.new - rates.old) / 3.0
-    before = 2.0 / last * (rates.old - rates.mean_last)  # the second derivative that the rule itself had
-    if isinstance(stepper, Trapezoid):
-        return dt**3 / 6.0 / (dt + last) * ((rates.new - rates.old) / dt - before)
-    now = 2.0 / (dt + last) * (rates.mean - rates.mean_last)
-    if isinstance(stepper, BDF2):
-        return dt**2 * (dt + last) ** 2 / (2.0 * (2.0 * dt + last) * (dt + 2.0 * last)) * (now - before)
-    return 0.5 * dt**2 * now
+    return dt * (rates.new - rates.old) / 3.0 if rates.last == 0.0 else rule.storage_error(dt, rates)
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,10 @@ class BackwardEuler:
         """That of backward Euler."""
         return error_by_rate(time_step, old, new)
 
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """dt^2/2 of the second derivative."""
+        return 0.5 * time_step**2 * rates.bend(time_step)
+
 
 @dataclass(frozen=True)
 class Trapezoid:
@@ -86,6 +98,11 @@ class Trapezoid:
     def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
         """That of backward Euler."""
         return error_by_rate(time_step, old, new)
+
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """dt^3/12 of the third derivative."""
+        dt, last = time_step, rates.last
+        return dt**3 / 6.0 / (dt + last) * ((rates.new - rates.old) / dt - rates.bend_last)
 
 
 @dataclass(frozen=True)
@@ -111,6 +128,12 @@ class BDF2:
     def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
         """That of backward Euler."""
         return error_by_rate(time_step, old, new)
+
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """dt^2 (dt + last)^2/(6 (2 dt + last)) of the third derivative."""
+        dt, last = time_step, rates.last
+        share = dt**2 * (dt + last) ** 2 / (2.0 * (2.0 * dt + last) * (dt + 2.0 * last))
+        return share * (rates.bend(dt) - rates.bend_last)
 
 
 def first(stepper: Stepper) -> Stepper:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fracflow._petsc import MPI
@@ -62,34 +62,36 @@ def run(
     Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
     gone, and ``progress`` sees those of both. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
     """
-
-    def once(undone: Mapping[str, str]) -> Totals:
-        mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
-        return _run(scene, folder, comm, progress, None if undone else show, None if undone else say, undone, mesh)
-
-    return _tries(once, {})
-
-
-def _tries(once: Callable[[Mapping[str, str]], Totals], undone: Mapping[str, str]) -> Totals:
-    """What comes of the first try that needs nothing of what the plan leaves out; each puts something back. Collective."""
+    undone: dict[str, str] = {}
     while True:
+        mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
+        heard = (show, say) if not undone else (None, None)
         try:
-            return once(undone)
+            return _go(_begun(scene, folder, comm, undone, mesh, *heard), progress)
         except PutBack as needed:
             undone = {**undone, **needed.undone}
 
 
-def _run(
+@dataclass(frozen=True)
+class _Begun:
+    """A run that is ready to go on from a step; ``clock`` is when it was begun [s]."""
+
+    model: Model
+    recorder: Recorder
+    step: Step
+    clock: float
+
+
+def _begun(
     scene: Scene,
     folder: str | Path,
     comm: MPI.Comm,
-    progress: Progress | None,
-    show: Show | None,
-    say: Say | None,
     undone: Mapping[str, str],
     mesh: SplitMesh | None = None,
-) -> Totals:
-    """The same, without what an earlier try had to take back, on its ``mesh``. Raises PutBack besides."""
+    show: Show | None = None,
+    say: Say | None = None,
+) -> _Begun:
+    """A new run, without what an earlier try had to take back, on its ``mesh``. Raises PutBack besides. Collective."""
     began = clock.perf_counter()
     model = prepare(scene, comm, mesh)
     settle(model)
@@ -118,7 +120,7 @@ def _run(
     step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)
-    return _go(model, recorder, step, began, progress)
+    return _Begun(model, recorder, step, began)
 
 
 def resume(
@@ -132,33 +134,37 @@ def resume(
     began, folder = clock.perf_counter(), Path(folder)
     on_root(comm, lambda: require_run(folder))
     scene, saved = load(folder / "scene.toml", trust=trust), folder / "checkpoint.h5"
-    if not comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
+    undone: dict[str, str] = {}
+    if comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
+        notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
+        with restoring(saved):
+            totals = Totals(**notes["totals"])
+        if notes["finished"]:
+            return totals
+        arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
+        cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
+        mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
+        model = prepare(scene, comm, mesh, cell_rank, begins=False)
+        settle(model)
+        model, facts = planned(model, notes["totals"]["undone"], cell_rank)
+        with restoring(saved):
+            check_stage(notes, len(scene.stage))
+            state = restore_state(model.operators, arrays, notes)
+        step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
+        recorder = Recorder(model, facts, folder, comm, notes)
+        recorder.log(
+            f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks"
+        )
+        undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began)
+    else:
         # the folder alone is enough: the mesh's own file may be elsewhere now, or changed
         path = folder / "mesh.h5"
-        mesh = on_root(comm, lambda: load_mesh(path) if path.exists() else None)
-        return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), {})
-    notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
-    with restoring(saved):
-        totals = Totals(**notes["totals"])
-    if notes["finished"]:
-        return totals
-    arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
-    cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
-    mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
-    model = prepare(scene, comm, mesh, cell_rank, begins=False)
-    settle(model)
-    model, facts = planned(model, notes["totals"]["undone"], cell_rank)
-    with restoring(saved):
-        check_stage(notes, len(scene.stage))
-        state = restore_state(model.operators, arrays, notes)
-    step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
-    recorder = Recorder(model, facts, folder, comm, notes)
-    recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
-    try:
-        return _go(model, recorder, step, began, progress)
-    except PutBack as needed:
-        undone = {**notes["totals"]["undone"], **needed.undone}
-    return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), undone)
+        mesh, ready = on_root(comm, lambda: load_mesh(path) if path.exists() else None), None
+    while True:
+        try:
+            return _go(ready or _begun(scene, folder, comm, undone, mesh), progress)
+        except PutBack as needed:
+            undone, ready = {**undone, **needed.undone}, None
 
 
 def has_ended(folder: Path) -> bool:
@@ -197,15 +203,14 @@ def of_stage(stage: Stage, error: SolveError) -> SolveError:
     return found
 
 
-def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Progress | None) -> Totals:
+def _go(begun: _Begun, progress: Progress | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
+    model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
     set_defaults(model.scene.petsc, unknowns)
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
-    stepping = Stepping(model)
-    stepping.network.log = recorder.log
-    stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
+    stepping = Stepping(model, recorder.log)
     recorder.tell_saved(getattr(progress, "saved", None))
     try:
         recorder.check()
@@ -213,7 +218,7 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
         recorder.end()
         for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
             recorder.log(line)
-        recorder.finish(clock.perf_counter() - began, _status(failure))
+        recorder.finish(clock.perf_counter() - begun.clock, _status(failure))
         if failure is None:  # last of all: what a kill leaves before it is gone on with
             recorder.save(step, finished=True)
         recorder.check()
@@ -248,7 +253,7 @@ def _steps(
     """All steps that are left, on record: the last of them, and what ended them before their time. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
-    going_on = step.progress or {}
+    going_on, tell_trial = step.progress or {}, getattr(progress, "trial", None)
     with Watch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
@@ -261,7 +266,12 @@ def _steps(
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
                 try:
-                    for step in steps(stepping, state, number, recorder.log, going_on):
+                    for made in steps(stepping, state, number, recorder.log, going_on):
+                        if made.trial is not None:
+                            if tell_trial is not None:
+                                tell_trial(made.trial.time, made.trial.length, made.trial.why)
+                            continue
+                        step = made
                         recorder.record(step)
                         watch_tied(stepping.model, step.state)
                         if progress is not None:

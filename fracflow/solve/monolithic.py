@@ -12,7 +12,6 @@ from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.stiffness import NewtonReport
 
 FAR = 0.1  # of the largest terms of a balance: what another linear solver does not take away
 
@@ -33,16 +32,17 @@ class Monolithic:
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
-        return step_report(self._solve(self.newton, problem), problem.residual, 1)
+        return self._solve(self.newton, problem)
 
-    def _solve(self, newton: Newton, problem: StepProblem) -> NewtonReport:
+    def _solve(self, newton: Newton, problem: StepProblem) -> StepReport:
         """The same from the present trial, or else from open fractures."""
         try:
-            return newton.solve(problem)
+            report = newton.solve(problem)
         except NotConverged as failure:
             if _is_left(problem, failure) or not self._open(problem):
                 raise
-            return newton.solve(problem)
+            report = newton.solve(problem)
+        return step_report(report, problem.residual, 1)
 
     def _open(self, problem: StepProblem) -> bool:
         """Start the step again as wide as it is without suction; tell whether that is another start. Collective.
@@ -84,7 +84,7 @@ class Auto(WholeLU):
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
         try:
-            return super().solve(problem)
+            return self._solve(self.newton, problem)
         except NotConverged as failure:
             # the linear solver is not to blame where it solved what it was given, and Newton's method is nowhere near
             far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
@@ -93,7 +93,7 @@ class Auto(WholeLU):
             self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
         start_again(problem)
         problem.evaluate()
-        return step_report(self._solve(self.other, problem), problem.residual, 1)
+        return self._solve(self.other, problem)
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""

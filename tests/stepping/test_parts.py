@@ -1,10 +1,14 @@
 """A step in parts: halved where it fails or is not accurate, longer again when calm, divided anew after an event."""
 
+from typing import ClassVar
+
 import pytest
 
-from fracflow.advance.substeps import Attempted, Place, Rules, in_parts
+from fracflow.advance.outcome import Outcome
+from fracflow.advance.substeps import Place, Rules, Substepped
 from fracflow.errors import NotConverged
 from fracflow.model.state import StepReport
+from fracflow.solve.request import LoadStep
 
 pytestmark = pytest.mark.serial
 
@@ -13,6 +17,7 @@ class Fake:
     """A state that knows where it is, and that counts what is freed."""
 
     freed = 0
+    controls: ClassVar = {}
 
     def __init__(self, at):
         self.at = at
@@ -21,11 +26,26 @@ class Fake:
         type(self).freed += 1
 
 
+class Inner:
+    """An attempt as a way to advance."""
+
+    def __init__(self, attempt):
+        self.attempt = attempt
+
+    def advance(self, state, request):
+        return self.attempt(state, request.begin, request.end, request.may_stop)
+
+
 def taken(attempt, rules, place=None, start=0.0):
-    """(from, to, place after) of each part."""
-    return [
-        (part.start, part.end, part.place) for part in in_parts(attempt, Fake(start), rules, lambda line: None, place)
-    ]
+    """(from, to, place after) of each part of a step; the place after the last is that before the next step."""
+    steps, state, found = Substepped(Inner(attempt), rules, lambda line: None, place), Fake(start), []
+    step = LoadStep(0.0, 1, 1.0, 1.0, 1.0, {}, None)
+    while not found or found[-1][1] < 1.0:
+        begin = steps.place.fraction
+        done = steps.advance(state, step.part({}, begin, 1.0))
+        state = done.state
+        found.append((begin, done.reached, steps.place))
+    return found
 
 
 def reaching(longest=1.0, event=None, error=0.0, newton=1):
@@ -39,7 +59,7 @@ def reaching(longest=1.0, event=None, error=0.0, newton=1):
             raise NotConverged("too long", 3)
         at = event if event is not None and may_stop and begin < event < end else end
         wrong = error(at - begin) if callable(error) else error
-        return Attempted(Fake(at), StepReport(newton=newton), at, wrong)
+        return Outcome(Fake(at), StepReport(newton=newton), at, wrong)
 
     attempt.tried = tried
     return attempt
@@ -68,7 +88,7 @@ def test_parts_that_fail_do_not_shrink_for_ever():
         if end > 0.3:
             raise NotConverged("no solution")
         assert len(tried) < 300  # shrinking on to round-off would take more
-        return Attempted(Fake(end), StepReport(newton=1), end, 0.9)
+        return Outcome(Fake(end), StepReport(newton=1), end, 0.9)
 
     with pytest.raises(NotConverged, match=r"no solution \(after 6 halvings of the step\)"):
         taken(attempt, Rules(6, order=1, finest=10))
@@ -83,13 +103,13 @@ def test_gives_up_by_name():
 def test_the_rest_after_an_event_is_one_part_and_ends_with_the_step():
     parts = taken(reaching(event=0.3), Rules(6, events=5))
     assert [part[:2] for part in parts] == [(0.0, 0.3), (0.3, 1.0)]
-    assert parts[0][2].events == 1 and parts[1][2].fraction == 1.0
+    assert parts[0][2].events == 1 and parts[1][1] == 1.0
 
 
 def test_events_beyond_the_most_are_not_stopped_at():
     def attempt(state, begin, end, may_stop):
         at = begin + 0.01 if may_stop else end
-        return Attempted(Fake(at), StepReport(newton=1), at)
+        return Outcome(Fake(at), StepReport(newton=1), at)
 
     ends = [part[1] for part in taken(attempt, Rules(6, events=3))]
     assert ends == pytest.approx([0.01, 0.02, 0.03, 1.0])
@@ -109,7 +129,7 @@ def test_an_inaccurate_part_is_freed_and_halved_and_the_level_is_kept():
     parts = taken(attempt, Rules(6, order=2))
     assert [part[:2] for part in parts] == [(0.0, 0.5), (0.5, 1.0)]
     assert Fake.freed == 1 and attempt.tried[0] == (0.0, 1.0)
-    assert parts[-1][2].next_step().level == 1
+    assert parts[-1][2].level == 1
 
 
 def test_calm_parts_make_the_next_one_longer():
@@ -117,7 +137,7 @@ def test_calm_parts_make_the_next_one_longer():
     for _ in range(3):
         parts = taken(reaching(error=1e-3), Rules(6, order=2), place)
         lengths += [end - start for start, end, _ in parts]
-        place = parts[-1][2].next_step()
+        place = parts[-1][2]
     assert lengths == [0.125] * 6 + [0.25] * 3 + [0.5] * 3
 
 

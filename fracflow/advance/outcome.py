@@ -1,0 +1,45 @@
+"""From one state to the next: what every way to advance is asked, and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from fracflow.model.state import State, StepReport
+from fracflow.solve.request import StepRequest
+
+Log = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Where an advance came to, and what it cost.
+
+    reached   fraction of the stage's step: less than was asked for where it ended at an event, or where something jumps
+    error     estimated, over what is allowed [1]; 0 where nobody estimates it
+    foreseen  it ended early because something prescribed jumps or bends there, which is no event
+    length    of what was advanced, of a part of a stage's step [time]
+    """
+
+    state: State
+    report: StepReport
+    reached: float = 1.0
+    error: float = 0.0
+    foreseen: bool = False
+    length: float = 0.0
+
+
+class Advance(Protocol):
+    """A way from one state to the next: a single step, or a wrapper of another way.
+
+    ``Substepped``, ``SplitAtJumps``, ``ErrorControlled``, ``StableSlip``, ``EventLocated`` and ``ExplicitSubsteps`` wrap one,
+    down to the ``SingleStep``. A stage puts together the ones that it needs.
+    """
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The state that a request leads to; the one it begins from stays as it is.
+
+        Raises SolveError, on every rank, and leaves no trace then. Collective.
+        """
+        ...
