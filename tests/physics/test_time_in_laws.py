@@ -13,7 +13,6 @@ from fracflow.output import read_history
 from fracflow.output.checkpoint import read_arrays
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
-
 from physics.test_books import CRACK, DYNAMIC, QUASI
 from physics.test_supports import PERIODIC
 
