@@ -16,6 +16,7 @@ from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
 
+# a law from outside the package is registered here, JOINT_LAWS["name"] = Law, before any scene is read
 JOINT_LAWS: dict[str, type[JointLaw]] = {
     "hyperbolic-coulomb": HyperbolicCoulomb,
     "linear": Linear,

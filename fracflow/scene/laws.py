@@ -20,11 +20,13 @@ OTHERWISE = {"friction_angle_deg": "friction_coefficient"}
 
 
 def known_law(name: str) -> str:
-    """The name of a law; a fault that tells those there are, for another."""
+    """The name of a law; a fault that tells those there are, for another. RuntimeError for one that came too late."""
     if name not in JOINT_LAWS:
         allowed = ", ".join(JOINT_LAWS)
         near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)
         raise fault(f"unknown; allowed: {allowed}" + (f'; did you mean "{near[0]}"?' if near else ""))
+    if name not in KEYS:
+        raise RuntimeError(f"the joint law {name} was registered after the keys of scenes were made: register it before")
     return name
 
 
