@@ -96,7 +96,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             before = state.time
             state, place = part.state, part.place.next_step() if part.is_last else part.place
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
-            if told := course.restless(before, state.time, bool(model.scene.absorbing), damps):
+            if told := course.restless(before, state.time, any(term.absorbs for term in model.scene.terms), damps):
                 log(f"time {state.time:.9g}: {told}")
             yield Step(state, number, dt, regimes.counted(part.report), course.as_progress(place), WAVES)
 

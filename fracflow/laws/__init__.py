@@ -6,12 +6,16 @@ from fracflow.laws.base import JointLaw, JointResponse, Key, keys_of, parameters
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
+from fracflow.laws.terms import Leakage, TermLaw
 
 JOINT_LAWS: dict[str, type[JointLaw]] = {
     "hyperbolic-coulomb": HyperbolicCoulomb,
     "linear": Linear,
     "slip-weakening": SlipWeakening,
 }
+
+TERM_LAWS: dict[str, type[TermLaw]] = {}
+"""Laws of terms by the key of their tables in a scene; one that is added before the scene is imported has its table there."""
 
 
 def make_law(name: str, **parameters: Any) -> JointLaw:
@@ -22,6 +26,6 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 
 __all__ = [
-    "JOINT_LAWS", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "Linear", "SlipWeakening", "keys_of",
-    "make_law", "parameters_of",
+    "JOINT_LAWS", "TERM_LAWS", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "Leakage", "Linear",
+    "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of",
 ]  # fmt: skip

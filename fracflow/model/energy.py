@@ -68,7 +68,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_pressure, mean_displacement, term):
         vector.destroy()
-    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in old.energy}
+    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in dict.fromkeys([*ENTRIES, *old.energy])}
     return _with_residuals(totals)
 
 

@@ -21,7 +21,6 @@ from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
-from fracflow.model.energy import ENTRIES
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
 from fracflow.model.stress import rock_fields
@@ -328,7 +327,7 @@ class Files:
             "step/widening": report.widening,
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
-        record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}
+        record |= {f"energy/{name}": state.energy[name] for name in state.energy}
         self.history.append(record | probe_record(self.scene, self.mesh, self.placed.probes, snapshot))
 
         def brought(name: str, any_of: bool = False) -> Any:
