@@ -23,7 +23,7 @@ from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
 from fracflow.model.softening import refuse_jumps
 from fracflow.model.state import Memory, State, StepReport
-from fracflow.model.volume import brought, stored
+from fracflow.model.volume import brought, leaked, stored
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
@@ -264,7 +264,9 @@ class Stepping:
                 friction, injected = dissipated(state, new), state.injected
                 if self._counts_volume:
                     injected += brought(self.model.operators, limited, state, new, dt, scheme, depth)
+                lost = leaked(self.model.operators, state, new, dt, scheme, depth)
                 new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected)
+                new = replace(new, left={name: state.left.get(name, 0.0) + value for name, value in lost.items()})
                 return replace(new, memory=memory, around=around), report
             new.destroy()
             spent += report.newton
