@@ -87,7 +87,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
             state = found.state
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + (found.reached == 1.0))
-            if told := course.restless(before, state.time, bool(model.scene.absorbing), damps):
+            if told := course.restless(before, state.time, any(term.absorbs for term in model.scene.terms), damps):
                 log(f"time {state.time:.9g}: {told}")
             report = regimes.counted(found.report)
             yield Step(state, number, found.length, report, course.as_progress(waves.place), WAVES)

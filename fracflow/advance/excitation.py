@@ -33,7 +33,7 @@ class Shaken:
 
 def shaken(scene: Scene, period: float) -> tuple[Shaken, ...]:
     """All of a scene's spans, by their start; ``period`` is the longest in which its rock vibrates."""
-    waves = [each.wave.velocity for each in scene.absorbing if each.wave is not None]
+    waves = [wave for each in scene.terms for wave in each.waves]
     loads = [table for table in scene.driving_tables if table not in waves]
     found = [*(span for table in waves for span in _arrivals(table)), *(s for t in loads for s in _kicks(t, period))]
     return tuple(sorted(found, key=lambda span: span.start))

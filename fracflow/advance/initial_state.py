@@ -87,6 +87,7 @@ def rest(model: Model) -> State:
     controls = {name: control.initial for name, control in scene.control.items()}
     holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
     state = State(0.0, motion, pressure, sections, holding, controls, empty_books(ops.terms), friction=friction)
+    state = replace(state, left={term.name: 0.0 for term in ops.terms if term.drains})
     return state if scene.initial is None else _moved(model, state)
 
 

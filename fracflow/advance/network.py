@@ -12,7 +12,7 @@ from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
-from fracflow.model.network_parts import Part, close, conducting, find_parts, give_way, holding
+from fracflow.model.network_parts import Part, close, conducting, find_parts, give_way, holding, leaving
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
@@ -38,10 +38,11 @@ class Network:
     """The parts of a model's network as they are now."""
 
     def __init__(self, model: Model, log: Log = lambda line: None) -> None:
-        """No part is known before the first step."""
+        """No part is known before the first step. Collective."""
         self.model, self.log = model, log
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
+        self._leaves = leaving(model.operators)
         self._told: np.ndarray | None = None
         self._told_digits = False
         self._parts: tuple[Part, ...] = ()
@@ -207,7 +208,7 @@ class Network:
     def _drained(self, loads: Loads) -> np.ndarray:
         layout = self.model.operators.layout
         numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
-        return np.isin(numbers, loads.fixed_flow)
+        return np.isin(numbers, loads.fixed_flow) | self._leaves
 
     def _make(self, loads: Loads, stores: bool, at_start: bool) -> _Closed:
         operators, fluid = self.model.operators, self.model.scene.fluid

@@ -22,7 +22,7 @@ from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
 from fracflow.model.softening import refuse_jumps
 from fracflow.model.state import Memory, State, StepReport
-from fracflow.model.volume import brought, stored
+from fracflow.model.volume import brought, leaked, stored
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
@@ -259,7 +259,9 @@ class SingleStep:
                 friction, injected = dissipated(state, new), state.injected
                 if solvers.counts_volume:
                     injected += brought(ops, limited, state, new, dt, scheme, depth)
-                new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected)
+                lost = leaked(ops, state, new, dt, scheme, depth)
+                left = {name: state.left.get(name, 0.0) + value for name, value in lost.items()}
+                new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected, left=left)
                 return replace(new, memory=memory, around=rule.adjacent), replace(report, digits=digits)
             new.destroy()
             spent += report.newton

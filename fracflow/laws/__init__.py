@@ -15,6 +15,7 @@ from fracflow.laws.base import (
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
+from fracflow.laws.terms import Leakage, TermLaw
 
 # a law from outside the package is registered here, JOINT_LAWS["name"] = Law, before any scene is read
 JOINT_LAWS: dict[str, type[JointLaw]] = {
@@ -22,6 +23,9 @@ JOINT_LAWS: dict[str, type[JointLaw]] = {
     "linear": Linear,
     "slip-weakening": SlipWeakening,
 }
+
+TERM_LAWS: dict[str, type[TermLaw]] = {}
+"""Laws of terms by the key of their tables in a scene; one that is added before the scene is imported has its table there."""
 
 
 def make_law(name: str, **parameters: Any) -> JointLaw:
@@ -32,6 +36,6 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 
 __all__ = [
-    "JOINT_LAWS", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "LawStep", "Linear",
-    "SlipWeakening", "keys_of", "make_law", "parameters_of", "published_history",
+    "JOINT_LAWS", "TERM_LAWS", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "LawStep",
+    "Leakage", "Linear", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of", "published_history",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""What changes in the fractures from state to state: the fluid that compression takes up, and the way that is left for it."""
+"""What changes in the fractures from state to state: the fluid that compression takes up or terms let out, and its way."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from fracflow.model.flow import Compression, Conduction
 from fracflow.model.network_parts import Closure
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
+from fracflow.model.terms.term import Term
 
 
 def compression_of(operators: Operators, state: State) -> Compression | None:
@@ -22,6 +23,15 @@ def compression_of(operators: Operators, state: State) -> Compression | None:
     opening = operators.joints.openings(state.sections.strain)
     aperture = network.apertures(state.motion.displacement, opening)
     return network.compress(aperture, network.driving(state.pressure))
+
+
+def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
+    """Rates at which fluid leaves by a term at the flow nodes, in a new vector [volume rate per thickness]. Collective."""
+    network, result = operators.flow, operators.layout.flow_vector()
+    assert network is not None
+    aperture = network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
+    network.taken_up(term.leaving(network.at_ends(state.pressure), aperture).rate, result)
+    return result
 
 
 def taken_up(operators: Operators, before: Compression, after: Compression) -> PETSc.Vec:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.data import Floats
-from fracflow.model.compressibility import taken_between
+from fracflow.model.compressibility import rate_by, taken_between
 from fracflow.model.energy_motion import Scheme, motion_parts, term_parts
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
@@ -68,7 +68,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_pressure, mean_displacement, term):
         vector.destroy()
-    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in old.energy}
+    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in dict.fromkeys([*ENTRIES, *old.energy])}
     return _with_residuals(totals)
 
 
@@ -195,6 +195,13 @@ def _fluid_parts(
         "work_wells": share * sum(state.forces.source.dot(balanced) for state in instants),
         "work_pressure": resting,
     }
+    for term in ops.flow.terms:
+        rates = [rate_by(ops, term, state) for state in instants]
+        lost = share * sum(each.dot(balanced) for each in rates)
+        parts["viscous"] -= lost
+        parts |= term.energy(lost, 0.0)
+        for each in rates:
+            each.destroy()
     if scheme.storage:
         swept = volume(ops.flow.squeeze, change, driving)
         parts["spurious"] = swept - pushed

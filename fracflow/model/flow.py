@@ -17,6 +17,7 @@ from fracflow.mesh.data import Floats
 from fracflow.model.joints import jump_matrix
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import along_fractures, resting_pressure
+from fracflow.model.terms.term import Leaving, Term
 from fracflow.scene.scene import Scene
 
 STORAGE = {
@@ -55,13 +56,29 @@ class Compression:
 class Conduction:
     """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2).
 
-    ``compression`` is None where the fluid is incompressible.
+    ``compression`` is None where the fluid is incompressible, ``leaving`` where nothing leaves by terms.
     """
 
     conductance: Floats
     slope: Floats
     pressure: Floats
     compression: Compression | None = None
+    leaving: Leaving | None = None
+
+    def tangents(self, storing: float) -> tuple[Floats, Floats]:
+        """Derivatives (j, 2, 2) of what leaves each end: by the pressures of both, and by the openings of both.
+
+        storing  b_1, by which a compressible fluid is taken up
+        """
+        here, between = np.arange(2), flow.conductivity(self.conductance)
+        slope = flow.conductivity_tangent(self.slope, self.pressure)
+        if self.compression is not None:
+            between[:, here, here] += storing * self.compression.weight
+            slope[:, here, here] += storing * self.compression.slope
+        if self.leaving is not None:
+            between[:, here, here] += self.leaving.by_pressure
+            slope[:, here, here] += self.leaving.by_aperture
+        return between, slope
 
 
 @dataclass(frozen=True)
@@ -79,6 +96,7 @@ class Flow:
     resting     the pressure at which the fluid is at rest, zero but for its change with depth, at the flow nodes
     resting_end (j, 2) the same at the joint ends [stress]
     counted     the pressure above rest at which volumes of a compressible fluid are counted [stress]
+    terms       by which fluid leaves
     """
 
     opening: PETSc.Mat
@@ -96,6 +114,7 @@ class Flow:
     viscosity: float
     compressibility: float = 0.0
     counted: float = 0.0
+    terms: tuple[Term, ...] = ()
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
         """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
@@ -115,7 +134,13 @@ class Flow:
             np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
             driving,
             self.compress(mechanical, driving) if self.compressibility > 0.0 else None,
+            self.leaving(driving, mechanical),
         )
+
+    def leaving(self, driving: Floats, aperture: Floats) -> Leaving | None:
+        """What leaves by terms at pressures above rest and apertures (j, 2); None without any."""
+        found = [term.leaving(driving + self.resting_end, aperture) for term in self.terms]
+        return Leaving(*(sum(parts) for parts in zip(*found, strict=True))) if found else None
 
     def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
         """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
@@ -155,9 +180,10 @@ class Flow:
         return self.at_ends(pressure) - self.resting_end
 
     def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
-        """(3.20) ``result`` += K_F p, what each flow node sends into its elements. Collective."""
+        """(3.20) ``result`` += K_F p, what each flow node sends into its elements, and what leaves by terms. Collective."""
         through = flow.element_flow(state.conductance, state.pressure)
-        self.taken_up(np.stack([through, -through], axis=1), result)
+        sent = np.stack([through, -through], axis=1)
+        self.taken_up(sent if state.leaving is None else sent + state.leaving.rate, result)
 
 
 def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:

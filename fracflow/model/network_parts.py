@@ -99,6 +99,14 @@ def holding(operators: Operators, compression: Compression | None) -> np.ndarray
     return np.concatenate(layout.comm.allgather(found[0] > CONDUCTS * found[1]))
 
 
+def leaving(operators: Operators) -> np.ndarray:
+    """Which of all flow nodes (n,) fluid leaves by terms, which settles their pressure. Collective."""
+    layout, flow = operators.layout, operators.blocks.joints.flow
+    joints = [term.joints() for term in operators.terms if term.drains]
+    here = flow[np.concatenate([np.zeros(0, dtype=np.int64), *joints])].ravel()
+    return np.isin(np.arange(int(layout.flow_starts[-1])), np.concatenate(layout.comm.allgather(here)))
+
+
 def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
     """All parts, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
     blocks = operators.blocks

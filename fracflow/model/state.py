@@ -133,6 +133,7 @@ class State:
     limited   wells that are kept at a limit of their pressure
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
     injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
+    left      net volume that has left the network by each term since the start, by their names [length^3]
     around    lengths of the step that led here and of the next one as foreseen, by which what jumps in time was sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     drive     largest pressure, above that at rest, at the end of a step since the start [stress]
@@ -153,6 +154,7 @@ class State:
     drive: float = 0.0
     power: float = 0.0
     injected: float = 0.0
+    left: Mapping[str, float] = field(default_factory=dict)
     around: tuple[float, float] = (0.0, 0.0)
 
     def destroy(self) -> None:

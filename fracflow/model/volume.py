@@ -1,4 +1,4 @@
-"""Volume that wells bring into the network in a step, and what the network stores."""
+"""Volume that wells bring into the network in a step, what the network stores, and what leaves by terms."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Floats
-from fracflow.model.compressibility import taken_between
+from fracflow.model.compressibility import rate_by, taken_between
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -16,14 +16,15 @@ from fracflow.model.state import State
 def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, scheme: Scheme, depth: float) -> float:
     """Net volume that wells bring in a step of length ``dt`` into fractures of a ``depth`` [length^3]. Collective.
 
-    Fractures end closed, so that it is what the network stores; a steady stage stores nothing. Where fractures have
-    prescribed pressures, wells are counted one by one: given rates by their integral; at a pressure that is kept, (3.20)
-    over the step, with what flows off as at the instants where the balance holds.
+    Fractures end closed, so that it is what the network stores, and what leaves by terms; a steady stage stores nothing.
+    Where fractures have prescribed pressures, wells are counted one by one: given rates by their integral; at a pressure that
+    is kept, (3.20) over the step, with what flows off as at the instants where the balance holds.
     """
     if ops.flow is None or dt <= 0.0:
         return 0.0
     if all(part.well for part in loads.pressures):
-        return stored(ops, old, new, depth) if scheme.storage else 0.0
+        lost = sum(leaked(ops, old, new, dt, scheme, depth).values())
+        return (stored(ops, old, new, depth) if scheme.storage else 0.0) + lost
     given = loads.integral(old.time, new.time, new.controls)
     kept = [part for part in loads.pressures if part.well]
     instants = (new,) if scheme.balance == "end" else (old, new)
@@ -32,6 +33,18 @@ def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, sch
         volume = volume + _room(ops, old, new)
     here = sum(float(np.sum(volume[part.numbers])) for part in kept)
     return given + depth * float(ops.layout.comm.allreduce(here, op=MPI.SUM))
+
+
+def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, depth: float) -> dict[str, float]:
+    """Volume that leaves fractures of a ``depth`` by each term in a step of length ``dt`` [length^3]. Collective."""
+    found = {}
+    instants = (new,) if scheme.balance == "end" else (old, new)
+    for term in ops.flow.terms if ops.flow is not None else ():
+        rates = [rate_by(ops, term, state) for state in instants]
+        found[term.name] = depth * dt / len(instants) * sum(float(rate.sum()) for rate in rates)
+        for rate in rates:
+            rate.destroy()
+    return found
 
 
 def stored(ops: Operators, old: State, new: State, depth: float) -> float:

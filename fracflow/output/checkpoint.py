@@ -81,6 +81,7 @@ class Notes(TypedDict, total=False):
     injected: float
     around: tuple[float, float]
     powers: dict[str, float]
+    left: dict[str, float]
     through: dict[str, float]
     seals: dict[str, str]
 
@@ -230,6 +231,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         drive=notes["drive"],
         power=notes["power"],
         injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
+        left=notes.get("left", {}),
         around=tuple(notes.get("around", (0.0, 0.0))),
     )
 

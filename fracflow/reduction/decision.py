@@ -79,7 +79,7 @@ class Facts:
     unrest      what the first instant changes in the loads, over their scale [1]
     unknowns    of displacement, and ``pressures`` of pressure, on all ranks
     jumps       components of the jumps of all joint sections
-    damps       some sides absorb waves
+    damps       terms have a C
     card        numbers of the scene card by their names; on rank 0 only
     shut        fractures that are tied, also where that was undone
     parts       parts of the rock, also where all of them are kept

@@ -35,9 +35,9 @@ def loaded_names(scene: Scene) -> Iterator[str]:
     for support in scene.support:
         if moves(support):
             yield from support.on
-    for absorbing in scene.absorbing:
-        if absorbing.wave is not None:
-            yield from absorbing.on
+    for term in scene.terms:
+        if term.waves:
+            yield from term.on
 
 
 def idle_nodes(model: Model) -> tuple[Bools, Parts]:
@@ -57,6 +57,8 @@ def idle_nodes(model: Model) -> tuple[Bools, Parts]:
         loaded[part[named_nodes(model, mesh, name)]] = True
     flow = np.array([*placed.wells.values()], dtype=np.int64)
     held = [scene.has_flow and scene.fracture_named(name).pressure is not None for name in mesh.fractures]
+    leaves = {name for term in scene.terms if term.drains for name in term.on}
+    held = [held_here or name in leaves for held_here, name in zip(held, mesh.fractures, strict=True)]
     drives = np.isin(mesh.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[mesh.joint_fracture]
     loaded[part[mesh.joint_bottom[drives].ravel()]] = True
     if not loaded.any():  # what a run without loads is for, nobody knows

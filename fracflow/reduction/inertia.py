@@ -67,8 +67,9 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
             return (
                 f"probe {probe.name} measures {asked[0]}, of which vibration is all (its quantities may leave that out)"
             )
-    if scene.absorbing:
-        return "absorbing sides, which give way to slow loads and stand still without inertia"
+    for term in scene.terms:
+        if term.moving:
+            return term.moving
     if any(start <= time <= end for time in scene.jump_times):
         return "something prescribed jumps"
     pumped = [well.flow_rate for well in scene.well if well.flow_rate is not None]

@@ -18,7 +18,7 @@ def far_field(facts: Facts) -> list[Decision]:
     """Rock beyond absorbing sides, which waves that meet them at an angle would tell from none."""
     scene = facts.scene
     ratios = sorted({rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None})
-    sides = ", ".join(name for absorbing in scene.absorbing for name in absorbing.on)
+    sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)
     if not sides or not scene.has_dynamics:
         return []
     return [

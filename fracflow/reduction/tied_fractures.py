@@ -61,7 +61,7 @@ class Fractures:
     barred     a well, a probe or rigid rock meets it, or its walls' mass is carried by the rock behind
     apart      (g, f) distance from each group [length]
     reach      (g,) half the extent of each group [length]
-    held       to supports, and sides that absorb, on average along it; infinite without any [length]
+    held       to supports, and terms that hold sides, on average along it; infinite without any [length]
     probed     (p, f) from each probe [length]
     area, size of the rock: its area, and its smaller extent [length^2, length]
     modulus    largest E' of the rock [stress]
@@ -126,8 +126,7 @@ def stress_of_loads(scene: Scene, rock: Fractures) -> float:
         moved = sum(map(_most, (support.displacement or {}).values()))
         rows = support.displacement_gradient or ()
         found += rock.modulus * (moved / rock.size + sum(_most(entry) for row in rows for entry in row))
-    waves = (each.wave for each in scene.absorbing if each.wave is not None)
-    return found + sum(2.0 * rock.impedance * _most(wave.velocity) for wave in waves)
+    return found + sum(2.0 * rock.impedance * _most(wave) for each in scene.terms for wave in each.waves)
 
 
 def pressure_of_wells(scene: Scene, start: Mapping[str, float]) -> float:

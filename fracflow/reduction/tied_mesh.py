@@ -139,9 +139,9 @@ def _of_mesh(model: Model) -> Fractures | None:
 
 
 def _to_held(model: Model, mesh: SplitMesh) -> Floats:
-    """Distance (f,) to supports and sides that absorb, on average along each fracture; infinite without any."""
+    """Distance (f,) to supports and terms that hold sides, on average along each fracture; infinite without any."""
     scene, held = model.scene, [np.zeros(0, dtype=np.int64)]
-    for on in (*(support.on for support in scene.support), *(absorbing.on for absorbing in scene.absorbing)):
+    for on in (*(each.on for each in scene.support), *(term.on for term in scene.terms if term.holds)):
         held += [named_nodes(model, mesh, name) for name in on]
     nodes, count = np.unique(np.concatenate(held)), len(mesh.fractures)
     if not len(nodes):

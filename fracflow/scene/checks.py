@@ -27,6 +27,7 @@ def contradictions(scene: Tables) -> Iterator[Fault]:
         yield ("stage",), "missing; a run needs at least one [[stage]]"
     yield from _method(scene)
     yield from _absorbing(scene)
+    yield from _terms(scene)
     yield from _geometry(scene)
     yield from _materials(scene)
     yield from _controls(scene)
@@ -107,6 +108,12 @@ def _absorbing(scene: Tables) -> Iterator[Fault]:
                     ("absorbing", index, "on"),
                     f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one',
                 )
+
+
+def _terms(scene: Tables) -> Iterator[Fault]:
+    for key, tables in scene.term_tables.items():
+        if any(table.drains for table in tables) and not scene.has_flow:
+            yield (key,), "needs [fluid] with a viscosity: without it no fluid is modelled"
 
 
 def _geometry(scene: Tables) -> Iterator[Fault]:
@@ -243,7 +250,11 @@ def _used_names(
     for index, support in enumerate(scene.support):
         for name in support.on:
             yield f"support.{index}.on", name, (*sides, *points, *rocks)
-    for key in ("load", "tie", "absorbing"):
+    for key, tables in scene.term_tables.items():
+        for index, table in enumerate(tables):
+            for name in table.on:
+                yield f"{key}.{index}.on", name, sides if table.places == "sides" else fractures
+    for key in ("load", "tie"):
         for index, entry in enumerate(getattr(scene, key)):
             for name in entry.on:
                 yield f"{key}.{index}.on", name, rocks if getattr(entry, "force", None) is not None else sides

@@ -21,7 +21,6 @@ from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
-from fracflow.model.energy import ENTRIES
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
 from fracflow.model.stress import rock_fields
@@ -288,7 +287,7 @@ class Files:
         notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
         notes |= {"through": dict(state.memory.through)}
         notes |= {"drive": state.drive, "power": state.power, "injected": state.injected}
-        notes |= {"powers": dict(state.forces.powers), "around": list(state.around)}
+        notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.around)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
@@ -328,7 +327,8 @@ class Files:
             "step/widening": report.widening,
         }
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
-        record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}
+        record |= {f"energy/{name}": value for name, value in state.energy.items()}
+        record |= {f"volume/{name}": value for name, value in state.left.items()}
         self.history.append(record | probe_record(self.scene, self.mesh, self.placed.probes, snapshot))
 
         def brought(name: str, any_of: bool = False) -> Any:

@@ -1,4 +1,4 @@
-"""Blocks of rock that nothing holds: rigid motions of the blocks that no closed joint, support or tie resists.
+"""Blocks of rock that nothing holds: rigid motions of the blocks that no closed joint, support, tie or term resists.
 
 A block is what no joint cuts. Each moves as (translations, turn about its middle, times its size); a joint section that
 carries resists the jump that the motions of its two blocks make there. What is left over, the null space, floats.
@@ -6,6 +6,7 @@ carries resists the jump that the motions of its two blocks make there. What is 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from fracflow._petsc import PETSc
 from fracflow.elements import joint
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
+from fracflow.model.layout import add_blocks, local_rows
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.properties import on_joints
@@ -148,7 +150,7 @@ class Floating:
         frames = Frames.of(boxes)
         parts = [_support_rows(blocks, self.loads, frames, group), _tie_rows(blocks, frames, group)]
         parts.append(self._joint_rows(carried & ~np.repeat(firm, points)[:, None], frames, group))
-        stiffness = sparse.csr_matrix((3 * groups, 3 * groups))
+        stiffness = _terms_stiffness(self.operators, frames, group)
         for rows in parts:
             matrix = sparse.csr_matrix((rows.value, (rows.row, rows.motion)), shape=(rows.count, 3 * groups))
             stiffness = stiffness + matrix.T @ matrix
@@ -209,20 +211,49 @@ def _places(blocks: Blocks) -> list[tuple[Ints, Ints, Floats, int]]:
     return found
 
 
+def _terms_stiffness(operators: Operators, frames: Frames, group: Ints) -> sparse.csr_matrix:
+    """This rank's part of R' K R (3 g, 3 g) of all terms, R what the motions move, each K of unit size. Collective."""
+    blocks, count = operators.blocks, 3 * len(frames.size)
+    total = sparse.csr_matrix((count, count))
+    terms = [term.stiffness for term in operators.terms if term.stiffness is not None]
+    if not terms:
+        return total
+    motions = PETSc.Mat().createAIJ(
+        (operators.layout.solid_vector().getSizes(), (None, count)), nnz=3, comm=blocks.comm
+    )
+    for numbers, motion, value in _moved_unknowns(blocks, frames, group):
+        add_blocks(motions, numbers[:, None], motion, value[:, None])
+    motions.assemble()
+    for matrix in terms:
+        product, size = matrix.PtAP(motions), matrix.norm(PETSc.NormType.INFINITY)
+        rows, first = local_rows(product), product.getOwnershipRange()[0]
+        if size > 0.0:
+            total += sparse.csr_matrix((rows.values / size, (rows.rows + first, rows.cols)), shape=total.shape)
+        product.destroy()
+    motions.destroy()
+    return total
+
+
+def _moved_unknowns(blocks: Blocks, frames: Frames, group: Ints) -> Iterator[tuple[Ints, Ints, Floats]]:
+    """This rank's unknowns: numbers (n,), the motions (n, 3) of their groups, and by how much each moves them (n, 3)."""
+    for numbers, piece, points, axis in _places(blocks):
+        owner = group[piece]
+        if axis < 2:
+            value = frames.moved(owner, points, np.broadcast_to(np.eye(2)[axis], (len(owner), 2)))
+        else:
+            value = np.broadcast_to([0.0, 0.0, 1.0], (len(owner), 3))
+        yield numbers, 3 * owner[:, None] + np.arange(3), value
+
+
 def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> Rows:
     """What supports hold."""
     start = int(blocks.solid.unknown_starts[blocks.comm.rank])
     held = loads.held + start
     motions, values = [np.zeros((0, 3), dtype=np.int64)], [np.zeros((0, 3))]
-    for numbers, piece, points, axis in _places(blocks):
+    for numbers, moving, by in _moved_unknowns(blocks, frames, group):
         chosen = np.isin(numbers, held)
-        owner = group[piece[chosen]]
-        if axis < 2:
-            value = frames.moved(owner, points[chosen], np.broadcast_to(np.eye(2)[axis], (len(owner), 2)))
-        else:
-            value = np.broadcast_to([0.0, 0.0, 1.0], (len(owner), 3))
-        motions.append(3 * owner[:, None] + np.arange(3))
-        values.append(value)
+        motions.append(moving[chosen])
+        values.append(by[chosen])
     motion, value = np.concatenate(motions), np.concatenate(values)
     return Rows(np.repeat(np.arange(len(motion)), 3), motion.ravel(), value.ravel(), len(motion))
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.elements import flow as flow_element
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
@@ -194,6 +193,8 @@ class JoinedMatrix:
         )
         if conduction is not None and conduction.compression is not None:
             arrays += [conduction.compression.weight, conduction.compression.slope]
+        if conduction is not None and conduction.leaving is not None:
+            arrays += conduction.leaving[1:]
         if conduction is not None and only == "solid":
             arrays = [moduli]
         same = (
@@ -234,12 +235,7 @@ class JoinedMatrix:
         if ops.flow is not None and conduction is not None:
             flow_flow = scales.pressure / flow_scale
             nodes = free.flow_rows
-            between = flow_element.conductivity(conduction.conductance)
-            slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
-            if conduction.compression is not None:
-                here, stored = np.arange(2), conduction.compression
-                between[:, here, here] += alphas.b1 * stored.weight
-                slope[:, here, here] += alphas.b1 * stored.slope
+            between, slope = conduction.tangents(alphas.b1)
             add_blocks(matrix, nodes, free.flow_nodes, flow_flow * between)
             for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
                 joint, end = ends // 2, ends % 2

@@ -214,6 +214,12 @@ class StepProblem:
             flow.getArray()[:] += self.taken_up
             rows += np.abs(self.taken_up)
             terms.append(largest_of(self.taken_up))
+        if self.conduction.leaving is not None:
+            leaving = flow.duplicate()
+            network.taken_up(np.abs(self.conduction.leaving.rate), leaving)
+            rows += leaving.getArray()
+            terms.append(largest(leaving))
+            leaving.destroy()
         speed.destroy()
         self._close()
         through, runs = flow_sizes(self.conduction, self._before, self.state.drive, self.alphas.b1)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.elements import flow as flow_element
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
@@ -67,12 +66,11 @@ class FilmOnJoints:
         conduction = network.conduct(problem.displacement, problem.pressure, opening)
         problem.conduction = conduction
         swept = problem.alphas.a1 * (joints.weights * change[:, -1]).reshape(-1, 2)
-        slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
+        slope = conduction.tangents(problem.alphas.b1)[1]
         flow.set(0.0)
         taken = uptake_at(self.operators, problem.state, problem.alphas, problem.fluid_before, conduction.compression)
         problem.taken_up = taken
-        if taken is not None and conduction.compression is not None:
-            slope[:, np.arange(2), np.arange(2)] += problem.alphas.b1 * conduction.compression.slope
+        if taken is not None:
             flow.getArray()[:] += taken
         network.outflow(conduction, flow)
         network.taken_up(swept, flow)
@@ -105,9 +103,7 @@ class FilmOnJoints:
         assert network is not None and problem.conduction is not None
         start, count, rate = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, problem.alphas.a1
         held = np.isin(layout.flow_numbers(np.arange(int(layout.flow_starts[-1]))), problem.loads.fixed_flow)
-        between = flow_element.conductivity(problem.conduction.conductance)
-        if (stored := problem.conduction.compression) is not None:
-            between[:, np.arange(2), np.arange(2)] += problem.alphas.b1 * stored.weight
+        between = problem.conduction.tangents(problem.alphas.b1)[0]
         joined = self.operators.blocks.joints.flow
         self.matrix.zeroEntries()
         add_blocks(self.matrix, np.where(held[joined], -1, joined), joined, between)

@@ -148,9 +148,9 @@ class AbsorbingSides(Term):
         return {"radiated": taken + brought, "work_incident": brought}
 
 
-def absorbing_sides(operators: Operators, scene: Scene) -> AbsorbingSides | None:
+def absorbing_sides(operators: Operators, scene: Scene) -> tuple[AbsorbingSides, ...]:
     """The absorbing sides of a scene that has any. Raises InputError, on every rank. Collective."""
-    return AbsorbingSides(operators, scene) if scene.absorbing else None
+    return (AbsorbingSides(operators, scene),) if scene.absorbing else ()
 
 
 @dataclass(frozen=True)

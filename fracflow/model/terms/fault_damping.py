@@ -84,9 +84,10 @@ class FaultDamping(Term):
         return self._made()
 
 
-def fault_damping(operators: Operators, scene: Scene) -> FaultDamping | None:
+def fault_damping(operators: Operators, scene: Scene) -> tuple[FaultDamping, ...]:
     """The term of a scene whose steps are explicit, and that wants it."""
-    return FaultDamping(operators, scene) if scene.method.stepper in EXPLICIT and scene.method.fault_damping else None
+    wanted = scene.method.stepper in EXPLICIT and scene.method.fault_damping
+    return (FaultDamping(operators, scene),) if wanted else ()
 
 
 def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,19 +35,34 @@ class MeanDamping:
         return result
 
 
+class Leaving(NamedTuple):
+    """What leaves the network at the ends (j, 2) of this rank's joints.
+
+    rate         [volume rate per thickness]
+    by_pressure  its derivative by the pressure of the end
+    by_aperture  its derivative by the aperture of the end
+    """
+
+    rate: Floats
+    by_pressure: Floats
+    by_aperture: Floats
+
+
 class Term:
-    """A term of the rock's balance; what a term does not say stays as it is here: nothing.
+    """A term of a balance; what a term does not say stays as it is here: nothing.
 
     name       of its force in ``Forces.of_terms``, and in checkpoints
     entry      of the energy balance that takes the work of its forces [energy per thickness]
     stiffness  K, which ``Operators.stiffness`` has in it [force/length per thickness]
     damping    C, which ``Operators.damping`` has in it; it acts where there is inertia [force time/length per thickness]
+    drains     whether fluid leaves by it
     """
 
     name: str
     entry: str
     stiffness: PETSc.Mat | None = None
     damping: PETSc.Mat | None = None
+    drains: bool = False
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -71,6 +87,14 @@ class Term:
         brought  mean power of the incoming forces times the time step
         """
         return {self.entry: taken}
+
+    def joints(self) -> Ints:
+        """Numbers (k,) of this rank's joints that fluid leaves by it."""
+        return np.zeros(0, dtype=np.int64)
+
+    def leaving(self, pressure: Floats, aperture: Floats) -> Leaving:
+        """What leaves by it at pressures and apertures (j, 2) of the ends of this rank's joints [stress], [length]."""
+        return Leaving(*(np.zeros(pressure.shape) for _ in range(3)))
 
     def mean_damping(self) -> MeanDamping | None:
         """What it adds to an explicit step; made when it is first asked for. Collective."""
