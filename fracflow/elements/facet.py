@@ -130,7 +130,7 @@ def nodal_sizes(points: Floats) -> Floats:
 
 
 def spread(points: Floats, at_nodes: Floats) -> Floats:
-    """int N_i f (n, k, c) over facets (n, k, dim) of a field with values (n, k, c) at the nodes, between them as N."""
+    """Integrals N_i f (n, k, c) over facets (n, k, dim) of a field with values (n, k, c) at the nodes, between them as N."""
     width = points.shape[1]
     if width in _CONSISTENT:
         size = frame(points)[1]
@@ -141,7 +141,7 @@ def spread(points: Floats, at_nodes: Floats) -> Floats:
 
 
 def consistent(points: Floats) -> Floats:
-    """int N_i N_j (n, k, k) over facets (n, k, dim)."""
+    """Integrals N_i N_j (n, k, k) over facets (n, k, dim)."""
     width = points.shape[1]
     if width in _CONSISTENT:
         matrices: Floats = frame(points)[1][:, None, None] * _CONSISTENT[width]

@@ -20,7 +20,6 @@ from fracflow.elements.shape import (
     rule_for,
 )
 
-
 VOIGT = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}
 """Components (i, j) of tensors by dimension, v of them: 3 or 6."""
 

@@ -18,7 +18,7 @@ def on_joints(at_nodes: Floats, natural: Floats) -> Floats:
 
 
 def along_fractures(blocks: Blocks, scene: Scene, key: str, natural: Floats) -> Floats:
-    """A property of the fractures (j, q) at natural coordinates (q,) or (q, 2) of this rank's joints; NaN where none is given."""
+    """A property of the fractures (j, q) at natural coordinates of this rank's joints; NaN where none is given."""
     block = blocks.joints
     distance = on_joints(block.along, natural)
     values = np.full(distance.shape, np.nan)
