@@ -109,7 +109,7 @@ def test_rigid_motion(patch):
 
 
 def test_mass(patch):
-    points, cells, corners = patch
+    _, cells, corners = patch
     density = np.linspace(1.0, 2.0, len(cells))
     consistent, lumped = solid.mass_consistent(corners, density), solid.mass_lumped(corners, density)
     assert np.allclose(consistent.sum(axis=2), lumped)
