@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _boxes import box
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from meshing import areas, box, check, copies_at, grid
+from meshing import areas, check, copies_at, grid
 
 from fracflow.errors import InputError
 from fracflow.mesh.facets import components, half_facets
