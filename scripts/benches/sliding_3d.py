@@ -34,7 +34,7 @@ from fracflow.mesh.data import Floats
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.split import split, summary
 from fracflow.model.joints import jump_matrix, section_groups
-from fracflow.model.layout import add_blocks
+from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.solid import nodal_layout, node_unknowns, stiffness_of
 from fracflow.solve.options import MULTIGRID_FROM, set_defaults
 
@@ -92,11 +92,14 @@ def assemble(blocks: Blocks, count: int, normal: float, shear: float) -> tuple[P
     sizes = facet.section_sizes(corners, sections).ravel()
     jump = jump_matrix(blocks, sections.natural, None)
     tangents = moduli(len(sizes), normal, shear)
+    planes = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), 30, blocks.comm)
     for group in section_groups(jump, 3):
         chosen = group.sections
         values = joint.tangent(group.jump[:, None], tangents[chosen, None], sizes[chosen, None])
-        add_blocks(matrix, group.unknowns, group.unknowns, values)
-    matrix.assemble()
+        add_blocks(planes, group.unknowns, group.unknowns, values)
+    planes.assemble()
+    matrix.axpy(1.0, planes, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    planes.destroy()
     push, right = jump.createVecLeft(), PETSc.Vec().createMPI(nodal_layout(blocks), comm=blocks.comm)
     push.setArray((sizes[:, None] * np.array([0.0, 0.0, PRESSURE])).ravel())
     jump.multTranspose(push, right)
