@@ -26,7 +26,6 @@ from fracflow.advance.regime import (
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.substeps import CALM, Place, Rules, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
-from fracflow.elements import joint
 from fracflow.errors import NotConverged, PutBack
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
@@ -175,8 +174,7 @@ class _Regimes:
 
     def _where(self, slip: Slipped) -> str:
         """Fracture and place of the section that slips the most, so far as anyone resists it. Collective."""
-        natural = joint.RULES[self.scene.method.quadrature][0]
-        return places_of(self.model.operators.blocks, slip.worst, natural)
+        return places_of(self.model.operators.blocks, slip.worst, self.model.operators.joints.natural)
 
     def _coarse(self, state: State) -> str:
         """Which fractures slide whose lengths of slip the mesh does not resolve, in words; empty if none. Collective."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
+from fracflow.elements import facet
 from fracflow.errors import InputError
 from fracflow.laws.base import HELD
 from fracflow.mesh.data import Floats
@@ -181,9 +181,9 @@ def _slack(model: Model) -> PETSc.Vec:
     stress and pressure imply has no slack, unless the scene lets the rock carry what is missing.
     """
     ops, scene = model.operators, model.scene
-    joints, dim, natural = ops.blocks.joints, ops.blocks.sizes.dim, joint.RULES[scene.method.quadrature][0]
+    joints, dim, natural = ops.blocks.joints, ops.blocks.sizes.dim, ops.joints.natural
     ends = ops.blocks.solid.points[joints.bottom]
-    frame, length = joint.frame(ends)
+    frame, length = facet.frame(ends)
     stress = initial_stress(scene, ends)[..., :dim, :dim]
     change = np.abs(np.einsum("jki,ji->jk", stress[:, 1] - stress[:, 0], frame[:, -1]))
     change += np.abs(np.diff(initial_pressure(scene, ends), axis=1) * frame[:, -1])

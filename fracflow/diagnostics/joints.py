@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from fracflow.elements import joint
+from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.model.properties import initial_pressure, initial_stress
@@ -117,7 +117,7 @@ def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:
     if not len(ends):
         return np.abs(given)
     sigma = initial_stress(scene, ends)[..., :2, :2]
-    frame = np.repeat(joint.frame(ends)[0], 2, axis=0)
+    frame = np.repeat(facet.frame(ends)[0], 2, axis=0)
     traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2))[:, -1].reshape(-1, 2)
     effective = np.where(np.isnan(given), traction + initial_pressure(scene, ends), given)
     return np.maximum(-effective, 0.0)

@@ -23,7 +23,7 @@ _CONSISTENT = {2: np.array([[2.0, 1.0], [1.0, 2.0]]) / 6.0, 3: (np.ones((3, 3)) 
 
 
 @dataclass(frozen=True, eq=False)
-class Sections:
+class SectionRule:
     """Where the sections of a facet with k nodes lie.
 
     natural   (q,) or (q, 2) natural coordinates
@@ -34,21 +34,21 @@ class Sections:
     weights: Floats
 
 
-RULES: dict[str, dict[int, Sections]] = {
+RULES: dict[str, dict[int, SectionRule]] = {
     "nodal": {
-        2: Sections(_CORNERS[2], np.array([1.0, 1.0])),
-        3: Sections(_CORNERS[3], np.full(3, 1.0 / 6.0)),
-        4: Sections(_CORNERS[4], np.ones(4)),
+        2: SectionRule(_CORNERS[2], np.array([1.0, 1.0])),
+        3: SectionRule(_CORNERS[3], np.full(3, 1.0 / 6.0)),
+        4: SectionRule(_CORNERS[4], np.ones(4)),
     },
     "gauss2": {
-        2: Sections(np.array([-_G, _G]), np.array([1.0, 1.0])),
-        3: Sections(_INNER, np.full(3, 1.0 / 6.0)),
-        4: Sections(_G * _CORNERS[4], np.ones(4)),
+        2: SectionRule(np.array([-_G, _G]), np.array([1.0, 1.0])),
+        3: SectionRule(_INNER, np.full(3, 1.0 / 6.0)),
+        4: SectionRule(_G * _CORNERS[4], np.ones(4)),
     },
     "one-point": {
-        2: Sections(np.array([0.0]), np.array([2.0])),
-        3: Sections(np.array([[1.0, 1.0]]) / 3.0, np.array([0.5])),
-        4: Sections(np.zeros((1, 2)), np.array([4.0])),
+        2: SectionRule(np.array([0.0]), np.array([2.0])),
+        3: SectionRule(np.array([[1.0, 1.0]]) / 3.0, np.array([0.5])),
+        4: SectionRule(np.zeros((1, 2)), np.array([4.0])),
     },
 }
 """Rules of joints, by name and number of nodes; "nodal" is (2.30)."""
@@ -107,7 +107,7 @@ def frame(points: Floats, numbers: Ints | None = None) -> tuple[Floats, Floats]:
     return np.stack([strike, np.cross(unit, strike), unit], axis=1), 0.5 * length
 
 
-def section_sizes(points: Floats, sections: Sections) -> Floats:
+def section_sizes(points: Floats, sections: SectionRule) -> Floats:
     """(2.30) Length or area (n, q) that each section of facets (n, k, dim) stands for; L/2 times its weight of lines.
 
     They sum to the facet's size. InputError names quadrilaterals that are not convex.
@@ -121,7 +121,8 @@ def section_sizes(points: Floats, sections: Sections) -> Floats:
     bad = np.flatnonzero(~(part > 0.0).all(axis=1))
     if bad.size:
         raise InputError(f"{bad.size} fracture facets that are not convex (facets {listed(bad)})")
-    return part * sections.weights
+    each = part * sections.weights
+    return each
 
 
 def nodal_sizes(points: Floats) -> Floats:
@@ -152,7 +153,7 @@ def consistent(points: Floats) -> Floats:
     return matrices
 
 
-def surface_gradients(points: Floats, sections: Sections) -> Floats:
+def surface_gradients(points: Floats, sections: SectionRule) -> Floats:
     """Gradients (n, q, k, dim) along facets (n, k, dim) of their shape functions at sections [1/length]."""
     rule = rule_of(sections.natural, points.shape[1])
     slope = np.einsum("qka,nkd->nqad", rule.gradients, points)

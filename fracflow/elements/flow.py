@@ -71,6 +71,15 @@ def surface_conductivity(points: Floats) -> Floats:
     return matrices
 
 
+def surface_tangent(unit: Floats, slope: Floats, pressure: Floats) -> Floats:
+    """(3.14) Derivative (n, k, k) of K_F p over surfaces: [flow node, opening of a node].
+
+    unit (n, k, k) of ``surface_conductivity``; slope (n, k) of the transmissivity by the nodal openings; pressure (n, k).
+    """
+    blocks: Floats = np.einsum("nij,nj->ni", unit, pressure)[:, :, None] * slope[:, None, :]
+    return blocks
+
+
 def exact_surface_cube(aperture: Floats) -> tuple[Floats, Floats]:
     """(3.4) 1/mean(1/d^3) (n,) over surfaces with apertures d (n, k) at the nodes [length^3], and its slopes (n, k).
 

@@ -8,12 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow.elements.facet import RULES as FACET_RULES
-from fracflow.elements.facet import frame as frame
 from fracflow.elements.shape import Floats
-
-RULES = {name: (of[2].natural, of[2].weights) for name, of in FACET_RULES.items()}
-"""Natural coordinates and weights of lines."""
 
 
 def jump_operator(frame: Floats, shapes: Floats) -> Floats:

@@ -20,10 +20,10 @@ class SolidBlock:
     node_global   (n,)      number in PETSc's order, contiguous on each rank
     points        (n, dim)  coordinates [length]
     owned         int       nodes owned by this rank
-    cells         (m, k)    local nodes, -1 pads
+    cells         (m, c)    local nodes, -1 pads
     cell_ids      (m,)      number in the split mesh
     cell_rock     (m,)      index into ``rocks``
-    side_facets   (s, dim)  local nodes of the named boundary facets of this rank's cells
+    side_facets   (s, k)    local nodes of the named boundary facets of this rank's cells
     side_of       (s,)      index into ``sides``
     side_cell     (s,)      local cell a side facet belongs to
     unknown       (n, dim)  PETSc number of the unknown of a deformable node, shared where nodes are tied; -1 on a rigid body
@@ -71,12 +71,12 @@ class JointBlock:
     """Joints owned by one rank (the rank of the bottom cell).
 
     ids       (j,)      number in the split mesh
-    bottom    (j, dim)  local nodes of the solid block
-    top       (j, dim)
-    flow      (j, dim)  PETSc numbers of the flow nodes
-    flow_ids  (j, dim)  their numbers in the split mesh
+    bottom    (j, k)    local nodes of the solid block
+    top       (j, k)
+    flow      (j, k)    PETSc numbers of the flow nodes
+    flow_ids  (j, k)    their numbers in the split mesh
     fracture  (j,)      index into ``fractures``
-    along     (j, dim)  distance of each end from the start of its fracture [length]
+    along     (j, k)    distance of each end from the start of its fracture [length]
     """
 
     ids: Ints

@@ -28,7 +28,7 @@ def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
     """Symmetric graph of cells (m, m): weight 1 for two cells that share a facet, JOINT_WEIGHT across a joint."""
     count, dim = len(mesh.cells), mesh.points.shape[1]
     half = half_facets(mesh.cells, dim)
-    one, other = half.cell[match(half, np.zeros((0, dim), dtype=np.int64)).inside].T
+    one, other = half.cell[match(half, np.zeros((0, half.nodes.shape[1]), dtype=np.int64)).inside].T
     below, above = mesh.joint_cells.T
     row = np.concatenate([one, other, below, above])
     col = np.concatenate([other, one, above, below])
@@ -156,7 +156,9 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
     node_owner = _lowest_rank(cell_rank[cell], mesh.cells[cell, corner], len(mesh.points), size)
     node_global, node_starts = _renumber(node_owner, size)
     joint_rank = cell_rank[mesh.joint_cells[:, 0]]
-    flow_owner = _lowest_rank(np.repeat(joint_rank, dim), mesh.joint_flow.ravel(), len(mesh.flow_origin), size)
+    flow_owner = _lowest_rank(
+        np.repeat(joint_rank, mesh.joint_flow.shape[1]), mesh.joint_flow.ravel(), len(mesh.flow_origin), size
+    )
     flow_global, flow_starts = _renumber(flow_owner, size)
 
     body, body_rock = rigid_bodies(mesh, rigid_rocks)

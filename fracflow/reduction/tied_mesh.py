@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from scipy.spatial import KDTree
 
-from fracflow.elements import joint, solid
+from fracflow.elements import facet, joint, solid
 from fracflow.errors import PutBack
 from fracflow.laws import JOINT_LAWS
 from fracflow.laws.base import HELD
@@ -99,7 +99,7 @@ def _of_mesh(model: Model) -> Fractures | None:
     assert mesh is not None
     count, fracture = len(mesh.fractures), mesh.joint_fracture
     places = mesh.points[mesh.flow_origin]
-    _, length = joint.frame(mesh.points[mesh.joint_bottom])
+    _, length = facet.frame(mesh.points[mesh.joint_bottom])
     joints, whole = (np.bincount(fracture, each, count).astype(float) for each in (np.ones_like(length), length))
     group = np.unique(groups(mesh), return_inverse=True)[1].ravel()
     probes = [*placed.probes.values()]
@@ -147,7 +147,7 @@ def _to_held(model: Model, mesh: SplitMesh) -> Floats:
     if not len(nodes):
         return np.full(count, inf)
     away = KDTree(mesh.points[nodes]).query(mesh.points[mesh.flow_origin])[0][mesh.joint_flow].mean(axis=1)
-    _, length = joint.frame(mesh.points[mesh.joint_bottom])
+    _, length = facet.frame(mesh.points[mesh.joint_bottom])
     whole = np.bincount(mesh.joint_fracture, length, count)
     return np.asarray(np.bincount(mesh.joint_fracture, away * length, count) / np.maximum(whole, NONE))
 
@@ -213,7 +213,7 @@ def _added(model: Model, motion: Floats) -> Floats:
     cells = mesh.joint_cells[out].ravel()
     moduli = (properties(mesh, scene, key, cells) for key in ("youngs_modulus", "poissons_ratio"))
     gained = tensors(stress_change(strain(model.mesh.points, model.mesh.cells[cells], motion), *moduli))[:, :2, :2]
-    frame, _ = joint.frame(mesh.points[mesh.joint_bottom[out]])
+    frame, _ = facet.frame(mesh.points[mesh.joint_bottom[out]])
     traction = joint.traction_from_stress(np.repeat(frame, 2, axis=0), gained).reshape(len(out), 2, 2)
     if scene.has_flow:
         group = groups(mesh)[mesh.joint_fracture[out]]

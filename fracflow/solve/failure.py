@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
 from fracflow.errors import Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
@@ -89,7 +88,7 @@ def describe_failure(
         for chosen, between in ((restless, "sticking and sliding"), (flipped, "open and closed"))
         if not slipped
         and (count := blocks.comm.allreduce(int(chosen.sum())))
-        and (places := places_of(blocks, chosen, joint.RULES[scene.method.quadrature][0]))
+        and (places := places_of(blocks, chosen, problem.operators.joints.natural))
     ]
     what = "Newton" if name == "newton" else f'method.newton = "{name}"'
     remedy = "try a smaller time_step" if name == "newton" else 'set method.newton = "newton"'

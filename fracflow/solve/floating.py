@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
+from fracflow.elements import facet
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import add_blocks, local_rows
@@ -100,19 +100,19 @@ def _sparse_null(scaled: sparse.csc_matrix) -> Floats | None:
 class Floating:
     """Finds what floats, for the sections that carry; remembers the last answer."""
 
-    def __init__(self, operators: Operators, loads: Loads, quadrature: str) -> None:
-        """Place the sections of a rule of ``quadrature``. Nothing to communicate yet."""
+    def __init__(self, operators: Operators, loads: Loads) -> None:
+        """Place the sections. Nothing to communicate yet."""
         self.operators, self.loads = operators, loads
         blocks, block = operators.blocks, operators.blocks.solid
         self.frames = Frames.of(block.piece_box)
         self.count = len(block.piece_box)
-        self.natural = joint.RULES[quadrature][0]
+        self.natural = operators.joints.natural
         joints = blocks.joints
         self.sides = np.stack([block.piece[joints.bottom[:, 0]], block.piece[joints.top[:, 0]]], axis=1)
         apart = self.sides[:, 0] != self.sides[:, 1]  # walls of one block hold nothing that floats
         self.holds = np.repeat(apart, len(self.natural))[:, None]
         ends = block.points[joints.bottom]
-        self.frame = joint.frame(ends)[0]
+        self.frame = facet.frame(ends)[0]
         self.places = on_joints(ends, self.natural).reshape(-1, 2)
         self._carried: np.ndarray | None = None
         self.motions = np.zeros((3 * self.count, 0))

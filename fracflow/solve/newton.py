@@ -155,7 +155,7 @@ class Newton:
             return False
         operators = self.matrix.operators
         if self.floating is None:
-            self.floating = Floating(operators, problem.loads, self.scene.method.quadrature)
+            self.floating = Floating(operators, problem.loads)
         is_filled = operators.flow is not None and self.only is None and problem.alphas.a1 > 0.0
         return self.floating.find(problem.sections, is_filled, without).shape[1] > 0
 

@@ -153,6 +153,21 @@ def test_means_over_surfaces(nodes):
     assert np.all(flow.SURFACE_MEANS["report"](aperture)[1][:, 0] == 0.0)
 
 
+@pytest.mark.parametrize("nodes", [3, 4])
+def test_surface_tangent(nodes):
+    rng, unit = np.random.default_rng(7), flow.surface_conductivity(facets(nodes))
+    aperture, pressure = rng.uniform(0.1, 1.0, (len(unit), nodes)), rng.normal(size=(len(unit), nodes))
+
+    def inflow(d):
+        return flow.SURFACE_MEANS["exact"](d)[0][:, None] * np.einsum("nij,nj->ni", unit, pressure)
+
+    blocks = flow.surface_tangent(unit, flow.SURFACE_MEANS["exact"](aperture)[1], pressure)
+    for j in range(nodes):
+        shift = 1e-6 * np.eye(nodes)[j]
+        difference = (inflow(aperture + shift) - inflow(aperture - shift)) / 2e-6
+        assert np.allclose(blocks[:, :, j], difference, atol=1e-8)
+
+
 def test_means_over_triangles_are_integrals():
     """Against a fine quadrature of linear apertures."""
     corners = np.array([[0.2, 0.5, 1.0]])

@@ -101,7 +101,7 @@ def _motions(*overrides, carried):
     state = rest(model)
     sections = state.sections
     sections.tangent[:] = sections.tangent * np.array(carried)[:, None]
-    floating = Floating(model.operators, model.loads, "nodal")
+    floating = Floating(model.operators, model.loads)
     return floating, floating.find(sections, is_filled=False)
 
 

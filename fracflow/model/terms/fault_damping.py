@@ -42,7 +42,7 @@ from functools import cache
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.elements import joint, solid
+from fracflow.elements import facet, solid
 from fracflow.integrators import EXPLICIT
 from fracflow.integrators.explicit import damped_rate
 from fracflow.mesh.blocks import Blocks, petsc_ints
@@ -178,7 +178,7 @@ def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
         at.append(nodes.ravel())
         values.append(np.column_stack([own, mass.ravel()]))
     whole = _summed(blocks, np.concatenate(at), np.concatenate(values))
-    normal = joint.frame(block.points[joints.bottom])[0][:, -1]
+    normal = facet.frame(block.points[joints.bottom])[0][:, -1]
     mirror = (np.eye(dim) - 2.0 * normal[:, :, None] * normal[:, None, :])[:, None]
     below, above = (whole[nodes, :-1].reshape(*nodes.shape, dim, dim) for nodes in (joints.bottom, joints.top))
     light, heavy = (whole[nodes, -1] for nodes in (joints.bottom, joints.top))
