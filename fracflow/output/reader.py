@@ -36,6 +36,7 @@ PROBE_QUANTITIES = {
     "flow_rate": "flow rate",
 }
 _DYNAMIC, _EQUILIBRATE = 2, 3
+LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
 
 @dataclass(frozen=True)
@@ -231,6 +232,7 @@ def load_run_data(folder: str | Path) -> RunData:
     history, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
     if not len(history.get("time", ())):
         raise InputError(f"{folder}: has no finished step; run it first")
+    _check_sizes(folder / "history.h5", history)
     kind = history.get("step/kind", np.array([]))
     dynamic, found = np.flatnonzero(kind == _DYNAMIC), np.flatnonzero(kind == _EQUILIBRATE)
     start = (
@@ -256,7 +258,9 @@ def load_run_data(folder: str | Path) -> RunData:
 def _places(folder: Path, attrs: dict[str, Any], key: str) -> dict[str, tuple[float, float]]:
     try:
         found = read_table(folder / "history.h5", key, attrs)
-        return {name: (float(at[0]), float(at[1])) for name, at in found.items()}
+        places = {name: (float(at[0]), float(at[1])) for name, at in found.items()}
+        _check_sizes(folder / "history.h5", {name: np.array(at) for name, at in places.items()})
+        return places
     except (TypeError, ValueError, LookupError):
         raise InputError(
             f"{folder / 'history.h5'}: its attribute {key} holds no places; name the folder of a run"
@@ -266,7 +270,7 @@ def _places(folder: Path, attrs: dict[str, Any], key: str) -> dict[str, tuple[fl
 def _rock(folder: Path) -> list[Floats] | None:
     if not (folder / "fields" / "rock_mesh.h5").exists():
         return None
-    points, cells, _ = read_mesh(folder, "rock")
+    points, cells, _ = _drawn_mesh(folder, "rock")
     sizes = (cells >= 0).sum(axis=1)
     blocks = [points[cells[sizes == size, :size], :2] for size in np.unique(sizes)]
     return [cell for block in blocks for cell in block]
@@ -276,7 +280,7 @@ def _fractures(folder: Path, start: float) -> FractureFields | None:
     steps = list_steps(folder, "fractures")
     if not steps or not (folder / "fields" / "fractures_mesh.h5").exists():
         return None
-    points, cells, attrs = read_mesh(folder, "fractures")
+    points, cells, attrs = _drawn_mesh(folder, "fractures")
     times = np.array([read_time(path) for _, path in steps])
     # The steps of a steady stage may share their time: the last of them is where the dynamics begin.
     first = max(0, int(np.searchsorted(times, start, side="right")) - 1)
@@ -295,12 +299,28 @@ def _fractures(folder: Path, start: float) -> FractureFields | None:
     return FractureFields(points[:, :2], cells[:, :2], fracture, names, before, after, begins, time, step)
 
 
+def _drawn_mesh(folder: Path, name: str) -> tuple[Floats, NDArray[np.int64], dict[str, Any]]:
+    found = read_mesh(folder, name)
+    _check_sizes(folder / "fields" / f"{name}_mesh.h5", {"points": found[0]})
+    return found
+
+
+def _check_sizes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Raise InputError where a number, which no run comes to, is too large for axes."""
+    for name, values in arrays.items():
+        if np.any(np.isfinite(values) & (np.abs(values) > LARGEST)):
+            raise InputError(
+                f"{path}: {name} has values above {LARGEST:g}, too large for a picture; put back a copy of the file"
+            )
+
+
 def _check_rows(path: Path, data: dict[str, NDArray[Any]], rows: int) -> None:
     for name, values in data.items():
         if values.shape[:1] != (rows,) or (rows and not values.size):
             raise InputError(
                 f"{path}: {name} has the shape {values.shape}, not {rows} rows; put back a copy of the file"
             )
+    _check_sizes(path, data)
 
 
 def _names(folder: Path, attrs: dict[str, Any]) -> list[str]:

@@ -63,7 +63,21 @@ def probe_without_numbers(folder):
         file.attrs.update(attrs)
 
 
+def probe_as_large_as_numbers_are(folder):
+    old, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
+    old["probe/middle/slip"][-1] = 1e308
+    HistoryFile.after(folder / "history.h5", old, attrs).close()
+
+
+def points_as_far_as_numbers_go(folder):
+    with resealed(folder / "fields/rock_mesh.h5") as (arrays, _):
+        arrays["points"] = arrays["points"] + [1e308, -1e308, 0.0]
+
+
 UNFIT = {
+    "a slip of 1e308": (probe_as_large_as_numbers_are, "history.h5: probe/middle/slip has values above 1e[+]300"),
+    "rock at 1e308": (points_as_far_as_numbers_go, "rock_mesh.h5: points has values above"),
+    "a field of 1e308": (rows_of("point/plastic_slip", lambda v: v - 1e308), "plastic_slip has values above"),
     "a word for a list": (names_of_fractures("{"), "are no names"),
     "a number for a list": (names_of_fractures("5"), "are no names"),
     "numbers for names": (names_of_fractures("[1, 2]"), "are no names"),
