@@ -17,7 +17,7 @@ run      at.step, an ``advance.step.Step``; at.snapshot, of all joint ends; at.k
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter as of
 from typing import Any, Literal
@@ -238,12 +238,6 @@ def one_less(values: Any) -> Any:
     return array[..., 0] if array.ndim and array.shape[-1] == 1 else array
 
 
-def reference() -> Iterator[tuple[str, str, str, str]]:
-    """(name, dimension, home, meaning) of every quantity, for the reference."""
-    for row in quantities().values():
-        yield row.name, row.dimension, row.home, row.meaning
-
-
 class MeasuredName:
     """Annotation of a scene value that names a quantity of a probe."""
 
@@ -259,5 +253,6 @@ class MeasuredName:
         return core_schema.no_info_after_validator_function(self.read, core_schema.str_schema())
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """List the names for ``fracflow schema``."""
-        return {"type": "string", "enum": list(probed())}
+        """List the names for ``fracflow schema``, each with its dimension and meaning."""
+        meanings = {name: (row.dimension, row.meaning) for name, row in probed().items()}
+        return {"type": "string", "enum": list(meanings), "quantities": meanings}
