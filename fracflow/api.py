@@ -59,7 +59,7 @@ class Run:
 
     @property
     def steps(self) -> Arrays:
-        """Cost and outcome of each step, (n,) each: dt, stage, kind, newton, slipping, open, ..."""
+        """Cost and outcome of each step, (n,) each: dt, stage, kind, newton, ...; meanings in ``scene.quantities``."""
         return self._part("step/")
 
     @property
@@ -72,11 +72,9 @@ class Run:
     def probe(self, name: str) -> Arrays:
         """Histories of a probe by quantity; raises InputError for a name that is none.
 
-        (n, 2), x and y: displacement, displacement_bottom [length], velocity [length/time], acceleration.
-        (n,) on fractures: slip, plastic_slip, opening, aperture, head [length], slip_rate [length/time],
-        shear_traction, normal_traction (effective, tension positive), strength, pressure [stress], flow_rate
-        [length**3/time], over the whole flow_depth.
-        (n, 4) in the rock, xx, yy, zz, xy: strain (xy half the engineering shear) and total stress [stress].
+        What there is, with dimension and meaning, ``fracflow schema`` prints at probe[].quantities, from the rows of
+        ``fracflow.scene.quantities``. Scalars are (n,); vectors (n, 2), x and y; of slip and shear traction (n,), in space
+        (n, 2) along the fracture; strain and stress (n, 4), xx, yy, zz, xy. Tension is positive, tractions are effective.
         """
         found = self._part(f"probe/{name}/")
         if not found:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.model.state import State
 from fracflow.output.sampling import Snapshot
+from fracflow.scene.quantities import magnitude, one_less, with_components
 from fracflow.scene.scene import Scene
 
 SLIPPED = 1e-9  # of the largest slip of an event: what is less is none
@@ -46,7 +47,7 @@ class FaultEnds:
 
 @dataclass(frozen=True)
 class Instant:
-    """What the catalogue looks at of a recorded state: plastic slip, shear traction, slip rate (n,) and who slides.
+    """What the catalogue looks at of a recorded state: plastic slip, shear traction, slip rate (n, dim-1) and who slides (n,).
 
     energy    the books
     injected  net volume that wells have brought since the start of the run [length^3]
@@ -84,9 +85,9 @@ class Catalogue:
                     self.first, self.start = int(sliding[0]), now.time if now.began is None else now.began
             elif math.isnan(self.end):
                 self.end = now.time
-            self.peak = np.fmax(self.peak, np.abs(now.rate))
+            self.peak = np.fmax(self.peak, magnitude(now.rate))
         else:
-            self.before = {"slip": now.slip.tolist(), "traction": now.traction.tolist()}
+            self.before = {"slip": one_less(now.slip).tolist(), "traction": one_less(now.traction).tolist()}
             self.before |= {"energy": dict(now.energy), "injected": now.injected}
             self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros_like(self.peak)
         self.is_moving, self.now = moves, now
@@ -101,11 +102,13 @@ class Catalogue:
     def row(self, now: Instant) -> dict[str, Any]:
         """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where the first slid."""
         length, before = self.ends.length, self.before
-        change = np.where(length > 0.0, now.slip - np.array(before["slip"]), 0.0)
-        size = np.abs(change)
+        slip, traction = (np.reshape(before[name], now.slip.shape) for name in ("slip", "traction"))
+        change = np.where(length[:, None] > 0.0, now.slip - slip, 0.0)
+        size = magnitude(change)
         slipped = size > SLIPPED * size.max(initial=0.0)
         whole = float(length[slipped].sum())
-        drop = (np.array(before["traction"]) - now.traction) * np.sign(change) * slipped
+        along = change / np.where(size > 0.0, size, 1.0)[:, None]
+        drop = ((traction - now.traction) * along).sum(axis=1) * slipped
         moment = float((length * np.where(slipped, self.ends.modulus * size, 0.0)).sum())
         since = {name: now.energy[name] - value for name, value in before["energy"].items()}
         released = sum(since.get(name, 0.0) for name in RELEASED)
@@ -113,7 +116,7 @@ class Catalogue:
             "place": int(self.ends.place[self.first]),
             "start": self.start,
             "end": now.time if math.isnan(self.end) else self.end,
-            "slip": float(change[size.argmax()]),
+            **with_components("slip", change[size.argmax()]),
             "peak_slip_rate": float(self.peak[slipped].max(initial=0.0)),
             "sections": int(slipped.sum()),
             "length": whole,
@@ -173,6 +176,9 @@ def _shear_modulus(scene: Scene, name: str) -> float:
 
 def instant(state: State, snapshot: Snapshot, began: float) -> Instant:
     """The instant of a recorded state, for the catalogue; ``began`` as ``Instant`` has it."""
-    slip, traction, rate = (snapshot.column(name).ravel() for name in ("plastic_slip", "shear_traction", "slip_rate"))
+    slip, traction, rate = (
+        values.reshape(-1, values.shape[2])
+        for values in map(snapshot.column, ("plastic_slip", "shear_traction", "slip_rate"))
+    )
     sliding = snapshot.column("sliding").astype(bool).ravel()
     return Instant(state.time, slip, traction, rate, sliding, state.energy, state.injected, began)

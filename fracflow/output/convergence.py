@@ -23,15 +23,15 @@ from fracflow.output.events import read_events
 from fracflow.output.export import unit_of, units_of_run
 from fracflow.output.folder import to_json, write_atomic
 from fracflow.output.history import read_history
+from fracflow.scene.quantities import row_of
 
 Floats = NDArray[np.float64]
 Histories = dict[str, Floats]
 
 ORDER_OF_MESH = 2.0
-OF_GRADIENTS = OF_TIPS = 1.0  # the least of what derives from displacements, and of all where fractures end in rock
-GRADIENTS = ("strain", "stress", "shear_traction", "normal_traction", "strength", "flow_rate")
+OF_SLOPES = OF_TIPS = 1.0  # the least of what derives from displacements, and of all where fractures end in rock
 LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the highest that there is
-LOWEST = min(OF_TIPS, OF_GRADIENTS) - LATITUDE  # slower falls leave no order to estimate errors by
+LOWEST = min(OF_TIPS, OF_SLOPES) - LATITUDE  # slower falls leave no order to estimate errors by
 JUMP = 0.6  # between successive orders
 ALIKE = 0.95  # cosine of successive differences, as vectors over times: below it estimates may be any factor off
 ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences tell nothing
@@ -165,7 +165,8 @@ def _sampled(histories: list[Histories], times: Floats, least: float, units: Map
         moved = [fine[known] - coarse[known] for coarse, fine in pairwise(values)]
         steps = tuple(_rms(each) for each in moved)
         place, _, quantity = name.rpartition("/")
-        lowest = min(least, OF_GRADIENTS) if quantity in GRADIENTS else least
+        in_table = row_of(key)
+        lowest = min(least, OF_SLOPES) if in_table is not None and in_table.of_slopes else least
         sizes[key] = max(_rms(each[known]) for each in values)
         changes[key] = [_change(each[known]) for each in values]
         row = Row(kind, f"{place} {quantity}".strip(), lowest, changes[key][-1], steps, unit=unit_of(key, units))

@@ -17,24 +17,12 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.plot_style import plain
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
+from fracflow.scene.units import TIME, unit_text
 from fracflow.storage.files import steers
 
 Floats = NDArray[np.float64]
 Profile = tuple[Floats, Floats | None, Floats]
 
-# quantity of a probe -> kind of its unit
-PROBE_QUANTITIES = {
-    "displacement": "length",
-    "slip": "length",
-    "plastic_slip": "length",
-    "slip_rate": "velocity",
-    "opening": "length",
-    "aperture": "length",
-    "shear_traction": "stress",
-    "normal_traction": "stress",
-    "pressure": "stress",
-    "flow_rate": "flow rate",
-}
 _DYNAMIC, _EQUILIBRATE = 2, 3
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
@@ -181,26 +169,16 @@ class RunData:
         time = self.history["time"]
         return slice(int(np.flatnonzero(time == time[0])[-1]) if np.ptp(time) > 0.0 else 0, None)
 
-    def label(self, word: str, kind: str) -> str:
-        """Axis label with the run's unit of a kind: length, time, stress, velocity, energy or flow rate."""
-        length, force, time = (self.units.get(key, "") for key in ("length", "force", "time"))
-        if not (length and force and time):
-            return word
-        units = {
-            "length": length,
-            "time": time,
-            "stress": f"{force}/{length}²",
-            "velocity": f"{length}/{time}",
-            "energy": f"{force}·{length}/{length}",
-            "flow rate": f"{length}³/{time}",
-        }
-        return f"{word} [{units[kind]}]"
+    def label(self, word: str, dimension: str) -> str:
+        """Axis label with the run's unit of a dimension."""
+        unit = unit_text(dimension, self.units, is_printed=True)
+        return f"{word} [{unit}]" if unit else word
 
     def axis(self, span: slice) -> tuple[Floats, str]:
         """Abscissa of histories: time, or the step's number if no time passes."""
         time = self.history["time"][span]
         if len(time) and np.ptp(time) > 0.0:
-            return time, self.label("time", "time")
+            return time, self.label("time", TIME)
         return np.arange(len(self.history["time"]), dtype=float)[span], "step"
 
     def probes_with(self, quantity: str) -> list[str]:

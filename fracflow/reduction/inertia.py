@@ -15,11 +15,11 @@ import numpy as np
 from fracflow.integrators import EXPLICIT
 from fracflow.reduction.decision import Decision, Facts
 from fracflow.scene.boundary import Stage
+from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 
 FEWER = 10.0  # times fewer steps, at least: each costs about as much as one with inertia, and all may have been in vain
-RATES = ("velocity", "acceleration", "slip_rate", "flow_rate")  # a small vibration is most of them
 PART = "inertia"
 CRITERION = "T sum(changes of load rate)/(2 pi range), T the longest period, joints sticking"
 
@@ -62,8 +62,9 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
         return "a start that is not at rest"
     if any(stage.kind == "dynamic" for stage in earlier):
         return "the stage before has inertia"
+    rates = {name for name, row in probed().items() if row.is_rate}
     for probe in scene.probe:
-        if asked := sorted(set(RATES).intersection(probe.quantities or RATES)):
+        if asked := sorted(rates.intersection(probe.quantities or rates)):
             return (
                 f"probe {probe.name} measures {asked[0]}, of which vibration is all (its quantities may leave that out)"
             )

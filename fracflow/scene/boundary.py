@@ -8,15 +8,13 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from fracflow.scene.method import Count, Fraction, Name, Part
+from fracflow.scene.quantities import MeasuredName
 from fracflow.scene.units import FLOW_RATE, LINE_FORCE, STRESS, TIME, Quantity, fault
 from fracflow.scene.values import At, Displaced, Place, Tabled, TabledVector, TimeTable
 
 Component = Literal["x", "y", "rotation"]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
-Measured = Literal[
-    "displacement", "velocity", "acceleration", "slip", "plastic_slip", "slip_rate", "opening", "aperture",
-    "shear_traction", "normal_traction", "strength", "pressure", "head", "flow_rate", "strain", "stress",
-]  # fmt: skip
+Measured = Annotated[str, MeasuredName()]
 Entry = Annotated[TimeTable, Tabled()]
 Row = tuple[Entry, Entry]
 Names = Annotated[

@@ -19,6 +19,7 @@ def rows(schema: Mapping[str, Any]) -> Iterator[Row]:
             if below is None:
                 default = "required" if name in required else _default(field)
                 yield key, _values(field), default, field.get("description", "")
+                yield from _quantities(key, field)
             else:
                 inner.append((key + below[0], below[1], field.get("description", "")))
         for key, found, meaning in inner:
@@ -38,6 +39,13 @@ def _table_below(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> tu
             if isinstance(inside, Mapping) and "$ref" in inside:
                 return key, definitions[inside["$ref"].rpartition("/")[2]]
     return None
+
+
+def _quantities(key: str, field: Mapping[str, Any]) -> Iterator[Row]:
+    """A row for each quantity that the entries of a list may name."""
+    for choice in (field, *field.get("anyOf", ())):
+        for name, (dimension, meaning) in choice.get("items", {}).get("quantities", {}).items():
+            yield f'{key}: "{name}"', f"[{dimension}]", "", meaning
 
 
 def _default(field: Mapping[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,9 @@ VELOCITY = "length/time"
 ACCELERATION = "length/time**2"
 RATE = "1/time"
 LINE_FORCE = "force/length"
+ENERGY = "force*length/length"  # per thickness
+SURFACE_ENERGY = "force*length/length**2"
+ENERGY_DENSITY = "force*length/length**3"
 LENGTH = "length"
 TIME = "time"
 ANGLE = "angle"
@@ -121,6 +125,18 @@ class UnitSystem:
             raise ValueError(f'"{unit}" is not a unit of {dimension}; must be {fits}') from None
         except LookupError:
             raise ValueError(f'unknown unit "{unit}"; must be {fits}') from None
+
+
+def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False) -> str:
+    """Unit of a dimension, N/m^2, or N/m² in print; empty for plain numbers and scenes without units.
+
+    units  names of length, force and time
+    """
+    if dimension == PLAIN or not all(units.get(part) for part in ("length", "force", "time")):
+        return ""
+    signs = {"*": "·" if is_printed else " "}
+    signs |= {f"**{n}": "⁰¹²³⁴⁵⁶⁷⁸⁹"[n] if is_printed else f"^{n}" for n in range(10)}
+    return "".join({**units, **signs}.get(word, word) for word in re.split(r"(\*\*\d|\*|/)", dimension))
 
 
 @lru_cache(maxsize=1000)

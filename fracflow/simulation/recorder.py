@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,15 +23,15 @@ from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import save_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
-from fracflow.model.stress import rock_fields
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
 from fracflow.output.events import Chatter
-from fracflow.output.probes import probe_record
+from fracflow.output.probes import fracture_fields, probe_record, rock_fields
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, Facts, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
+from fracflow.scene.quantities import quantities
 from fracflow.simulation.before import Before, scene_seal
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
@@ -98,12 +98,11 @@ class Recorder:
     def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
         if self.files is None or snapshot is None:
             return
-        margin = float(snapshot.column("margin").min(initial=np.inf))
-        if margin < self.totals.narrowest:
-            self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
+        if snapshot.margin < self.totals.narrowest:
+            self.totals.narrowest, self.totals.narrow_time = snapshot.margin, step.state.time
         self.totals.least = max(self.totals.least, snapshot.least[0])
         self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
-        self.files.append(step, snapshot, margin)
+        self.files.append(step, snapshot)
 
     def _remedy(self, number: int | None) -> str:
         if number in (errno.ENOENT, errno.ESTALE):
@@ -135,7 +134,8 @@ class Recorder:
         ends = sampling.all_ends(self.sampler, step.state)
         motion = sampling.all_motion(self.sampler, step.state) if whole else None
         if (files := self.files) is not None and ends is not None:
-            self._write(lambda: files.fields(index, step.state, ends, motion))
+            values = fracture_fields(self.sampler.fields, ends)
+            self._write(lambda: files.fields(index, step.state, values, motion))
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
@@ -248,6 +248,7 @@ class Files:
                 points[:, 1],
                 [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],
             ),
+            tangents=self.mesh.points.shape[1] - 1,
         )
         self.chatter = Chatter(self.events.nodes.fracture)
         with restoring(folder / "checkpoint.h5") if notes is not None else nullcontext():
@@ -293,63 +294,33 @@ class Files:
         seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
 
-    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
+    def append(self, step: Step, snapshot: sampling.Snapshot) -> None:
         """One row of history and the events up to it. Raises OSError."""
         self.folder.check()
-        state, report = step.state, step.report
+        state = step.state
         # a step that is cut where a status changes ends with the change; else it came somewhere in the step
-        began = state.time if self.time is None or report.located else self.time
+        began = state.time if self.time is None or step.report.located else self.time
         self.time = state.time
-        record: dict[str, Any] = {
-            "time": state.time,
-            "step/dt": step.dt,
-            "step/stage": step.stage,
-            "step/kind": KINDS[step.regime or self.scene.stage[step.stage].kind],
-            "step/newton": report.newton,
-            "step/krylov": report.krylov,
-            "step/coupling": report.cycles,
-            "step/factorisations": report.factorisations,
-            "step/predicted_factor": report.predicted,
-            "step/measured_factor": report.measured,
-            "step/handed_over": int(bool(report.handed_over)),
-            "step/solid_residual": report.solid_residual,
-            "step/round_off": report.round_off,
-            "step/flow_residual": report.flow_residual,
-            "step/slipping": int(snapshot.column("sliding").sum()),
-            "step/open": int(snapshot.column("open").sum()),
-            "step/slip_margin": margin,
-            "step/minimum_aperture": snapshot.least[0],
-            "step/minimum_aperture_flow": snapshot.least[1],
-            "step/digits": report.digits,
-            "step/located": report.located,
-            "step/rejected": report.rejected,
-            "step/wasted": report.wasted,
-            "step/widening": report.widening,
-        }
+        at = Recorded(step, snapshot, KINDS[step.regime or self.scene.stage[step.stage].kind])
+        record = {row.name: row.formula(at) for row in quantities("run").values()}
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}
         record |= {f"volume/{name}": value for name, value in state.left.items()}
         self.history.append(record | probe_record(self.scene, self.mesh, self.placed.probes, snapshot))
 
-        def brought(name: str, any_of: bool = False) -> Any:
-            return sampling.at_nodes(snapshot, name, self.inverse, self.count, any_of)
-
         # A tip has no jump: what its law does with a stress past its strength is no slip.
         parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
-        is_open = parts & brought("open", True).astype(bool)
+        sliding, is_open = (
+            parts & sampling.any_at_nodes(snapshot, name, self.inverse, self.count) for name in ("sliding", "open")
+        )
         if told := self.chatter.update(step.stage, is_open):
             self.folder.log(
                 f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {told}: {self._advice()}"
             )
-        self.events.update(
-            state.time,
-            parts & brought("sliding", True).astype(bool),
-            is_open,
-            brought("plastic_slip"),
-            brought("slip_rate"),
-            began,
+        slip, rate = (
+            sampling.at_nodes(snapshot, name, self.inverse, self.count) for name in ("plastic_slip", "slip_rate")
         )
-
+        self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:
             moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
             if event := self.catalogue.update(instant(state, snapshot, began), moves):
@@ -374,15 +345,17 @@ class Files:
             self.fractures.drop(self.extra)
         self.extra = index
 
-    def fields(self, index: int, state: State, ends: Floats, motion: Floats | None) -> None:
+    def fields(self, index: int, state: State, values: Mapping[str, Any], motion: Floats | None) -> None:
         """Fields of fractures and, where there is its ``motion``, of the rock for ParaView."""
         if motion is not None:
             point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
             self.rock.write(index, state.time, point_data, cell_data)
-        skip = ("margin",) + (() if self.scene.has_flow else ("pressure", "flow_rate"))
-        values = {name: ends[:, :, n].ravel() for n, name in enumerate(sampling.COLUMNS) if name not in skip}
-        if self.scene.has_flow and self.scene.fluid is not None and self.scene.fluid.specific_weight:
-            values["head"] = values["pressure"] / self.scene.fluid.specific_weight
-        if not self.scene.has_flow and np.isnan(values["aperture"]).all():
-            del values["aperture"]
         self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
+
+
+class Recorded(NamedTuple):
+    """A step as formulas of the whole run take it; see ``scene.quantities``."""
+
+    step: Step
+    snapshot: sampling.Snapshot
+    kind: int

@@ -21,8 +21,9 @@ from fracflow._petsc import MPI
 from fracflow.advance.step import Step
 from fracflow.errors import InputError, SolveError
 from fracflow.output import read_events, read_history
-from fracflow.output.export import KINDS
+from fracflow.scene.quantities import row_of
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import PLAIN
 from fracflow.simulation.run import run
 
 Floats = NDArray[np.float64]
@@ -191,7 +192,8 @@ def largest(full: Ran, reduced: Ran) -> dict[str, float]:
         for key in ran.history:
             kind, values = kind_of(key), columns(ran.history, key)
             change[kind] = max(change.get(kind, 0.0), float(np.abs(values - values[0]).max()))
-            dimension = of_kind[kind] = KINDS.get(key.rpartition("/")[2], kind)
+            row = row_of(key)
+            dimension = of_kind[kind] = kind if row is None or row.dimension == PLAIN else row.dimension
             value[dimension] = max(value.get(dimension, 0.0), float(np.abs(values).max()))
     return {kind: max(size, FLOOR * value[of_kind[kind]]) for kind, size in change.items()}
 
