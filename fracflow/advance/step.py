@@ -60,7 +60,7 @@ def stepper_of(scene: Scene, stage: Stage, regime: str = "") -> Stepper:
     method, kind = scene.method, regime or stage.kind
     if kind == "dynamic":
         return stepper_from(method.stepper, method)
-    return stepper_from(method.film, method) if kind in ("quasi-static", "auto") else Steady()
+    return stepper_from(method.flow_integrator, method) if kind in ("quasi-static", "auto") else Steady()
 
 
 class Stepping:

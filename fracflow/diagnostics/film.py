@@ -174,7 +174,7 @@ def ringing(view: View) -> Number:
     if value <= 1.0:
         return Number(name, formula, value, 1.0, False, where)
     remedy = f"pressures change sign from step to step: time_step below {film.time_step / value:.3g}{view.unit(TIME)}"
-    remedy += f" in {film.name}" + ("" if film.alpha_0 else ', or method.film = "backward-euler"')
+    remedy += f" in {film.name}" + ("" if film.alpha_0 else ', or method.flow_integrator = "backward-euler"')
     return Number(name, formula, value, 1.0, True, where, remedy)
 
 

@@ -61,7 +61,7 @@ def film_stages(scene: Scene, stage: Stage) -> Iterator[FilmStage]:
         yield FilmStage(name, waves, alphas.a1, alphas.mass, alphas.a4 != 0.0)
     if stage.time_step is not None and stage.kind in ("quasi-static", "auto"):
         dt = stage.time_step
-        yield FilmStage(name, dt, WEIGHT[method.film] / dt, 0.0, method.film == "trapezoid")
+        yield FilmStage(name, dt, WEIGHT[method.flow_integrator] / dt, 0.0, method.flow_integrator == "trapezoid")
 
 
 def spans(scene: Scene) -> Iterator[tuple[Stage, float, float]]:

@@ -21,7 +21,7 @@ STEPPERS: dict[str, type[Stepper]] = {
     "bdf2": BDF2,
     "trapezoid": Trapezoid,
 }
-"""Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
+"""Rules by name; ``method.stepper`` names one with inertia, ``method.flow_integrator`` one with storage and without inertia."""
 
 EXPLICIT: dict[str, type[Stepper]] = {"explicit": Explicit}
 """Rules with a protocol of their own: see ``solve.explicit``."""

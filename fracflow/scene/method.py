@@ -95,7 +95,7 @@ class Method(StepperKeys):
         " the rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which"
         ' damps them, of explicit steps, and of model = "report"',
     )
-    film: FilmStepper = Field(
+    flow_integrator: FilmStepper = Field(
         default="backward-euler",
         description="time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of"
         " scenes that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a"
@@ -264,7 +264,7 @@ def with_preset(data: dict[str, Any]) -> dict[str, Any]:
         preset = {**preset, "contact": "lumped"}
     accuracy = data.get("accuracy", {})
     if isinstance(accuracy, dict) and {"tolerance", "step_error"} & accuracy.keys() and data.get("model") != "report":
-        preset = {**preset, "film": "bdf2"}  # whose overshoot is below what errors may be, for a fraction of the steps
+        preset = {**preset, "flow_integrator": "bdf2"}  # overshoots less than errors may be
     return {**data, "method": {**preset, **method}}
 
 
