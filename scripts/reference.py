@@ -19,7 +19,7 @@ PACKAGE = ROOT / "fracflow"
 BEGIN, END = "<!-- equations: python scripts/reference.py -->", "<!-- end of equations -->"
 LETTERED = r"[a-z](?:,[a-z])*"
 EQUATION = re.compile(rf"\(([234])\.(\d+)({LETTERED})?\)(?:-\(([234])\.(\d+)({LETTERED})?\))?")
-LEADING = re.compile(rf"(?:{EQUATION.pattern}(?:, | with | and )?)+")
+LEADING = re.compile(rf"(?:{EQUATION.pattern}(?:, | with (?=\()| and (?=\())?)+")
 Number = tuple[int, int]
 
 

@@ -1,4 +1,4 @@
-"""The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
+"""(2.40) The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The energy books: every term booked over each step with (2.33b), and what is left over.
+"""(2.24)-(2.27) The energy books: every term booked over each step with (2.33b), and what is left over.
 
 Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme

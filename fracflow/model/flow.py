@@ -169,7 +169,7 @@ def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
 
 
 def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flow:
-    """Operators of the network of a scene that has a fluid. Collective."""
+    """(2.28)-(2.29), (2.34)-(2.36), (3.17)-(3.19) B and B_F, and the network of a scene with a fluid. Collective."""
     assert scene.fluid is not None
     comm, block, dim = blocks.comm, blocks.joints, blocks.sizes.dim
     ends = np.arange(2 * len(block.ids)).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""What acts from outside: supports, loads on sides, wells; each a constant pattern times a function of time."""
+"""(2.38), (3.7) Supports, loads on sides, wells: each a constant pattern times a function of time."""
 
 from __future__ import annotations
 

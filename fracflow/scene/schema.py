@@ -32,7 +32,8 @@ def rows(schema: Mapping[str, Any]) -> Iterator[Row]:
 HEAD = """# Keys of a scene
 
 Written by `fracflow schema --markdown`. A dimension in brackets asks for a number in the scene's units, or a string with a
-unit such as `"30 GPa"`. `[]` marks an array of tables, `NAME` a name that the scene gives. [The tutorials](README.md) show keys in use.
+unit such as `"30 GPa"`. `[]` marks an array of tables, `NAME` a name that the scene gives. [The tutorials](README.md) show
+keys in use.
 """
 
 

@@ -43,7 +43,7 @@ class FreePart:
 
 
 class JoinedMatrix:
-    """Matrix [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns, rows of what is held are 1.
+    """(4.8) [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns; held rows are 1.
 
     ``only`` leaves one of the two splits free, "solid" or "flow"; None both.
     """
