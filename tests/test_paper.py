@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import reference
 import tomllib
-from pages import PAGES, ROOT, Code, anchors, blocks, slug, spans, targets
+from pages import PAGES, ROOT, Code, anchors, blocks, slug, spans, targets, tokens
 
 from fracflow.cli.app import USAGE, commands, with_levels
 from fracflow.scene.scene import Scene, load
@@ -60,6 +60,14 @@ def test_each_scene_is_in_an_index():
 
 def test_the_front_page_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= LONGEST_FRONT_PAGE
+
+
+@each_page
+def test_sentences_have_a_subject(page):
+    """None begins with "what"; pages that are written from the sources are as these are."""
+    texts = [token.content for token in tokens(page) if token.type == "inline"]
+    found = [text for text in texts if re.search(r"(?:^|[.:;]\s+)What\b", text)]
+    assert NAMES[page] in GENERATED or found == []
 
 
 def test_headings_make_anchors_as_the_forge_does():
