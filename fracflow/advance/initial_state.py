@@ -163,7 +163,7 @@ def _affine(given: InitialMotion, key: str, points: Floats) -> Floats:
 
 
 def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
-    """Inner forces less the loads of the initial state, on all unknowns. The caller destroys it. Collective."""
+    """Inner forces of tractions (s, dim) less the initial loads, on all unknowns. The caller destroys it. Collective."""
     initial = model.operators.layout.solid_vector()
     model.loads.initial_force(initial)
     balance = static_balance(model.operators, displacement, traction, pressure, initial)

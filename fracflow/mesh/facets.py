@@ -57,7 +57,7 @@ def corner_counts(cells: Ints) -> Ints:
 
 
 def half_facets(cells: Ints, dim: int) -> HalfFacets:
-    """All facets of all cells, in the order of the cells of each shape."""
+    """All facets of cells (m, k), -1 pads, in the order of the cells of each shape."""
     counts = corner_counts(cells)
     nodes, owners, corners = [], [], []
     for (cell_dim, size), table in FACETS.items():
@@ -85,7 +85,7 @@ def number_rows(rows: Ints) -> Ints:
 
 
 def number_facets(*tables: Ints) -> list[Ints]:
-    """Give facets (., dim) with the same nodes the same number, over all tables."""
+    """Give facets (f, dim) with the same nodes the same number, over all tables."""
     number = number_rows(np.sort(np.concatenate(tables), axis=1))
     return np.split(number, np.cumsum([len(table) for table in tables])[:-1])
 
@@ -113,12 +113,12 @@ def count_cells_at(cells: Ints, facets: Ints) -> Ints:
 
 
 def near(cells: Ints, facets: Ints) -> Ints:
-    """Cells with at least one whole facet's worth of nodes among those of ``facets``."""
+    """Those of cells (m, k) with at least as many nodes among those of ``facets`` (f, dim) as a facet has."""
     return cells[rows_near(cells, facets, facets.shape[1])]
 
 
 def rows_near(cells: Ints, facets: Ints, least: int) -> Ints:
-    """Rows of the cells with at least ``least`` nodes among those of ``facets``."""
+    """Rows (n,) of cells (m, k) with at least ``least`` nodes among those of ``facets`` (f, dim)."""
     is_on = np.zeros(1 + max(cells.max(initial=-1), facets.max(initial=-1)), dtype=bool)
     is_on[facets] = True
     # Padding looks up the last node; the second factor takes it out again.
@@ -132,5 +132,5 @@ def components(first: Ints, second: Ints, total: int) -> Ints:
 
 
 def spot(points: Floats, nodes: Ints) -> str:
-    """Coordinates of the middle of ``nodes``, for messages."""
+    """Coordinates of the middle of ``nodes`` (k,), for messages; points (n, dim)."""
     return "(" + ", ".join(f"{value:.6g}" for value in points[nodes].mean(axis=0)) + ")"

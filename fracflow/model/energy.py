@@ -145,13 +145,13 @@ def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
 
 
 def spurious_share(totals: Mapping[str, float]) -> float:
-    """What a coupling of matrices that are not transposed has made of nothing, over the largest entry of the books."""
+    """Energy that a coupling without transposes has made of nothing, over the largest entry of the balance."""
     largest = max(abs(totals[name]) for name in (*STORED, *WORK))
     return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
 
 
 def dissipated(old: State, new: State) -> Floats:
-    """(2.27b) with (2.33b): what friction has dissipated at each section (s,) after a step from ``old`` [energy/area]."""
+    """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area]."""
     work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
     result: Floats = old.friction + 0.5 * work.sum(axis=1)
     return result

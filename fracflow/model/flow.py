@@ -103,7 +103,7 @@ class Flow:
         return self.aperture + jump
 
     def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
-        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
+        """(3.14e,f) Conductances (j,) of all elements at an opening (j, 2), with the end pressures that drive. Collective."""
         mechanical = self.apertures(displacement, opening)
         hydraulic = np.maximum(mechanical, self.least)
         mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
@@ -124,7 +124,7 @@ class Flow:
         )
 
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
-        """What the fluid holds at apertures (j, 2) under pressures above rest (j, 2)."""
+        """Fluid beyond the room at apertures (j, 2) under pressures above rest (j, 2)."""
         half = 0.5 * self.length[:, None] * (aperture > 0.0)
         with np.errstate(over="ignore", invalid="ignore"):  # a trial out of reach is refused for what comes of it
             denser = np.expm1(self.compressibility * (driving - self.counted))
@@ -132,7 +132,7 @@ class Flow:
             return Compression(held, self.compressibility * (half * aperture + held), half * denser)
 
     def potential(self, driving: Floats) -> Floats:
-        """Work that a volume as it is counted brings, int dp/(s/d), at pressures above rest [stress]: those, without c_f."""
+        """Work of a volume as it is counted, int dp/(s/d), at pressures above rest (...) [stress]: those, without c_f."""
         if self.compressibility == 0.0:
             return driving
         lighter = np.expm1(self.compressibility * (self.counted - driving))

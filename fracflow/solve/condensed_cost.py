@@ -110,7 +110,7 @@ def key_of(alphas: Alphas, damps: bool) -> Key:
 
 
 def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool) -> Condensing:
-    """What is planned, for so many displacements and jumps of joints."""
+    """The plan for so many displacements and jumps of joints."""
     clearly = full_step(unknowns) >= CLEARLY * condensed_step(unknowns, jumps, ranks=ranks)
     pays = break_even(unknowns, jumps, ranks=ranks) if jumps and clearly and fits(unknowns, jumps) else math.inf
     steps: dict[Key, float] = {}

@@ -187,7 +187,7 @@ class JoinedMatrix:
         flow_scale: float,
         only: str | None = None,
     ) -> bool:
-        """Refill where anything differs from the last time; tell whether it did. Collective."""
+        """Refill with moduli (s, dim, dim) where anything differs from the last time; whether it did. Collective."""
         now = (alphas, flow_scale, only)
         arrays = [moduli] + (
             [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]

@@ -24,7 +24,7 @@ class Lag:
 
     @staticmethod
     def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Lag:
-        """A share of what ``state`` lacks, what jumps there included.
+        """A share of the values that ``state`` lacks, jumps there included. Collective.
 
         Forces that lack, and rates ``of_wells``, go into ``load`` and ``source``.
         """

@@ -165,7 +165,7 @@ class FixedPoint:
         raise _Lost("", total, left)
 
     def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
-        """(4.5a) What the flow adds to the pressures (n,) of this rank, the walls as they are. Collective."""
+        """(4.5a) Changes (n,) that the flow makes to this rank's pressures, the walls as they are. Collective."""
         unit, scale = problem.operators.scales.pressure, problem.flow_scale()
         self.whole_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, scale)
         if self.whole_matrix.fills != self._network_of:
