@@ -244,7 +244,7 @@ def set_up(
 
     mesh       on rank 0
     placed     where the scene's names sit on it
-    cell_rank  its partition in an earlier run, on rank 0
+    cell_rank  its partition (cells,) in an earlier run, on rank 0
     """
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = assemble(blocks, scene)
