@@ -15,7 +15,7 @@ import reference
 import tomllib
 from pages import PAGES, ROOT, Code, anchors, blocks, slug, spans, targets, tokens
 
-from fracflow.cli.app import USAGE, commands, with_levels
+from fracflow.cli.app import USAGE, app, commands, with_levels
 from fracflow.scene.scene import Scene, load
 from fracflow.scene.schema import rows
 
@@ -275,6 +275,12 @@ def test_generated_pages_are_fresh():
     stale = [NAMES[path] for path, text in reference.pages().items() if path.read_text(encoding="utf-8") != text]
     assert stale == [], "run: python scripts/reference.py"
     assert GENERATED <= set(NAMES.values())
+
+
+@pytest.mark.parametrize(("words", "page"), [("schema", "meshes/SCENE.md"), ("help", "fracflow/COMMANDS.md")])
+def test_commands_print_the_pages(words, page, capsys):
+    app([words, "--markdown"], standalone_mode=False)
+    assert capsys.readouterr().out == (ROOT / page).read_text(encoding="utf-8")
 
 
 def test_the_index_names_the_equations_of_the_report():
