@@ -11,8 +11,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-import reference
 import tomllib
+import write_pages
 from pages import PAGES, ROOT, Code, anchors, blocks, slug, spans, targets, tokens
 
 from fracflow.cli.app import USAGE, app, commands, with_levels
@@ -272,8 +272,8 @@ def test_an_unknown_key_is_found():
 
 
 def test_generated_pages_are_fresh():
-    stale = [NAMES[path] for path, text in reference.pages().items() if path.read_text(encoding="utf-8") != text]
-    assert stale == [], "run: python scripts/reference.py"
+    stale = [NAMES[path] for path, text in write_pages.pages().items() if path.read_text(encoding="utf-8") != text]
+    assert stale == [], "run: python scripts/write_pages.py"
     assert GENERATED <= set(NAMES.values())
 
 
@@ -287,7 +287,7 @@ def test_the_index_names_the_equations_of_the_report():
     """Those of chapters 2 to 4; the page says which no code forms."""
     page = (ROOT / "fracflow" / "README.md").read_text(encoding="utf-8")
     (said,) = re.findall(r"([^.]*(?:\(\d\.\d+\)[^:]*)+) are steps of a derivation", " ".join(page.split()))
-    derived = {number for match in reference.EQUATION.finditer(said) for number in reference.covered(match)}
-    found = {number for entry in reference.entries() for number in entry.numbers}
+    derived = {number for match in write_pages.EQUATION.finditer(said) for number in write_pages.covered(match)}
+    found = {number for entry in write_pages.entries() for number in entry.numbers}
     wanted = {(chapter, number) for chapter, last in ((2, 40), (3, 20), (4, 10)) for number in range(1, last + 1)}
     assert wanted - found == derived

@@ -1,6 +1,6 @@
 """Pages that follow from the sources: keys of a scene, commands, and the index of equations.
 
-    python scripts/reference.py    # after . scripts/setup.sh: writes those that are stale, and names them
+    python scripts/write_pages.py    # after . scripts/setup.sh: writes those that are stale, and names them
 
 An equation is indexed where its number stands in the first line of a docstring: at its beginning for the place that
 computes it, anywhere for places that use it, which are listed only where no place begins with it.
@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "fracflow"
-BEGIN, END = "<!-- equations: python scripts/reference.py -->", "<!-- end of equations -->"
+BEGIN, END = "<!-- equations: python scripts/write_pages.py -->", "<!-- end of equations -->"
 LETTERED = r"[a-z](?:,[a-z])*"
 EQUATION = re.compile(rf"\(([234])\.(\d+)({LETTERED})?\)(?:-\(([234])\.(\d+)({LETTERED})?\))?")
 LEADING = re.compile(rf"(?:{EQUATION.pattern}(?:, | with (?=\()| and (?=\())?)+")
