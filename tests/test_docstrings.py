@@ -29,19 +29,22 @@ ON_RANKS = {
 ON_RANKS_OF_PETSC = {"dot", "duplicate", "mult", "norm", "sum"}  # names that arrays have too
 OURS = re.compile(r"(Error|Interrupted|PutBack|Restless|LimitPoint|NotConverged|ReductionInvalid|StatusCycling)$")
 
+WHAT = re.compile(r"(?:^|[.:;]\s+)What\b")
+
 ALLOWED: dict[str, dict[str, int]] = {
-    "advance": {"has_subjects": 4},
-    "api": {"has_subjects": 3},
+    "api": {"has_subjects": 4},
     "cli": {"says_raises": 1},
+    "diagnostics": {"has_subjects": 1},
     "elements": {"has_subjects": 1, "says_raises": 3},
     "laws": {"has_shapes": 2, "has_subjects": 1},
-    "model": {"has_shapes": 2, "has_subjects": 3, "says_raises": 1},
-    "output": {"has_shapes": 1, "has_subjects": 1},
-    "reduction": {"has_subjects": 6},
-    "scene": {"has_subjects": 3},
-    "simulation": {"has_subjects": 2},
+    "mesh": {"has_subjects": 2},
+    "model": {"has_shapes": 2, "has_subjects": 4, "says_raises": 1},
+    "output": {"has_shapes": 1, "has_subjects": 8},
+    "reduction": {"has_subjects": 12},
+    "scene": {"has_subjects": 8},
+    "simulation": {"has_subjects": 6},
     "solve": {"has_subjects": 2, "says_collective": 1},
-    "storage": {"has_subjects": 1},
+    "storage": {"has_subjects": 5},
 }
 
 Function = ast.FunctionDef
@@ -131,7 +134,7 @@ def says_raises(function: Function, text: str) -> bool:
 
 def has_subjects(function: Function, text: str) -> bool:
     """No sentence begins with "what"."""
-    return re.search(r"(?:^|[.:;]\s+)What\b", text) is None
+    return re.search(WHAT, text) is None
 
 
 def first_line_ends(function: Function, text: str) -> bool:
@@ -143,11 +146,18 @@ RULES = (has_shapes, says_collective, says_raises, has_subjects, first_line_ends
 
 
 def faults(package: Path = PACKAGE) -> Iterator[tuple[str, str, str]]:
-    """(package, rule, place) of each public function whose docstring breaks a rule; files at the root are "api"."""
+    """(package, rule, place) of each public function whose docstring breaks a rule; files at the root by their name.
+
+    Docstrings of modules and classes are held to sentences with subjects.
+    """
     for path in sorted(package.rglob("*.py")):
         inner = path.relative_to(package)
         top = inner.parts[0] if len(inner.parts) > 1 else inner.stem
-        for name, function in public_functions(ast.parse(path.read_text(encoding="utf-8"))):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef) and re.search(WHAT, ast.get_docstring(node) or ""):
+                yield top, "has_subjects", f"{inner.as_posix()}: {(ast.get_docstring(node) or '').splitlines()[0]}"
+        for name, function in public_functions(tree):
             text = ast.get_docstring(function) or ""
             for rule in RULES:
                 if not rule(function, text):

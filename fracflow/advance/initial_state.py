@@ -63,7 +63,7 @@ def settle(model: Model) -> None:
 
 
 def _uncarried(scene: Scene) -> str:
-    """What is missing to div sigma_0 + b = 0, of each rock."""
+    """The force that is missing to div sigma_0 + b = 0, of each rock."""
     given = scene.initial_stress
     xy, yy = (given.gradient.xy, given.gradient.yy) if given is not None else (0.0, 0.0)
     found = []
@@ -100,7 +100,7 @@ def _unmoved(model: Model) -> tuple[Motion, Sections, PETSc.Vec]:
 
 
 def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.Vec) -> Forces:
-    """What holds a start: reactions of the supports, and beside the loads whatever is missing to balance. Collective."""
+    """Forces that hold a start: reactions of the supports, and any force that the loads lack to balance. Collective."""
     layout = model.operators.layout
     load = imbalance(model, motion.displacement, sections.traction, pressure)
     support, initial = load.copy(), layout.solid_vector()
@@ -172,7 +172,7 @@ def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure:
 
 
 def _slack(model: Model) -> PETSc.Vec:
-    """What the rules of integration may differ by on each unknown. Collective.
+    """Difference that two rules of integration may have on each unknown. Collective.
 
     Over a joint of length L tractions linear between t_1 and t_2 give each end L (2 t_1 + t_2)/6, and L t_1/2 by the
     nodal rule: |t_2 - t_1| L/6 apart at most, likewise the pressures. A joint whose given tractions are not those that

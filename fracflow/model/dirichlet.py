@@ -1,4 +1,4 @@
-"""What is prescribed: displacements of supports and pressures, each unknown by the first that names it."""
+"""Prescribed displacements of supports and pressures, each unknown by the first that names it."""
 
 from __future__ import annotations
 

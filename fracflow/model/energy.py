@@ -116,7 +116,7 @@ def compressed(ops: Operators, old: State, new: State) -> float:
 
 
 def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
-    """What a volume of fluid brings, as a mean over the instants, in a new vector [stress]."""
+    """Potential of a volume of fluid, as a mean over the instants, in a new vector [stress]."""
     assert ops.flow is not None
     if ops.flow.compressibility == 0.0:
         balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)

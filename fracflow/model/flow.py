@@ -37,7 +37,7 @@ def is_transposed(storage: str) -> bool:
 
 @dataclass(frozen=True)
 class Compression:
-    """What a compressible fluid holds at the joint ends (j, 2) beyond the room between the walls.
+    """Compressible fluid at the joint ends (j, 2) beyond the room between the walls.
 
     Counted, as flow rates are, in volumes at its initial pressure: s = d exp(c_f (p - p0)) is what a fracture holds.
 

@@ -48,7 +48,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Closure:
-    """What stands for the balance at one node of a part that nothing drains and where nothing is stored.
+    """The row in place of the balance at one node of a part that nothing drains and where nothing is stored.
 
     The balances of its nodes add up to nothing, so one says what the others do, and the level is left open.
 

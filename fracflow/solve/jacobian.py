@@ -27,7 +27,7 @@ PARTS = ("solid", "flow")
 
 @dataclass(frozen=True)
 class FreePart:
-    """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
+    """The free part of a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
 
     ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node; ``keeping`` are the rows of
     closures that keep the fluid at a joint end.

@@ -17,7 +17,7 @@ from fracflow.solve.residual import CANCELLATION, largest
 
 @dataclass(frozen=True)
 class Lag:
-    """What the prescribed displacements and pressures (an array a support, or well) still lack at the end of a step."""
+    """Part of the prescribed displacements and pressures (an array a support, or well) unapplied at the end of a step."""
 
     displacement: tuple[Floats, ...] = ()
     pressure: tuple[Floats, ...] = ()

@@ -162,7 +162,7 @@ class SectionReport:
 
 @dataclass(frozen=True)
 class _Rows:
-    """What clusters need of their sections in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
+    """Data of the sections of clusters in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
 
     left: Floats
     size: Floats

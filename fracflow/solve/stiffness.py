@@ -29,7 +29,7 @@ class NewtonReport:
 
 
 class SingularMatrix(Exception):
-    """What a method without the tangent may come to."""
+    """A matrix that a method without the tangent may come to."""
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the linearised cycle says.
+    """Prediction of the linearised cycle.
 
     factor    rho, by which a plain cycle multiplies the error; infinite where the flow is singular
     fracture  where that error is largest

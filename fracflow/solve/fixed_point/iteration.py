@@ -227,7 +227,7 @@ class FixedPoint:
         return float(problem.pressure.norm(PETSc.NormType.INFINITY))
 
     def _driven(self, problem: StepProblem) -> float:
-        """What drives: differences between pressures, or their change in the step; a datum drives nothing. Collective."""
+        """The pressure that drives: differences, or the change in the step; a datum drives nothing. Collective."""
         now, before = problem.pressure.getArray(readonly=True), problem.state.pressure.getArray(readonly=True)
         span = problem.pressure.max()[1] - problem.pressure.min()[1]
         return max(span, self._largest(now - before))

@@ -22,7 +22,7 @@ PARALLEL = 1e-8  # of a column's own length: what is left of it beside the other
 
 @dataclass(frozen=True)
 class Cycles:
-    """What the cycles of a step have shown.
+    """The last cycles of a step.
 
     factor   rho, by which a plain cycle is predicted to multiply the error
     tried    pressures (n,) of this rank from which the last cycles started
