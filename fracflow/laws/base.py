@@ -149,7 +149,7 @@ class JointLaw(Protocol):
 
 
 def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[str, Floats]:
-    """Zeros of the shapes that ``history`` declares: (sections, dim - 1) or (sections,)."""
+    """Zero arrays of the shapes that ``history`` declares."""
     shapes: dict[Kind, tuple[int, ...]] = {"shear": (sections, dim - 1), "scalar": (sections,)}
     return {name: np.zeros(shapes[kind]) for name, kind in history.items()}
 

@@ -57,7 +57,7 @@ def corner_counts(cells: Ints) -> Ints:
 
 
 def half_facets(cells: Ints, dim: int) -> HalfFacets:
-    """All facets of cells (m, k), -1 pads, in the order of the cells of each shape."""
+    """All facets of all cells, in the order of the cells of each shape."""
     counts = corner_counts(cells)
     nodes, owners, corners = [], [], []
     for (cell_dim, size), table in FACETS.items():
@@ -85,7 +85,7 @@ def number_rows(rows: Ints) -> Ints:
 
 
 def number_facets(*tables: Ints) -> list[Ints]:
-    """Give facets (f, dim) with the same nodes the same number, over all tables."""
+    """Give facets (., dim) with the same nodes the same number, over all tables."""
     number = number_rows(np.sort(np.concatenate(tables), axis=1))
     return np.split(number, np.cumsum([len(table) for table in tables])[:-1])
 
