@@ -36,7 +36,7 @@ ALLOWED: dict[str, dict[str, int]] = {
     "cli": {"says_raises": 1},
     "diagnostics": {"has_subjects": 1},
     "elements": {"has_subjects": 1, "says_raises": 3},
-    "laws": {"has_shapes": 3, "has_subjects": 1},
+    "laws": {"has_shapes": 13, "has_subjects": 4},
     "mesh": {"has_shapes": 2, "has_subjects": 2},
     "model": {"has_shapes": 2, "has_subjects": 4, "says_raises": 1},
     "output": {"has_shapes": 1, "has_subjects": 8},

@@ -1,4 +1,4 @@
-"""The protocol of joint laws: their parameters, response and history."""
+"""What a joint law takes and gives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Kind = Literal["shear", "scalar"]
 
 @dataclass(frozen=True)
 class Key:
-    """A parameter as a scene reads it: meaning, dimension ("1" without), range.
+    """What a scene must know of a parameter to read it: meaning, dimension ("1" without), range.
 
     not_above  another parameter of the law that it may not exceed
     """

@@ -44,7 +44,7 @@ class Trial:
 
     @staticmethod
     def of(law: FrictionLaw, strain: Floats, past: Past) -> Trial:
-        """The elastic trial of a law at strain (n, dim)."""
+        """The trial of a law."""
         sections, dim = strain.shape
         closure = law.closure
         opening = strain[:, -1]
@@ -78,7 +78,7 @@ class Trial:
         return np.where(self.was_sliding, persists, fails) & ~self.free
 
     def margin(self, onset: Floats, kept: Floats) -> Floats:
-        """Distance (n,) of that choice from its threshold: shear excess over strength; if open, the gap."""
+        """Distance of that choice from its threshold: shear excess over strength; if open, the gap."""
         limited = np.isfinite(onset)
         tiny = TINY_STRENGTH * self.closure.stress_scale(len(onset))
         scale = np.maximum(np.where(limited, onset, 1.0), tiny)
@@ -91,7 +91,7 @@ class Trial:
 
         Friction [stress]: sticking, ``strength`` (n,) less trial traction; sliding, k_s times the plastic slip of a step, the
         way it slides, with -d ``carried`` / d f_n (n,) of what it carries. Contact [1]: opening past that at which f_n
-        vanishes, over d0. Round-off is no event.
+        vanishes, over d0. What round-off does is no event.
         """
         slack = ROUND_OFF * (
             self.closure.stress_scale(len(change)) + self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
@@ -184,17 +184,17 @@ class FrictionLaw(JointLaw):
         return NormalClosure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
 
     def has_changed(self, old: Past, new: Past) -> Bools:
-        """Whether sections (n,) began or ended to slide, or slide the other way; turning while sliding is no change."""
+        """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
         same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
         changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
         return changed
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction (n,) of an increment (n, dim) to the boundary -d0 of the closure."""
+        """Fraction to the boundary -d0 of the closure."""
         return self.closure.step_limit(strain, increment)
 
     def change_at(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction (n,) of an increment (n, dim) at which the walls part or meet."""
+        """Fraction of the increment at which the walls part or meet."""
         return self.closure.change_at(strain, increment)
 
     def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:

@@ -106,12 +106,12 @@ class SlipWeakening(FrictionLaw):
         return replace(answer, past={**answer.past, "slip_path": path + np.where(slid, slip, 0.0)})
 
     def steepness(self, traction: Floats, past: Past) -> Floats:
-        """|f_n| (mu_p - mu_d)/(D_c k_s) (n,) at traction (n, dim) while friction falls; 0 once it has."""
+        """|f_n| (mu_p - mu_d)/(D_c k_s) while friction falls; 0 once it has."""
         result: Floats = self.softening(traction, past) / per_section(self.shear_stiffness, len(traction))
         return result
 
     def softening(self, traction: Floats, past: Past) -> Floats:
-        """|f_n| (mu_p - mu_d)/D_c (n,) at traction (n, dim) while friction falls; 0 once it has [stress/length]."""
+        """|f_n| (mu_p - mu_d)/D_c while friction falls; 0 once it has."""
         _, falls = self.friction(past["slip_path"])
         pressed = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
         result: Floats = pressed * falls
@@ -125,7 +125,7 @@ class SlipWeakening(FrictionLaw):
         return pressed * (peak - dynamic)
 
     def slip_length(self, sections: int) -> Floats:
-        """Slip (n,) over which strength falls, D_c [length]."""
+        """D_c."""
         return per_section(self.slip_weakening_distance, sections)
 
     def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
