@@ -40,7 +40,7 @@ def watched(
     title: str = "",
     is_shown: bool = True,
 ) -> None:
-    """Do a job with its progress in sight, then report and draw its results. Raises errors of the job. Collective."""
+    """Do a job with its progress in sight, then tell and draw what it left. Raises what the job raises."""
     total, start = 0, 0.0
     for stage in scene.stage:
         count = stage.step_count(start) or 0

@@ -57,7 +57,7 @@ class HistoryFile:
 
     @classmethod
     def after(cls, path: str | Path, old: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> HistoryFile:
-        """Go on after records (steps, ...), with these attributes."""
+        """Go on after these records, with these attributes."""
         history = cls(path, attrs)
         if old:
             history._create(old)
@@ -171,7 +171,7 @@ def read_history(path: str | Path) -> dict[str, NDArray[Any]]:
 
 
 def read_rows(path: str | Path, rows: int, seal: str = "") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The first ``rows`` records (rows, ...) and the attributes; the last must have the digest ``seal`` if there is one.
+    """The first ``rows`` records and the attributes; the last of them must have the digest ``seal`` where there is one.
 
     Raises InputError where there are fewer, or one of them is not as it was written; later ones may be anything.
     """

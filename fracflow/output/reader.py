@@ -196,7 +196,7 @@ class RunData:
         return f"{word} [{units[kind]}]"
 
     def axis(self, span: slice) -> tuple[Floats, str]:
-        """Abscissa (steps,) of histories: time, or the step's number if no time passes."""
+        """Abscissa of histories: time, or the step's number if no time passes."""
         time = self.history["time"][span]
         if len(time) and np.ptp(time) > 0.0:
             return time, self.label("time", "time")

@@ -28,7 +28,7 @@ def planned(
     """The model without what its scene does not need, and the facts that say why. It was settled before. Collective.
 
     undone     what an earlier try of the same run has taken back
-    cell_rank  partition (cells,) of an earlier run, on rank 0
+    cell_rank  partition of an earlier run, on rank 0
     """
     shut, undone = (
         find_shut(model, Facts(model.scene, unknowns=int(model.operators.layout.solid_starts[-1]))),

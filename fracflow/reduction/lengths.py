@@ -23,7 +23,7 @@ def mean_spacing(area: float, length: float) -> float:
 
 
 def front_length(conducting: Floats, normal: Floats, held: Floats | float, time: float) -> Floats:
-    """sqrt(D t) (j,), reach of a pressure along a fracture: D = C/(1/k_n + c_f d), C = d^3/(12 mu) [length].
+    """sqrt(D t), how far a pressure reaches along a film: D = C/(1/k_n + c_f d), C = d^3/(12 mu) [length].
 
     The diffusivity of (3.9) with walls that give by k_n alone, the shortest reach that there is.
     """

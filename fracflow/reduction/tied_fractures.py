@@ -142,7 +142,7 @@ def pressure_of_wells(scene: Scene, start: Mapping[str, float]) -> float:
 
 
 def shed(distance: Floats, reach: Floats) -> Floats:
-    """Share (n,) of the stress that cracks of half length ``reach`` (n,) lose at a distance (n,); infinite at a tip."""
+    """Share of the stress that a crack of half length ``reach`` loses, at a distance from it; infinite at its tip."""
     x = distance + reach
     with np.errstate(divide="ignore"):
         found: Floats = x / np.sqrt(np.maximum(x**2 - reach**2, 0.0)) - 1.0

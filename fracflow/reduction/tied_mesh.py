@@ -165,7 +165,7 @@ def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
 
 
 def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
-    """The model without the fractures named, to be settled; ``whole`` keeps the old one; cell_rank (cells,). Collective."""
+    """The model without the fractures named, to be settled; the old one is kept as its ``whole``. Collective."""
     comm, ops = model.operators.layout.comm, model.operators
     mesh = on_root(comm, lambda: glued(model.mesh, _chosen(model.mesh, names)) if model.mesh is not None else None)
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
