@@ -199,7 +199,7 @@ class _Regimes:
         return report.after_trials(vain)
 
     def is_shaken(self, time: float) -> str:
-        """What shakes the rock from a time on, or has not ended; empty if nothing."""
+        """The cause that shakes the rock from a time on, or has not ended; empty if none does."""
         assert self.stage.time_step is not None
         slack = max(3.0 * NEAR * self.stage.time_step, 3e-11 * abs(time))  # steps end just before a jump
         now = (

@@ -116,7 +116,7 @@ class Judge:
 
     @property
     def last_words(self) -> str:
-        """What was reached, for the log."""
+        """The error that was reached, for the log."""
         assert self.tolerance is not None
         reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
         of = "volume stored in fractures" if self.of_film else "displacement"
@@ -218,7 +218,7 @@ class Judge:
             self.guess = 0.0
 
     def as_progress(self) -> dict[str, float]:
-        """What a checkpoint keeps of it."""
+        """The numbers that a checkpoint keeps of it."""
         return {
             "farthest": self.largest,
             "last": self.last,

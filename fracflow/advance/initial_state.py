@@ -1,4 +1,4 @@
-"""The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
+"""(2.40) The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def settle(model: Model) -> None:
 
 
 def _uncarried(scene: Scene) -> str:
-    """What is missing to div sigma_0 + b = 0, of each rock."""
+    """The force that is missing to div sigma_0 + b = 0, of each rock."""
     given = scene.initial_stress
     xy, yy = (given.gradient.xy, given.gradient.yy) if given is not None else (0.0, 0.0)
     found = []
@@ -102,7 +102,7 @@ def _unmoved(model: Model) -> tuple[Motion, Sections, PETSc.Vec]:
 
 
 def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.Vec) -> Forces:
-    """What holds a start: reactions of the supports, and beside the loads whatever is missing to balance. Collective."""
+    """Forces that hold a start: reactions of the supports, and any force that the loads lack to balance. Collective."""
     layout = model.operators.layout
     load = imbalance(model, motion.displacement, sections.traction, pressure)
     support, initial = load.copy(), layout.solid_vector()
@@ -165,7 +165,7 @@ def _affine(given: InitialMotion, key: str, points: Floats) -> Floats:
 
 
 def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
-    """Inner forces less the loads of the initial state, on all unknowns. The caller destroys it. Collective."""
+    """Inner forces of tractions (s, dim) less the initial loads, on all unknowns. The caller destroys it. Collective."""
     initial = model.operators.layout.solid_vector()
     model.loads.initial_force(initial)
     balance = static_balance(model.operators, displacement, traction, pressure, initial)
@@ -174,7 +174,7 @@ def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure:
 
 
 def _slack(model: Model) -> PETSc.Vec:
-    """What the rules of integration may differ by on each unknown. Collective.
+    """Difference that two rules of integration may have on each unknown. Collective.
 
     Over a joint of length L tractions linear between t_1 and t_2 give each end L (2 t_1 + t_2)/6, and L t_1/2 by the
     nodal rule: |t_2 - t_1| L/6 apart at most, likewise the pressures. A joint whose given tractions are not those that

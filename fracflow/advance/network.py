@@ -254,7 +254,7 @@ class Network:
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:
-    """What the walls have made room for in a step at all flow nodes (n,), and their largest motion. Collective.
+    """Room that the walls have made in a step at all flow nodes (n,), and their largest motion. Collective.
 
     Of a compressible fluid, which need not fill the room, what has been there before.
     """

@@ -13,7 +13,7 @@ AT_A_TIME = 1e-12  # of a time: others so near are the same
 
 @dataclass(frozen=True)
 class Prescribed:
-    """What the tables of a scene ask of the parts of a stage's steps.
+    """Times that the tables of a scene ask of the parts of a stage's steps.
 
     ends    times, ascending, at which parts end
     jumps   those at which the state is taken over anew

@@ -53,7 +53,7 @@ class Course:
     trials: float = 0.0
 
     def as_progress(self, place: Place | None = None) -> dict[str, float]:
-        """What a checkpoint keeps of it, and of the place in a step with inertia."""
+        """The numbers that a checkpoint keeps of it, and of the place in a step with inertia."""
         return {**vars(self), **(place or Place()).as_progress()}
 
     @classmethod

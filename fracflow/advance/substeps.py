@@ -69,7 +69,7 @@ class Place:
         return Place(level=self.level, calm=self.calm)
 
     def as_progress(self) -> dict[str, float]:
-        """What a checkpoint keeps of it."""
+        """The numbers that a checkpoint keeps of it."""
         return {f"place_{name}": float(value) for name, value in vars(self).items()}
 
     @classmethod

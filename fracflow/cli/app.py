@@ -1,4 +1,4 @@
-"""The command line: fracflow run, resume, check, mesh, picture, export, schema."""
+"""The command line: fracflow run, resume, check, mesh, picture, export, schema, help."""
 
 from __future__ import annotations
 
@@ -209,21 +209,46 @@ def export(
 
 
 @app.command()
-def schema(as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False) -> None:
+def schema(
+    as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False,
+    as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
+) -> None:
     """Every key of a scene: its values or dimension, its default, its meaning."""
     from rich.markup import escape
     from rich.table import Table
 
     from fracflow.scene.scene import Scene
-    from fracflow.scene.schema import rows
+    from fracflow.scene.schema import markdown, rows
 
     if as_json:
         typer.echo(json.dumps(Scene.json_schema(), indent=1))
+        return
+    if as_markdown:
+        typer.echo(markdown(Scene.json_schema()), nl=False)
         return
     table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
     for row in rows(Scene.json_schema()):
         table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
     Console(highlight=False, width=WIDTH).print(table)
+
+
+@app.command("help")
+def help_command(
+    context: typer.Context,
+    as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
+) -> None:
+    """Every command; with --markdown its arguments and options too."""
+    from fracflow.cli.reference import markdown
+
+    if as_markdown:
+        typer.echo(markdown(commands()), nl=False)
+    elif context.parent is not None:
+        typer.echo(context.parent.get_help(), nl=False)
+
+
+def commands() -> dict[str, Any]:
+    """The commands by name, each with its help and parameters."""
+    return typer.main.get_command(app).commands  # type: ignore[attr-defined, no-any-return]
 
 
 def petsc_options(petsc: object, words: list[str]) -> None:

@@ -26,7 +26,7 @@ a = pi; where (3.16) averages, which stores nothing of it, three elements a wave
 def wall_stiffness(
     normal: Floats, modulus: Floats, wavenumber: Floats, film: FilmStage, impedance: Floats, mass: Floats
 ) -> Floats:
-    """k_tot = k_n + E' kappa/4 + inertia [stress/length].
+    """k_tot (j,) = k_n + E' kappa/4 + inertia [stress/length].
 
     inertia is alpha_1 rho c_p/2 where a step is long against the time a wave takes through a cell, and alpha_0 rho h/4 of
     the walls' lumped masses where it is short: the larger of the two.
@@ -39,7 +39,7 @@ def wall_stiffness(
 def coupling_factor(
     alpha_1: float, conducting: Floats, wavenumber: Floats, stiffness: Floats, held: Floats | float = 0.0
 ) -> Floats:
-    """rho_t = alpha_1/((C kappa^2 + alpha_1 c_f d) k_tot), C = d^3/(12 mu): by which a cycle of (4.5) multiplies an error.
+    """rho_t (j,) = alpha_1/((C kappa^2 + alpha_1 c_f d) k_tot), C = d^3/(12 mu): factor of an error in a cycle of (4.5).
 
     held  c_f d, what a compressible fluid stores [length/stress]; without it rho_t is infinite at kappa = 0
     """

@@ -40,7 +40,7 @@ def storage_matrix(kind: str, points: Floats) -> Floats:
 
 
 def conductivity(conductance: Floats) -> Floats:
-    """(3.14a) k_F (n, 2, 2) of conductances (n,) [flow rate/pressure]; k_F p = flow rates into it."""
+    """(3.8)-(3.14a) k_F (n, 2, 2) of conductances (n,) [flow rate/pressure]; k_F p = flow rates into it."""
     matrices: Floats = np.einsum("n,i,j->nij", conductance, _ENDS, _ENDS)
     return matrices
 

@@ -139,7 +139,7 @@ class BDF2:
 def first(stepper: Stepper) -> Stepper:
     """The rule of a stage's first step: backward Euler for one that needs a step before it.
 
-    What is prescribed at the beginning of such a stage arrives during that step, so its start need not be in balance.
+    Prescribed values at the beginning of such a stage arrive during that step, so its start need not be in balance.
     One step of first order leaves the order of the whole.
     """
     return BackwardEuler() if stepper.memory else stepper

@@ -121,7 +121,7 @@ def first_rate(alphas: Alphas, new: Any, old: Any, rate_old: Any = 0.0, mean_old
 
 
 def checked(time_step: float) -> float:
-    """The time step; InputError unless positive."""
+    """The time step [time]. Raises InputError unless it is positive."""
     if not time_step > 0.0:
         raise InputError(f"time_step = {time_step}: must be positive")
     return time_step

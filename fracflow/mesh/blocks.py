@@ -126,7 +126,7 @@ class Blocks:
     sizes: Sizes
 
     def gather(self, ids: Ints, values: NDArray[Any], total: int) -> NDArray[Any] | None:
-        """Collect rows by their original numbers on rank 0, None elsewhere. Collective."""
+        """Collect rows (n, ...) by their original numbers (n,): (total, ...) on rank 0, None elsewhere. Collective."""
         parts = self.comm.gather((ids, values), root=0)
         if parts is None:
             return None
@@ -137,10 +137,10 @@ class Blocks:
 
 
 def owner_of(starts: Ints, numbers: Ints) -> Ints:
-    """Rank that owns each number, from the first number of each rank."""
+    """Rank (n,) that owns each number (n,), from the first number of each rank and the last of all (ranks + 1,)."""
     return np.searchsorted(starts, numbers, side="right") - 1
 
 
 def petsc_ints(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Cast to PETSc's integer, which its calls insist on."""
+    """Numbers (...) as PETSc's integers, which its calls insist on."""
     return np.ascontiguousarray(numbers, dtype=PETSc.IntType)

@@ -39,7 +39,7 @@ def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
 
 
 def partition_cells(mesh: SplitMesh | None, comm: MPI.Comm) -> Ints | None:
-    """Rank of each cell, on rank 0 (the mesh lives there); None elsewhere. Collective."""
+    """Rank (cells,) of each cell, on rank 0 (the mesh lives there); None elsewhere. Collective."""
     if comm.size == 1:
         assert mesh is not None
         return np.zeros(len(mesh.cells), dtype=np.int64)
@@ -99,7 +99,7 @@ def distribute(
 
 
 def rigid_bodies(mesh: SplitMesh, rigid_rocks: Collection[str]) -> tuple[Ints, Ints]:
-    """Body of each node (-1 for none) and rock of each body: connected pieces of rigid rock."""
+    """Body (nodes,) of each node, -1 for none, and rock (bodies,) of each body: connected pieces of rigid rock."""
     is_rigid = np.isin(mesh.cell_rock, [i for i, rock in enumerate(mesh.rocks) if rock in rigid_rocks])
     body = np.full(len(mesh.points), -1, dtype=np.int64)
     cells = mesh.cells[is_rigid]

@@ -121,12 +121,12 @@ def count_cells_at(cells: Ints, facets: Ints) -> Ints:
 
 
 def near(cells: Ints, facets: Ints) -> Ints:
-    """Cells with at least one whole facet's worth of nodes among those of ``facets``."""
+    """Those of cells (m, k) with at least as many nodes among those of ``facets`` (f, dim) as a facet has."""
     return cells[rows_near(cells, facets, facets.shape[1])]
 
 
 def rows_near(cells: Ints, facets: Ints, least: int) -> Ints:
-    """Rows of the cells with at least ``least`` nodes among those of ``facets``."""
+    """Rows (n,) of cells (m, k) with at least ``least`` nodes among those of ``facets`` (f, dim)."""
     is_on = np.zeros(1 + max(cells.max(initial=-1), facets.max(initial=-1)), dtype=bool)
     is_on[facets] = True
     # Padding looks up the last node; the second factor takes it out again.
@@ -145,5 +145,5 @@ def components(first: Ints, second: Ints, total: int) -> Ints:
 
 
 def spot(points: Floats, nodes: Ints) -> str:
-    """Coordinates of the middle of ``nodes``, for messages."""
+    """Coordinates of the middle of ``nodes`` (k,), for messages; points (n, dim)."""
     return "(" + ", ".join(f"{value:.6g}" for value in points[nodes].mean(axis=0)) + ")"

@@ -164,7 +164,7 @@ def _distance_to_fractures(mesh: SplitMesh, point: Floats) -> float:
 
 
 def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> FracturePlace | RockPlace:
-    """A probe sits on a fracture if ``on`` names one, or if it lies on one; else in the rock."""
+    """A probe sits on a fracture if ``on`` names one, or if it lies on one; else in the rock. Raises InputError."""
     if on is not None and on in mesh.fractures:
         return on_fracture(mesh, at, what, on)
     if on is not None and on not in mesh.rocks:

@@ -175,7 +175,7 @@ def cross(lines: Sketch, snap: float) -> Sketch:
 def near_edges(lines: Graph, chosen: Ints, reach: float) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """Chosen points within ``reach`` of an edge that does not end there, opposite to its inside.
 
-    Gives point, edge, place along the edge (0 to 1), foot (., 2) and distance [length].
+    Gives point (n,), edge (n,), place along the edge (n,) from 0 to 1, foot (n, 2) and distance (n,) [length].
     """
     point, edge = _points_in_boxes(lines.points[chosen], lines.points[lines.edges], reach)
     point = chosen[point]

@@ -23,7 +23,7 @@ def corner_angles(points: Floats, cells: Ints) -> Floats:
 
 
 def worst_cells(points: Floats, cells: Ints) -> dict[str, float]:
-    """Smallest and largest corner angle of padded cells [degree], and the parts of cells with a corner under 20, over 150."""
+    """Smallest and largest corner angle of cells (m, k) [degree], and the shares with a corner under 20, over 150."""
     count = np.sum(cells >= 0, axis=1)
     angles = [corner_angles(points, cells[count == k][:, :k]) for k in np.unique(count).tolist()]
     least, most = (np.concatenate([getattr(a, which)(axis=1) for a in angles]) for which in ("min", "max"))

@@ -37,7 +37,7 @@ class Network:
 
     @property
     def tips(self) -> Ints:
-        """Points where a single edge ends: the tips of fractures inside the rock."""
+        """Points (n,) where a single edge ends: the tips of fractures inside the rock."""
         count = np.bincount(self.edges.ravel(), minlength=len(self.points))
         return np.flatnonzero(count == 1)
 

@@ -16,7 +16,7 @@ from fracflow.model.terms.term import Term
 
 
 def compression_of(operators: Operators, state: State) -> Compression | None:
-    """What a compressible fluid holds at a state; None of one that is not. Collective."""
+    """Fluid beyond the room between the walls at a state; None of an incompressible fluid. Collective."""
     network = operators.flow
     if network is None or network.compressibility == 0.0:
         return None
@@ -35,7 +35,7 @@ def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
 
 
 def taken_up(operators: Operators, before: Compression, after: Compression) -> PETSc.Vec:
-    """What the fluid has taken up in between at the flow nodes, in a new vector [volume per thickness]. Collective."""
+    """Volumes that compression has taken up in between at the flow nodes, a new vector [volume per thickness]. Collective."""
     assert operators.flow is not None
     result = operators.layout.flow_vector()
     operators.flow.taken_up(after.held - before.held, result)
@@ -98,7 +98,7 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
 def uptake_at(
     operators: Operators, state: State, alphas: Alphas, before: Compression | None, after: Compression | None
 ) -> Floats | None:
-    """The same of what compression has taken up since ``state``; None of a fluid that is incompressible. Collective."""
+    """The same (n,) of the fluid that compression has taken up since ``state``; None if incompressible. Collective."""
     if before is None or after is None:
         return None
     taken = taken_up(operators, before, after)
@@ -123,7 +123,7 @@ def lost(
     before: Compression | None,
     after: Compression | None,
 ) -> float:
-    """What a part has lost of what it must keep, over its natural size: its fluid, or its level. Collective."""
+    """Fluid or level that a part must keep and has lost, over its natural size; pressure_change (n,). Collective."""
     if closure.by != "level":
         taken = taken_by(operators, closure, before, after)
         return float((closure.weights.dot(moved) + taken) / closure.size)
@@ -133,7 +133,7 @@ def lost(
 
 
 def why_not_finite(operators: Operators, conduction: Conduction | None) -> str:
-    """What has no finite value at a trial: the density of the fluid in a fracture that is named, or tractions. Collective."""
+    """The term without a finite value at a trial: density of the fluid in a fracture, named, or tractions. Collective."""
     comm, block, network = operators.layout.comm, operators.blocks.joints, operators.flow
     pressed = ("", 0.0)
     if network is not None and conduction is not None and len(conduction.pressure):

@@ -1,4 +1,4 @@
-"""What is prescribed: displacements of supports and pressures, each unknown by the first that names it."""
+"""Prescribed displacements of supports and pressures, each unknown by the first that names it."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Prescribed:
     well: str = ""
 
     def speed(self, time: float, around: Around) -> float | Floats:
-        """Mean velocity over the halves of the steps ``around`` a time: no ringing where it jumps, as Newmark's would."""
+        """Mean velocity (n,) over the halves of the steps ``around`` a time; does not ring at jumps, as Newmark's would."""
         before, after = 0.5 * around[0], 0.5 * around[1]
         return (self.value(time + after) - self.value(time - before)) / (before + after)
 
     def acceleration(self, time: float, around: Around) -> float | Floats:
-        """Change of the mean velocity from the step before a time to that after it; none where a stage begins or ends."""
+        """Change (n,) of the mean velocity from the step before a time to that after; none where a stage begins or ends."""
         before, after = around
         if before == 0.0 or after == 0.0:
             return 0.0
@@ -85,7 +85,7 @@ def supported(
 
 
 def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
-    """Local numbers of those that a rank owns."""
+    """Local numbers (m,) of those that a rank owns of numbers (n,), each once."""
     mine = np.unique(everywhere)
     return mine[owner_of(starts, mine) == rank] - starts[rank]
 
@@ -93,7 +93,7 @@ def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
 def prescribe(
     starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[..., Any]
 ) -> tuple[Prescribed, Ints]:
-    """What this rank holds of numbers (n,) found anywhere, but for those taken before; and all that is taken now.
+    """Unknowns of this rank among numbers (n,) found anywhere, but for those taken before; and all taken now. Collective.
 
     value  of time, of what was found with each number (n, k), and of what is ``around`` that time
     """

@@ -1,4 +1,4 @@
-"""The energy books: every term booked over each step with (2.33b), and what is left over.
+"""(2.24)-(2.27) The energy books: every term booked over each step with (2.33b), and what is left over.
 
 Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
@@ -116,7 +116,7 @@ def compressed(ops: Operators, old: State, new: State) -> float:
 
 
 def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
-    """What a volume of fluid brings, as a mean over the instants, in a new vector [stress]."""
+    """Potential of a volume of fluid, as a mean over the instants, in a new vector [stress]."""
     assert ops.flow is not None
     if ops.flow.compressibility == 0.0:
         balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)
@@ -148,13 +148,13 @@ def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
 
 
 def spurious_share(totals: Mapping[str, float]) -> float:
-    """What a coupling of matrices that are not transposed has made of nothing, over the largest entry of the books."""
+    """Energy that a coupling without transposes has made of nothing, over the largest entry of the balance."""
     largest = max(abs(totals[name]) for name in (*STORED, *WORK))
     return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
 
 
 def dissipated(old: State, new: State) -> Floats:
-    """(2.27b) with (2.33b): what friction has dissipated at each section (s,) after a step from ``old`` [energy/area]."""
+    """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area]."""
     work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
     result: Floats = old.friction + 0.5 * work.sum(axis=1)
     return result

@@ -17,7 +17,7 @@ from fracflow.model.state import State
 
 @dataclass(frozen=True)
 class Scheme:
-    """What the books must know of a step; the first three as in ``stepping.Stepper``.
+    """The rule of a step as the energy balance needs it; the first three as in ``integrators.Stepper``.
 
     alphas  of a step with inertia; None of one that only puts a motion in, and of an explicit one
     held    local numbers of the solid unknowns that are prescribed

@@ -38,7 +38,7 @@ def is_transposed(storage: str) -> bool:
 
 @dataclass(frozen=True)
 class Compression:
-    """What a compressible fluid holds at the joint ends (j, 2) beyond the room between the walls.
+    """Compressible fluid at the joint ends (j, 2) beyond the room between the walls.
 
     Counted, as flow rates are, in volumes at its initial pressure: s = d exp(c_f (p - p0)) is what a fracture holds.
 
@@ -122,7 +122,7 @@ class Flow:
         return self.aperture + jump
 
     def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
-        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
+        """(3.14e,f) Conductances (j,) of all elements at an opening (j, 2), with the end pressures that drive. Collective."""
         mechanical = self.apertures(displacement, opening)
         hydraulic = np.maximum(mechanical, self.least)
         mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
@@ -149,7 +149,7 @@ class Flow:
         )
 
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
-        """What the fluid holds at apertures (j, 2) under pressures above rest (j, 2)."""
+        """Fluid beyond the room at apertures (j, 2) under pressures above rest (j, 2)."""
         half = 0.5 * self.length[:, None] * (aperture > 0.0)
         with np.errstate(over="ignore", invalid="ignore"):  # a trial out of reach is refused for what comes of it
             denser = np.expm1(self.compressibility * (driving - self.counted))
@@ -157,7 +157,7 @@ class Flow:
             return Compression(held, self.compressibility * (half * aperture + held), half * denser)
 
     def potential(self, driving: Floats) -> Floats:
-        """Work that a volume as it is counted brings, int dp/(s/d), at pressures above rest [stress]: those, without c_f."""
+        """Work of a volume as it is counted, int dp/(s/d), at pressures above rest (...) [stress]: those, without c_f."""
         if self.compressibility == 0.0:
             return driving
         lighter = np.expm1(self.compressibility * (self.counted - driving))
@@ -195,7 +195,7 @@ def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
 
 
 def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flow:
-    """Operators of the network of a scene that has a fluid. Collective."""
+    """(2.28)-(2.29), (2.34)-(2.36), (3.17)-(3.19) B and B_F, and the network of a scene with a fluid. Collective."""
     assert scene.fluid is not None
     comm, block, dim = blocks.comm, blocks.joints, blocks.sizes.dim
     corners = blocks.solid.points[block.bottom]

@@ -206,12 +206,12 @@ class Joints:
         return changed
 
     def step_limit(self, strain: Floats, increment: Floats) -> float:
-        """Largest fraction of an increment that every law of this rank allows; at most 1."""
+        """Largest fraction of an increment (s, dim) that every law of this rank allows; at most 1."""
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
     def change_at(self, strain: Floats, increment: Floats) -> float:
-        """Fraction of an increment at which the first section of this rank opens or closes; inf where none does."""
+        """Fraction of an increment (s, dim) at which the first section of this rank opens or closes; inf where none does."""
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([np.inf, *(float(np.min(place)) for place in places)])
 
@@ -231,7 +231,7 @@ class Joints:
         )
 
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
-        """(2.15)-(2.19), (2.31) ``result`` += G' W f: forces that resist, tension's +n on top. Collective."""
+        """(2.15)-(2.19), (2.31) ``result`` += G' W f, f (s, dim): forces that resist, tension's +n on top. Collective."""
         tractions = self.jump.createVecLeft()
         tractions.setArray((self.weights[:, None] * traction).ravel())
         self.jump.multTransposeAdd(tractions, result, result)
@@ -271,7 +271,7 @@ def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
 
 
 def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -> tuple[LawGroup, ...]:
-    """One group a law, its parameters as arrays over the sections of every fracture that names it."""
+    """One group a law, its parameters as arrays (n,) over its sections; initial tractions (s, dim), natural (q,)."""
     block = blocks.joints
     tables = [scene.fracture_named(name) for name in block.fractures]
     fracture = np.repeat(block.fracture, len(natural))
@@ -299,7 +299,7 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
 def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int, carried: bool) -> None:
     """Raise InputError, on every rank, that lists fractures under initial tension or past their strength. Collective.
 
-    With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
+    initial (s, dim) tractions. With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
     """
     fracture = np.repeat(blocks.joints.fracture, points)
     tension, failed = set(), set()

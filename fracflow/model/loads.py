@@ -1,4 +1,4 @@
-"""What acts from outside: supports, loads on sides, wells; each a constant pattern times a function of time."""
+"""(2.38), (3.7) Supports, loads on sides, wells: each a constant pattern times a function of time."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Loads:
 
     @property
     def held(self) -> Ints:
-        """Local numbers of the solid unknowns that are prescribed, or stay where they are."""
+        """Local numbers (n,) of the solid unknowns that are prescribed, or stay where they are."""
         parts = [part.numbers for part in self.supports] + ([self.resting] if self.at_rest else [])
         return np.concatenate(parts) if parts else self.resting[:0]
 
@@ -89,7 +89,7 @@ class Loads:
 
     @property
     def given_pressures(self) -> Ints:
-        """Local numbers of the flow nodes of this rank whose pressure is prescribed."""
+        """Local numbers (n,) of the flow nodes of this rank whose pressure is prescribed."""
         return np.concatenate([part.numbers for part in self.pressures] or [np.zeros(0, dtype=np.int64)])
 
     def at_limit(self, reached: Collection[Limit]) -> Loads:
@@ -242,7 +242,7 @@ def assemble_loads(
 ) -> Loads:
     """Patterns of all loads.
 
-    points      name -> split nodes of a named point
+    points      name -> split nodes (n,) of a named point
     well_nodes  name of a well -> PETSc number of its flow node
     Collective. Raises InputError, on every rank, for names the mesh does not have.
     """

@@ -43,9 +43,9 @@ def damped_mass(operators: Operators, held: Ints, half: float) -> Solve:
 
 
 def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
-    """M^-1 of a lumped mass, nothing for what is ``held`` (local numbers): free blocks of rigid bodies are inverted whole.
+    """M^-1 of a lumped mass, nothing for the ``held`` (n,), local numbers: free blocks of rigid bodies are inverted whole.
 
-    InputError, on every rank, where a free unknown has no mass. The caller destroys the result. Collective.
+    Raises InputError, on every rank, where a free unknown has no mass. The caller destroys the result. Collective.
     """
     matrix, block, comm = operators.mass, operators.blocks.solid, operators.layout.comm
     start, stop = matrix.getOwnershipRange()

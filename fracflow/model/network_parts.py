@@ -48,7 +48,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Closure:
-    """What stands for the balance at one node of a part that nothing drains and where nothing is stored.
+    """The row in place of the balance at one node of a part that nothing drains and where nothing is stored.
 
     The balances of its nodes add up to nothing, so one says what the others do, and the level is left open.
 
@@ -127,7 +127,7 @@ def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
 
 
 def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -> np.ndarray:
-    """Whether the volume of each part changes when its walls move, with some displacements held. Collective.
+    """Whether the volume of each part (k,) changes when its walls move, with some displacements held. Collective.
 
     It does not, too, where walls move in such a way only that they make as much room as they take: a rigid block afloat.
     """
@@ -181,7 +181,7 @@ def close(operators: Operators, part: Part, gives: bool, holds: bool = False) ->
 
 
 def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
-    """Joined numbers of the unknowns in a closure's row, and their weights; the same on every rank. Collective."""
+    """Joined numbers (n,) of the unknowns in a closure's row, and weights (n,); the same on every rank. Collective."""
     local = closure.weights.getArray(readonly=True)
     first = closure.weights.getOwnershipRange()[0]
     entries = np.union1d(np.flatnonzero(local), closure.touched)

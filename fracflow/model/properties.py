@@ -62,7 +62,7 @@ def body_force(scene: Scene, rock: str) -> Floats:
 
 
 def side_facets(blocks: Blocks, name: str) -> Ints:
-    """Local numbers of this rank's facets of a named side."""
+    """Local numbers (f,) of this rank's facets of a named side."""
     sides = blocks.solid.sides
     return np.flatnonzero(blocks.solid.side_of == sides.index(name)) if name in sides else np.zeros(0, dtype=np.int64)
 

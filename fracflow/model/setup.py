@@ -108,7 +108,7 @@ def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
 
 @contextmanager
 def naming(scene: Scene) -> Iterator[None]:
-    """Let every InputError of what is done inside name the scene's file."""
+    """Give every InputError that is raised inside the name of the scene's file."""
     try:
         yield
     except InputError as error:
@@ -184,13 +184,13 @@ def of_well(mesh: SplitMesh, name: str, node: int) -> str:
 
 
 def is_moved(mesh: SplitMesh, asked: Place, spot: Floats) -> bool:
-    """Whether a place given by coordinates is not where its node is."""
+    """Whether a place given by coordinates is not at its node's ``spot`` (dim,)."""
     near = 1e-6 * float(np.ptp(mesh.points, axis=0).max())
     return isinstance(asked, tuple) and float(np.linalg.norm(np.asarray(asked) - spot)) > near
 
 
 def moved(name: str, asked: Place, spot: Floats) -> str:
-    """Say where a well or probe sits, and how far from where it was asked."""
+    """Say at which node's ``spot`` (dim,) a well or probe sits, and how far from the place asked for."""
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot))
     return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
 
@@ -246,7 +246,7 @@ def set_up(
 
     mesh       on rank 0
     placed     where the scene's names sit on it
-    cell_rank  its partition in an earlier run, on rank 0
+    cell_rank  its partition (cells,) in an earlier run, on rank 0
     """
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = with_terms(assemble(blocks, scene), scene)
@@ -260,7 +260,7 @@ def set_up(
 
 
 def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:
-    """PETSc numbers of flow nodes given by their original numbers. Collective."""
+    """PETSc numbers (n,) of flow nodes given by their original numbers (n,). Collective."""
     own = blocks.flow.starts[blocks.comm.rank] + np.arange(len(blocks.flow.ids))
     parts = blocks.comm.allgather([(i, own[blocks.flow.ids == i][0]) for i in np.intersect1d(ids, blocks.flow.ids)])
     known = {int(i): int(n) for part in parts for i, n in part}

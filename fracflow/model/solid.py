@@ -20,7 +20,7 @@ CHUNK = 16384  # cells whose element matrices fit a processor's cache: two to th
 
 
 def by_shape(cells: Ints) -> Iterator[tuple[Ints, Ints]]:
-    """Cells with equal numbers of nodes, a chunk at a time: (which cells, their nodes without padding)."""
+    """Those of cells (m, k) with equal numbers of nodes, a chunk at a time: numbers (n,), nodes without padding (n, w)."""
     count = (cells >= 0).sum(axis=1)
     for width in np.unique(count):
         alike = np.flatnonzero(count == width)
@@ -98,7 +98,7 @@ def rock_values(blocks: Blocks, scene: Scene, key: str) -> Floats:
 
 
 def deformable(blocks: Blocks, scene: Scene) -> Ints:
-    """Local cells of rock that deforms."""
+    """Local cells (n,) of rock that deforms."""
     rigid = np.array([scene.rock[name].rigid for name in blocks.solid.rocks], dtype=bool)
     return np.flatnonzero(~rigid[blocks.solid.cell_rock])
 

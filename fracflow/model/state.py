@@ -44,7 +44,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Sections:
-    """What the laws answered at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
+    """Response of the laws at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
 
     blur    (s, dim) what round-off may have done to the strain since the start [length]
     record  (s,) largest traction that the section has carried since the start [stress]
@@ -104,7 +104,7 @@ class Forces:
 
 @dataclass(frozen=True)
 class Memory:
-    """What a rule without inertia remembers of the step before, in the same stage.
+    """Memory that a rule without inertia has of the step before, in the same stage.
 
     time_step  its length, 0 where there was none [time]
     velocity   the mean velocity over it of the solid unknowns [length/time]
@@ -177,7 +177,7 @@ def forgetful(state: State) -> State:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What a step cost and how it ended.
+    """Cost and end of a step.
 
     solid_residual  beyond ``round_off``, what displacements of finite digits leave of the balances; both relative
     digits          fewest digits that round-off leaves of the tractions of a fracture

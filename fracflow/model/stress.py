@@ -24,7 +24,7 @@ def deforms(mesh: SplitMesh, scene: Scene) -> NDArray[np.bool_]:
 
 
 def per_cell(cells: Ints, kernel: Callable[[Ints, Ints], Floats], *shape: int) -> Floats:
-    """Values (m, *shape) that ``kernel`` gives for cells of one number of nodes: (which cells, their nodes)."""
+    """Values (m, *shape) of cells (m, k); ``kernel`` gives them for numbers (n,) and nodes (n, w) of one shape."""
     result = np.zeros((len(cells), *shape))
     for chosen, nodes in by_shape(cells):
         result[chosen] = kernel(chosen, nodes)
@@ -59,7 +59,7 @@ def tensors(values: Floats) -> Floats:
 
 
 def properties(mesh: SplitMesh, scene: Scene, key: str, cells: Ints | slice = slice(None)) -> Floats:
-    """A property of the rock in cells; 0 where the scene leaves it out."""
+    """A property (n,) of the rock in cells; 0 where the scene leaves it out."""
     return np.array([getattr(scene.rock[name], key) or 0.0 for name in mesh.rocks])[mesh.cell_rock[cells]]
 
 

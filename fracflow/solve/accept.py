@@ -64,7 +64,7 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
 
 
 def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepReport:
-    """What a step cost that one solve of Newton's did."""
+    """Report of a step that one solve by Newton's method made."""
     return StepReport(
         report.newton,
         report.krylov,

@@ -39,7 +39,7 @@ class Exchange:
         return self._move(rows[self.order], self.sent, self.received)
 
     def back(self, rows: Floats) -> Floats:
-        """The other way. Collective."""
+        """Rows (S, k) of the clusters -> rows (s, k) of this rank's sections. Collective."""
         result = np.empty((len(self.order), rows.shape[1]))
         result[self.order] = self._move(rows, self.received, self.sent)
         return result

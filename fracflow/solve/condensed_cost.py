@@ -75,7 +75,7 @@ def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks:
 
 
 Key = tuple[float, float]
-"""What of a rule of stepping the rock's matrix depends on: shares of mass and damping."""
+"""Shares of mass and damping, by which a time integrator enters the rock's matrix."""
 SMALLEST = 500  # displacements: of fewer a factorisation is the least of a step (report_5_5: 3.4 against 4.1 CPU s)
 CLEARLY = (
     1.5  # times less work in a step: where it is nearly the same, each step that is solved anew for all unknowns tells
@@ -110,7 +110,7 @@ def key_of(alphas: Alphas, damps: bool) -> Key:
 
 
 def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool) -> Condensing:
-    """What is planned, for so many displacements and jumps of joints."""
+    """The plan for so many displacements and jumps of joints."""
     clearly = full_step(unknowns) >= CLEARLY * condensed_step(unknowns, jumps, ranks=ranks)
     pays = break_even(unknowns, jumps, ranks=ranks) if jumps and clearly and fits(unknowns, jumps) else math.inf
     steps: dict[Key, float] = {}

@@ -1,4 +1,4 @@
-"""What to tell whose step did not converge: where, what was tried, what to change."""
+"""Messages on a step that did not converge: place, methods that were tried, remedy."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def _loose(floating: Floating) -> Ints:
 
 
 def _block(floating: Floating, piece: int) -> str:
-    """What a block is called."""
+    """Name of a block."""
     block, middle = floating.operators.blocks.solid, floating.frames.middle[piece]
     rock = block.rocks[block.piece_rock[piece]]
     return f'block {piece} (rock "{rock}", centred at ({middle[0]:.4g}, {middle[1]:.4g}))'

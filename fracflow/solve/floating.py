@@ -1,7 +1,7 @@
 """Blocks of rock that nothing holds: rigid motions of the blocks that no closed joint, support, tie or term resists.
 
 A block is what no joint cuts. Each moves as (translations, turn about its middle, times its size); a joint section that
-carries resists the jump that the motions of its two blocks make there. What is left over, the null space, floats.
+carries resists the jump that the motions of its two blocks make there. The null space that is left over floats.
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ def _moved_unknowns(blocks: Blocks, frames: Frames, group: Ints) -> Iterator[tup
 
 
 def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> Rows:
-    """What supports hold."""
+    """Rows of the motions that supports hold."""
     start = int(blocks.solid.unknown_starts[blocks.comm.rank])
     held = loads.held + start
     motions, values = [np.zeros((0, 3), dtype=np.int64)], [np.zeros((0, 3))]
@@ -259,7 +259,7 @@ def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> 
 
 
 def _tie_rows(blocks: Blocks, frames: Frames, group: Ints) -> Rows:
-    """What ties hold: nodes that share an unknown move alike. On rank 0; collective."""
+    """Rows of the motions that ties hold: nodes that share an unknown move alike. On rank 0; collective."""
     block, comm = blocks.solid, blocks.comm
     nothing = Rows(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros(0), 0)
     if not len(block.unused):

@@ -43,9 +43,9 @@ class FlowDigits:
 def flow_power(
     operators: Operators, conduction: Conduction | None, pressure: PETSc.Vec, source: PETSc.Vec, given: Ints
 ) -> float:
-    """What runs for certain: where pressure drops, and in wells, by more than round-off could [energy/time per thickness].
+    """Power of the flow that is no round-off: where pressure drops, and in wells [energy/time per thickness].
 
-    source  what the nodes draw; given  local numbers of those whose pressure is given. Collective.
+    source  rates that the nodes draw; given (n,) local numbers of nodes whose pressure is given. Collective.
     """
     network = operators.flow
     if conduction is None or network is None:

@@ -94,7 +94,7 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
 def first_levels(
     operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[Enclosed]
 ) -> Floats:
-    """What to add to the pressures of each of the parts (k,), so that its walls take up what flows in from the start.
+    """Changes (k,) of the pressures of parts, so that their walls take up the inflow from the start.
 
     The sum of (3.20) over a part that nothing drains, w v = sum Q, says nothing of its level; its rate does: w a = sum Q',
     where a level adds M^-1 w to the ``acceleration`` that there would be without. Collective.
@@ -108,7 +108,7 @@ def first_levels(
 
 
 def levels(operators: Operators, loads: Loads, parts: Sequence[Enclosed], lacks: Floats) -> tuple[Floats, PETSc.Vec]:
-    """What to add to the pressures of each of the parts (k,), and to accelerations, so that w a grows by ``lacks`` (k,).
+    """Changes (k,) of the pressures of parts, and of accelerations, so that w a grows by ``lacks`` (k,).
 
     Levels c add sum c M^-1 w, in a new vector; zero where held. Collective.
     """
@@ -159,7 +159,7 @@ def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
 
 
 def with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:
-    """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none."""
+    """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none. Collective."""
     zeros = PETSc.Mat().createAIJ(matrix.getSizes(), nnz=1, comm=matrix.getComm())
     first, last = zeros.getOwnershipRange()
     rows = np.arange(first, last, dtype=PETSc.IntType)

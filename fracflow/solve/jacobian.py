@@ -26,7 +26,7 @@ PARTS = ("solid", "flow")
 
 @dataclass(frozen=True)
 class FreePart:
-    """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
+    """The free part of a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
 
     ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node; ``keeping`` are the rows of
     closures that keep the fluid at a joint end.
@@ -42,7 +42,7 @@ class FreePart:
 
 
 class JoinedMatrix:
-    """Matrix [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns, rows of what is held are 1.
+    """(4.8) [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns; held rows are 1.
 
     ``only`` leaves one of the two splits free, "solid" or "flow"; None both.
     """
@@ -186,7 +186,7 @@ class JoinedMatrix:
         flow_scale: float,
         only: str | None = None,
     ) -> bool:
-        """Refill where anything differs from the last time; tell whether it did. Collective."""
+        """Refill with moduli (s, dim, dim) where anything differs from the last time; whether it did. Collective."""
         now = (alphas, flow_scale, only)
         arrays = [moduli] + (
             [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]

@@ -1,4 +1,4 @@
-"""What a linear solve has left: direct solvers call what they make of a singular matrix a solution."""
+"""The true residual of a linear solve: direct solvers give a solution of a singular matrix too."""
 
 from __future__ import annotations
 

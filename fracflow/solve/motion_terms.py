@@ -19,14 +19,14 @@ from fracflow.solve.residual import CANCELLATION, largest
 
 @dataclass(frozen=True)
 class Lag:
-    """What the prescribed displacements and pressures (an array a support, or well) still lack at the end of a step."""
+    """Part of the prescribed displacements and pressures (an array a support, or well) unapplied at the end of a step."""
 
     displacement: tuple[Floats, ...] = ()
     pressure: tuple[Floats, ...] = ()
 
     @staticmethod
     def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Lag:
-        """A share of what ``state`` lacks, what jumps there included.
+        """A share of the values that ``state`` lacks, jumps there included. Collective.
 
         Forces that lack, and rates ``of_wells``, go into ``load`` and ``source``.
         """

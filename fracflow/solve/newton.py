@@ -177,7 +177,7 @@ class Newton:
             raise NotConverged(describe_floating(self.scene, problem, self.floating, slack))
 
     def _round_off(self, problem: StepProblem) -> float:
-        """What is left of the balance where it holds [force per thickness]. Collective."""
+        """Residual that is left of the balance where it holds [force per thickness]. Collective."""
         size = problem.solid_balance.norm(PETSc.NormType.INFINITY)
         return self.scene.accuracy.residual * float(size) / max(problem.residual.solid, 1e-300)
 

@@ -88,8 +88,8 @@ def is_large(unknowns: int) -> bool:
 def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``unknowns`` of displacement decide between factorisation and multigrid. What an earlier call, for this scene or
-    another of this process, had put there goes.
+    ``unknowns`` of displacement decide between factorisation and multigrid. Options that an earlier call, for this
+    scene or another of this process, had put there go.
     """
     database = PETSc.Options()
     forget()

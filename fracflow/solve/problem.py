@@ -167,7 +167,7 @@ class StepProblem:
         return old._replace(displacement=np.zeros_like(old.displacement))
 
     def acceleration(self) -> PETSc.Vec:
-        """(4.2e) of the trial, in a new vector."""
+        """(4.2e) Acceleration of the trial, in a new vector. Collective."""
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
         result.setArray(acceleration(self.alphas, moved, self._start()))
         for part in self._driven():
@@ -175,7 +175,7 @@ class StepProblem:
         return result
 
     def velocity(self) -> PETSc.Vec:
-        """(4.2f) of the trial, in a new vector."""
+        """(4.2f) Velocity of the trial, in a new vector. Collective."""
         before, result = self.state.memory.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
@@ -288,7 +288,7 @@ class StepProblem:
         return changed
 
     def hand_on(self) -> tuple[Floats, Floats] | None:
-        """This rank's motion and pressures for another problem to start from; None where they are not finite. Collective."""
+        """This rank's motion (n,) and pressures (m,) for another problem to start from; None if not finite. Collective."""
         if not np.isfinite(self.increment.norm() + self.pressure.norm()):
             return None
         return self.increment.getArray().copy(), self.pressure.getArray().copy()

@@ -52,16 +52,16 @@ def blur(before: Floats, moved: Floats) -> Floats:
 
 
 def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float:
-    """What of a balance of forces is only round-off of this rank's jumps, which no iteration can take away.
+    """Round-off bound of a balance of forces, by this rank's jumps; no iteration can reduce it.
 
-    ``moved`` as for ``blur``, of this step. [force per thickness]
+    ``moved`` (s, dim) as for ``blur``, of this step. [force per thickness]
     """
     force = np.einsum("sij,sj->si", np.abs(sections.tangent), ROUND_OFF * moved) * operators.joints.weights[:, None]
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
 def noise_of_pressure(network: Flow, conduction: Conduction) -> Floats:
-    """What round-off of the pressures makes of the flow at the joint ends (j, 2) [volume rate per thickness]."""
+    """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
     noise: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
     return noise
@@ -185,7 +185,7 @@ def largest(vector: PETSc.Vec) -> float:
 
 
 def largest_of(values: Floats) -> float:
-    """Size of the largest value; infinite where one is not a number."""
+    """Size of the largest of values (...); infinite where one is not a number."""
     size = float(np.abs(values).max(initial=0.0))
     return size if size == size else np.inf
 
@@ -213,7 +213,7 @@ def flow_residual(
 
 
 def flow_sizes(conduction: Conduction, before: Floats | float, drive: float, storing: float) -> tuple[Floats, float]:
-    """What elements carry at full pressure at their ends (j, 2), terms whose difference is their flow; the most that runs.
+    """Flow of elements at full pressure at their ends (j, 2), whose difference is their flow; and the largest flow.
 
     before  end pressures of the last state; drive  largest pressure that has driven since the start
     storing  b_1, by which a compressible fluid is taken up

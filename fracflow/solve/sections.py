@@ -46,7 +46,7 @@ class FilmOnJoints:
         self.fills = 0
 
     def given(self, problem: StepProblem) -> PETSc.Vec:
-        """What is known of the balance before the step is solved, in a new vector. Collective."""
+        """Terms of the balance that are known before the step is solved, in a new vector. Collective."""
         state, result = problem.state, problem.source.copy()
         result.axpy(1.0, state.forces.source)
         result.axpy(-1.0, state.forces.conduction)
@@ -57,7 +57,7 @@ class FilmOnJoints:
     def balance(self, problem: StepProblem, change: Floats, given: PETSc.Vec) -> tuple[float, Floats]:
         """Evaluate ``problem.flow_balance`` where sections have moved by ``change`` (s, dim) in the step.
 
-        What is left of it over its largest term, and its derivatives (s, 2), at both nodes of the joint, by the opening of
+        Gives its residual over its largest term, and its derivatives (s, 2), at both nodes of the joint, by the opening of
         each section. Collective.
         """
         network, joints, flow = self.operators.flow, self.operators.joints, problem.flow_balance
@@ -158,7 +158,7 @@ class SectionReport:
 
 @dataclass(frozen=True)
 class _Rows:
-    """What clusters need of their sections in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
+    """Data of the sections of clusters in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
 
     left: Floats
     size: Floats
@@ -188,7 +188,7 @@ class SectionSolver:
         return result
 
     def pushed(self, problem: StepProblem, change: Floats) -> Floats:
-        """What sections that moved by ``change`` (s, dim) pull more than before, beyond elastic moduli [stress]. Collective."""
+        """Change (s, dim) of total tractions, beyond elastic moduli, of sections moved by ``change`` [stress]. Collective."""
         before = self.pull(problem.state.sections.traction, problem.state.pressure)
         now = self.pull(problem.sections.traction, problem.pressure)
         return now - before - np.einsum("sij,sj->si", self.elastic, change)

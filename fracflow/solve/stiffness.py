@@ -29,7 +29,7 @@ class NewtonReport:
 
 
 class SingularMatrix(Exception):
-    """What a method without the tangent may come to."""
+    """A matrix that a method without the tangent may come to."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Stiffness:
 
 
 def tangent_moduli(joints: Joints, sections: Sections) -> Floats:
-    """(2.22) d f / d eps of what the laws answered."""
+    """(2.22) d f / d eps (s, dim, dim) of the laws' response."""
     return sections.tangent
 
 
 def secant_moduli(joints: Joints, sections: Sections) -> Floats:
-    """(f - f_0) / eps, component by component: from the initial state straight to here; the tangent at the initial state.
+    """(f - f_0) / eps (s, dim, dim), component by component, from the initial state to here; the tangent at eps = 0.
 
     Back at eps = 0 with plastic slip there is no secant: it is as steep there as round-off of eps lets it be.
     """
@@ -64,7 +64,7 @@ def secant_moduli(joints: Joints, sections: Sections) -> Floats:
 
 
 def softly_held(moduli: Floats, scales: Scales) -> Floats:
-    """Moduli with a trace of stiffness where a joint has none: the step leads a loose block to its next contact."""
+    """Moduli (s, dim, dim) with a trace of stiffness where a joint has none: a loose block moves to its next contact."""
     soft = SOFT * scales.force / (scales.displacement * scales.length)
     return moduli + soft * ~np.any(moduli != 0.0, axis=1)[:, :, None] * np.eye(moduli.shape[1])
 

@@ -54,7 +54,7 @@ class Cycle:
         result.scale(-1.0)
 
     def uniform_uptake(self) -> Floats:
-        """|C 1| at this rank's nodes, what a uniform pressure makes walls take up [scaled]; 0 where held. Collective."""
+        """|C 1| (n,) at this rank's nodes: uptake of the walls by a uniform pressure [scaled]; 0 where held. Collective."""
         ones, result = self.blocks[1][1].createVecs()
         ones.setArray(np.where(self.held, 0.0, 1.0))
         self.uptake(ones, result)
@@ -102,7 +102,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the linearised cycle says.
+    """Prediction of the linearised cycle.
 
     factor    rho, by which a plain cycle multiplies the error; infinite where the flow is singular
     fracture  where that error is largest

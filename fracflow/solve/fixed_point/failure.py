@@ -1,4 +1,4 @@
-"""What to tell of cycles of (4.5) that do not converge: where, by how much, how many it would take, what to change."""
+"""Messages on cycles of (4.5) that do not converge: place, factor, number of cycles, remedy."""
 
 from __future__ import annotations
 

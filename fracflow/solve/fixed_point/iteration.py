@@ -165,7 +165,7 @@ class FixedPoint:
         raise _Lost("", total, left)
 
     def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
-        """(4.5a) What the flow adds to the pressures (n,) of this rank, the walls as they are. Collective."""
+        """(4.5a) Changes (n,) that the flow makes to this rank's pressures, the walls as they are. Collective."""
         unit, scale = problem.operators.scales.pressure, problem.flow_scale()
         self.whole_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, scale)
         if self.whole_matrix.fills != self._network_of:
@@ -227,7 +227,7 @@ class FixedPoint:
         return float(problem.pressure.norm(PETSc.NormType.INFINITY))
 
     def _driven(self, problem: StepProblem) -> float:
-        """What drives: differences between pressures, or their change in the step; a datum drives nothing. Collective."""
+        """The pressure that drives: differences, or the change in the step; a datum drives nothing. Collective."""
         now, before = problem.pressure.getArray(readonly=True), problem.state.pressure.getArray(readonly=True)
         span = problem.pressure.max()[1] - problem.pressure.min()[1]
         return max(span, self._largest(now - before))
