@@ -9,8 +9,9 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
-__all__ = ["InputError", "Interrupted", "Run", "SolveError", "converge", "load", "open", "run"]
+from fracflow._version import __version__
+
+__all__ = ["InputError", "Interrupted", "Run", "SolveError", "__version__", "converge", "load", "open", "run"]
 
 if TYPE_CHECKING:
     from fracflow.api import Run, converge, load, open, run

@@ -18,7 +18,7 @@ LONGEST = 450
 
 # layers from the ground up; packages of one layer do not import each other, but for the second of a pair in BESIDE
 LAYERS = (
-    {"errors", "storage", "_petsc"},
+    {"errors", "storage", "_petsc", "_version"},
     {"laws", "elements", "integrators"},
     {"scene", "mesh"},
     {"model"},
@@ -70,8 +70,7 @@ def imports(module: Module, known: dict[str, Module]) -> set[str]:
             for alias in node.names:
                 is_module = f"{base}.{alias.name}".removeprefix(ROOT + ".") in known
                 is_ours = base == ROOT or base.startswith(ROOT + ".")
-                if alias.name != "__version__" or base != ROOT:
-                    found.add(f"{base}.{alias.name}" if is_ours and is_module else base)
+                found.add(f"{base}.{alias.name}" if is_ours and is_module else base)
     return found
 
 
@@ -196,7 +195,8 @@ HOUSE = {
     "mesh/gmsh.py": "import gmsh\n",
     "scene/__init__.py": "",
     "scene/scene.py": "from fracflow.scene import units\nfrom ..laws import JOINT_LAWS\nx = 'bent-spring'\n",
-    "scene/units.py": "import pint\nfrom fracflow import __version__\n",
+    "_version.py": "",
+    "scene/units.py": "import pint\nfrom fracflow._version import __version__\n",
     "simulation/__init__.py": "",
     "simulation/run.py": "from ..mesh import gmsh\nkind = 'linear'\n",
 }

@@ -12,7 +12,7 @@ from pydantic import (
     model_validator,
 )
 
-from fracflow import __version__
+from fracflow._version import __version__
 from fracflow.errors import InputError
 from fracflow.scene.absorbing import Absorbing
 from fracflow.scene.checks import check_mesh_names, contradictions

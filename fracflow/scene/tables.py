@@ -15,7 +15,7 @@ from pydantic import (
 )
 from typing_extensions import Self
 
-from fracflow import __version__
+from fracflow._version import __version__
 from fracflow.errors import InputError
 from fracflow.scene.absorbing import Absorbing
 from fracflow.scene.accuracy import Accuracy

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fracflow import __version__
 from fracflow._petsc import MPI
+from fracflow._version import __version__
 from fracflow.advance.step import Step
 from fracflow.diagnostics import as_lines, scene_card
 from fracflow.diagnostics import as_records as card_records
