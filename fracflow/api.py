@@ -54,7 +54,7 @@ class Run:
 
     @property
     def energy(self) -> Arrays:
-        """Energy books by entry, (n,) each: running totals per unit thickness [force length / length]."""
+        """Energy balance by entry, (n,) each: running totals per unit thickness [force length / length]."""
         return self._part("energy/")
 
     @property
@@ -88,7 +88,7 @@ class Run:
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
         way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there,
         else the beginning of the step in which it slips or opens, and start_latest the end of that step (nan in rows of kind
-        "event"); end is that of the first step without it.
+        "event"); The end is that of the first step without it.
         Of a stage auto also kind "event", from the first section that slides to the last that sticks: place of the first,
         largest slip, and, nan in other rows, sections, length, mean_slip [length], mean stress_drop [stress], moment G slip
         length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides, dissipated by
@@ -105,7 +105,7 @@ class Run:
 
     @property
     def status(self) -> str:
-        """How the run stands: running, ended, stopped, failed or cut off (killed); empty where the folder does not tell."""
+        """How the run stands: running, ended, stopped, failed or cut off (killed); empty where the folder does not state it."""
         return read_status(self.folder).word
 
     @property
@@ -115,7 +115,7 @@ class Run:
 
     @property
     def card(self) -> list[dict[str, Any]]:
-        """The scene card: ten numbers with limit, place and remedy. Raises InputError without plan.json."""
+        """The pre-run checks: ten numbers with limit, place and remedy. Raises InputError without plan.json."""
         return self._planned("card")
 
     def _planned(self, key: str) -> list[dict[str, Any]]:
@@ -186,9 +186,9 @@ def converge(
     """Run a scene on ``levels`` meshes, each with cells and time steps half as large as the one before, and compare.
 
     Leaves the runs in level-0, level-1, ... of the folder ``out``, by default runs/<name of the scene>-converge, beside
-    converge.csv, converge.json and converge.png; runs that are complete there are not made again. Gives the finest
-    run, and for each quantity its observed order and estimated error, in the scene's units, with a warning where these are
-    not to be trusted. Under mpirun every rank must call it. ``trust`` is as in ``load``. Raises as ``run`` does.
+    converge.csv, converge.json and converge.png. Runs that are complete there are not made again. Gives the finest run,
+    and for each quantity its observed order and estimated error, in the scene's units. A warning is given where these
+    are not reliable. Under mpirun every rank must call it. ``trust`` is as in ``load``. Raises as ``run`` does.
     """
     from fracflow._petsc import MPI
     from fracflow.simulation.refinement import converge

@@ -76,7 +76,7 @@ def run_command(
         run_levels(given, output or Path("runs") / f"{given.name}-converge", converge, console, comm)
         return
     folder = output or Path("runs") / given.name
-    if output is None and folder.is_symlink():  # nobody has named it: what lies beside a scene may come from anybody
+    if output is None and folder.is_symlink():  # the user has not named it: files beside a scene may come from anybody
         raise InputError(f"{folder}: is a link; name the run folder with -o")
     on_root(comm, lambda: check_folder(folder))
     if (folder / "history.h5").exists():

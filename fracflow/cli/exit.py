@@ -37,14 +37,15 @@ while True:
 if last:
     os.write(2, last + b"\\n")
 """
-"""It keeps the last line that it was told, and prints it when a rank or its input ends; an empty line sends it away."""
+"""It keeps the last line of its input, and prints it when a rank or its input ends; an empty line ends it."""
 
 
 class LastWords:
     """The line on the terminal where ranks are killed: MPI then ends the others before they could say a thing.
 
-    Another process says it, in a session of its own that mpirun does not end: the launcher leaves ranks a second, and one that
-    waits for another cannot speak. Only of several ranks; one alone is seen to be killed by whoever started it.
+    Another process prints it, in a session of its own that mpirun does not end. The launcher leaves ranks a second, and
+    a rank that waits for another cannot print. Only of several ranks; one alone is seen to be killed by whoever started
+    it.
     """
 
     def __init__(self, comm: MPI.Comm, folder: Path) -> None:
@@ -76,7 +77,7 @@ class LastWords:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """The run has ended in a way that is told otherwise."""
+        """The run has ended in a way that is reported otherwise."""
         self._tell("")
         if self._watcher is not None and self._watcher.stdin is not None:
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Runs at the command line: their progress in sight, and what they left told and drawn."""
+"""Runs at the command line, with a progress bar, a report and pictures."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def watched(
     title: str = "",
     is_shown: bool = True,
 ) -> None:
-    """Do a job with its progress in sight, then tell and draw what it left. Raises what the job raises."""
+    """Do a job with a progress bar, then report and draw its results. Raises what the job raises."""
     total, start = 0, 0.0
     for stage in scene.stage:
         count = stage.step_count(start) or 0
@@ -86,7 +86,7 @@ class Sight:
     """The bar of a run: its steps, and the trials that were rejected, each as it is.
 
     update  is given a line, and how many steps more there are
-    saved   is told after how many steps the last state on disk is
+    saved   is given the number of steps up to the last state on disk
     """
 
     saved: Callable[[int], None]
@@ -127,14 +127,14 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
         why = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
         if isinstance(error, BrokenPipeError) or (isinstance(error, OSError) and not error.filename):
             raise
-        line = f"! told and drawn only in part: {why}; again with: fracflow picture {folder}"
+        line = f"! report and pictures incomplete: {why}; again with: fracflow picture {folder}"
         console.print(line, soft_wrap=True, markup=False)
     for path in paths:
         console.print(f"picture: {path}", soft_wrap=True, markup=False)
 
 
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
-    """Run a scene level by level, tell the finest run, and what the levels tell about its errors."""
+    """Run a scene level by level, and report the finest run and its errors by comparison of levels."""
     from fracflow.output.convergence_look import tell
     from fracflow.scene.levels import order_in_time
     from fracflow.simulation.refinement import check_levels, converge, has_tips

@@ -1,4 +1,4 @@
-"""The scene card: numbers that tell before a run where its methods may fail, each with its limit and what to change.
+"""Pre-run checks: numbers that show before a run where its methods may fail, each with its limit and a remedy.
 
 A limit warns only where the scene uses the method that it is about; else the number is there as information.
 """

@@ -1,4 +1,4 @@
-"""Numbers of the film: how its coupling and its time stepping fare, and what the cubic law leaves out."""
+"""Numbers of fracture flow: the quality of its coupling and time stepping, and the limits of the cubic law."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def wall_stiffness(
 ) -> Floats:
     """k_tot (j,) = k_n + E' kappa/4 + inertia [stress/length].
 
-    inertia is alpha_1 rho c_p/2 where a step is long against the time a wave takes through a cell, and alpha_0 rho h/4 of
-    the walls' lumped masses where it is short: the larger of the two.
+    inertia is the larger of two: alpha_1 rho c_p/2 where a step is long against the time of a wave through a cell, and
+    alpha_0 rho h/4 of the walls' lumped masses where it is short.
     """
     inertia = np.maximum(film.alpha_1 * impedance, film.alpha_0 * mass) if film.alpha_0 > 0.0 else 0.0
     result: Floats = normal + modulus * wavenumber / 4.0 + inertia
@@ -97,7 +97,7 @@ def transient(view: View) -> Number:
     """rho_t of the slowest mode, pi/2L with L the longest way to a prescribed pressure; the fixed point needs less than 1."""
     name, formula = "coupling, transient", "rho_t = 12 mu alpha_1/(d^3 kappa^2 k_tot)"
     if not view.flows or not view.stages:
-        return Number(name, formula, note="no film that moves")
+        return Number(name, formula, note="no fracture flow that moves")
     limit, note = _cycles(view)
     found = [(view.worst(slowest(view, film)), film) for film in view.stages]
     (value, _, where), film = max(found, key=lambda each: -1.0 if each[0][0] is None else each[0][0])
@@ -154,7 +154,7 @@ def ringing(view: View) -> Number:
     name, formula, joints = "film ringing", "dt/(2 tau_d)", view.joints
     films = [film for film in view.stages if film.is_trapezoid] or view.stages
     if not view.flows or not films or joints.is_held.all():
-        return Number(name, formula, note=HELD if view.flows and films else "no film that moves")
+        return Number(name, formula, note=HELD if view.flows and films else "no fracture flow that moves")
     kappa = np.sqrt(STEEPEST[view.scene.method.storage]) / joints.length
     soft = np.where(np.isfinite(joints.modulus), joints.modulus, 0.0)
 
@@ -226,7 +226,7 @@ def compressibility(view: View) -> Number:
     if value is None or in_si <= GAS:
         return Number(name, formula, value, None, False, where, note="modelled" if given else "not stated; water")
     remedy = (
-        f"fluid.compressibility is {in_si:.2g} 1/Pa, that of a gas below 10 bar, whose density the film does not follow:"
+        f"fluid.compressibility is {in_si:.2g} 1/Pa, that of a gas below 10 bar, whose density the model does not follow:"
         " give 1/K_f of a liquid (4.5e-10 1/Pa for water), not K_f"
     )
     return Number(name, formula, value, value * GAS / in_si, True, where, remedy, "modelled")

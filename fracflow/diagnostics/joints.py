@@ -1,4 +1,4 @@
-"""Values of every joint that the scene card needs, gathered once from the scene and its split mesh, on one process."""
+"""Values of every joint that the pre-run checks need, gathered once from the scene and its split mesh, on one process."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class CardJoints:
                      equal cells of depth h [stress time^2/length]
     component        hydraulic component
     reach            of its component, the longest way along the network to a prescribed pressure; inf where none is [length]
-    is_held          (j,) whether its fracture has a prescribed pressure, so that its film has no equation
+    is_held          (j,) whether its fracture has a prescribed pressure, so that its flow has no equation
     """
 
     names: tuple[str, ...]

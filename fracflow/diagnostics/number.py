@@ -1,4 +1,4 @@
-"""A number of the card, and what all of them are made from."""
+"""A number of the pre-run checks, and the input of all of them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from fracflow.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Number:
-    """One number of the card.
+    """One number of the pre-run checks.
 
     formula        its symbol, then what it is: "t_v = rho_f d^2/(12 mu)"
-    value, limit   None where the scene does not tell, or where nothing here is bounded
+    value, limit   None where the scene does not define it, or where nothing here is bounded
     out_of_range   whether the value is past a limit of a method that the scene uses
     where          fracture and stage of the worst value
     remedy         what to change, empty in range
@@ -39,7 +39,7 @@ class Number:
 
 @dataclass(frozen=True)
 class FilmStage:
-    """A stage in which walls move the film: its step, alpha_1 and alpha_0 of (4.3), and whether by the trapezoid."""
+    """A stage in which walls move the fluid: its step, alpha_1 and alpha_0 of (4.3), and whether by the trapezoid."""
 
     name: str
     time_step: float
@@ -49,11 +49,11 @@ class FilmStage:
 
 
 WEIGHT = {"backward-euler": 1.0, "bdf2": 1.5, "trapezoid": 2.0}
-"""alpha_1 dt of the rules for the film in stages without inertia."""
+"""alpha_1 dt of the integrators of fracture flow in stages without inertia."""
 
 
 def film_stages(scene: Scene, stage: Stage) -> Iterator[FilmStage]:
-    """How a stage steps the film, of a stage auto with and without inertia; nothing where it does not."""
+    """The steps of fracture flow in a stage, of a stage auto with and without inertia; nothing without flow."""
     method, name = scene.method, stage.name or stage.kind
     waves = {"dynamic": stage.time_step, "auto": stage.dynamic_time_step}.get(stage.kind)
     if waves is not None:

@@ -14,15 +14,15 @@ from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, STIFFNESS
 
 RESOLVED = 0.25  # h over the length E'/k_s that a joint gives to the edge of slip
-RESOLVES = 0.99  # a size over the one asked for: cells differ a little from what Gmsh is told
-MOST_NAMES = 8  # fractures told of
+RESOLVES = 0.99  # a size over the one asked for: cells differ a little from the size given to Gmsh
+MOST_NAMES = 8  # fractures that are listed
 COHESIVE = 9.0 * np.pi / 32.0  # Lambda_0 over mu* D_c/(tau_p - tau_r): Day et al. (2005)
 ZONE = 4.0  # joints in Lambda_0
 UNSTABLE = 1.158  # L_c over mu* D_c/(tau_p - tau_r): Uenishi and Rice (2003)
 PATCH = 5.0  # joints in L_c
 GROWTH = 0.096
-"""Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them walls let waves grow below a contrast
-of 1.4 only; along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
+"""Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them waves grow below a contrast
+of 1.4 only. Along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
 
 
 def _slip_scale(view: View) -> Floats:
@@ -92,7 +92,7 @@ def nucleation_lengths(view: View) -> Floats:
 
 
 def longest_joints(view: View) -> dict[str, Floats]:
-    """The longest joints (j,) that resolve each length of slip, as the numbers of the card ask; inf where there is none."""
+    """The longest joints (j,) that resolve each length of slip, as the pre-run checks demand; inf where there is none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         drops = np.where(view.drops, RESOLVED * view.joints.length[:, None] / _slip_scale(view), np.nan)
         limits = {

@@ -2,12 +2,12 @@
 
 A part whose omission would save no work stays: the record says so. The decisions, each in a function of DECISIONS:
 
-flow       the pressures; what walls that move do to them; storage of the film; compressibility; inertia of the fluid
+flow       the pressures; what walls that move do to them; storage of fractures; compressibility; inertia of the fluid
 inertia    of the rock, in stages whose loads are slow; the run begins anew with it where one swings, slips or opens
-tied       fractures that can neither slip, open nor conduct; the run begins anew with them where one might
+tied       locked fractures, which can neither slip, open nor conduct; the run begins anew with them where one might
 parts      of the rock, which nothing loads; exact
 solver     factors of matrices that joints have changed since; the unknowns of the rock, condensed to the joints; exact
-outputs    fields of steps that nobody asks for; rock beyond absorbing sides
+outputs    fields of steps that are not requested; rock beyond absorbing sides
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def planned(
 
 
 def find_facts(model: Model) -> Facts:
-    """The input of decisions, except the scene card, locked fractures and blocks of the rock. Collective."""
+    """The input of decisions, except the pre-run checks, locked fractures and blocks of the rock. Collective."""
     ops, scene = model.operators, model.scene
     facts = Facts(
         scene,

@@ -20,7 +20,7 @@ class Decision:
     saves   what it saves; what would have been saved is no reason by itself
     stage   the stage that it is about, empty for the whole run
     undone  when it was taken back during the run, and by which value; empty while it stands
-    asked   the scene has it; what a scene has not is no decision, and its number tells whether it should
+    asked   the scene has it; its number in the pre-run checks shows whether it should have a part that it lacks
     """
 
     part: str
@@ -73,14 +73,14 @@ class Parts:
 
 @dataclass(frozen=True)
 class Facts:
-    """A scene as it is stated, and what its model tells of it.
+    """A scene as it is stated, and values from its model.
 
     period      longest period in which it vibrates while its joints stick; infinite where that was not asked [time]
     unrest      what the first instant changes in the loads, over their scale [1]
     unknowns    of displacement, and ``pressures`` of pressure, on all ranks
     jumps       components of the jumps of all joint sections
     damps       terms have a C
-    card        numbers of the scene card by their names; on rank 0 only
+    card        numbers of the pre-run checks by their names; on rank 0 only
     shut        fractures that are tied, also where that was undone
     parts       parts of the rock, also where all of them are kept
     undone      what was taken back in an earlier try of the run: "part, stage" -> when and why
@@ -100,7 +100,7 @@ class Facts:
     undone: Mapping[str, str] = field(default_factory=dict)
 
     def with_card(self, numbers: Sequence[Number]) -> Facts:
-        """The same with the scene card."""
+        """The same with the pre-run checks."""
         return replace(self, card={number.name: number for number in numbers})
 
     @property

@@ -1,7 +1,8 @@
 """The fluid: what of it a scene would hardly notice. One factorisation serves rock and fluid: leaving it out saves little.
 
-Of injection into two crossing fractures in rock of 20 000 displacements, 30 steps took 4.0 CPU seconds, 3.8 with steady flow
-in place of film storage, and 3.0 with a compressible fluid: no more than runs differ by on a machine that others use.
+Of injection into two crossing fractures in rock of 20 000 displacements, 30 steps took 4.0 CPU seconds. With steady
+flow in place of fracture storage they took 3.8, with a compressible fluid 3.0. Runs differ by as much on a machine that
+others use.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def compressibility(facts: Facts) -> list[Decision]:
 
 
 def fluid_inertia(facts: Facts) -> list[Decision]:
-    """Never modelled; the card warns of it."""
+    """Never modelled; the pre-run checks warn of it."""
     number = facts.card.get("fluid inertia")
     if not facts.scene.has_flow or not facts.scene.has_dynamics or number is None or number.value is None:
         return []

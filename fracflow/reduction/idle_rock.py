@@ -61,7 +61,7 @@ def idle_nodes(model: Model) -> tuple[Bools, Parts]:
     held = [held_here or name in leaves for held_here, name in zip(held, mesh.fractures, strict=True)]
     drives = np.isin(mesh.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[mesh.joint_fracture]
     loaded[part[mesh.joint_bottom[drives].ravel()]] = True
-    if not loaded.any():  # what a run without loads is for, nobody knows
+    if not loaded.any():  # the purpose of a run without loads is unknown
         return none, Parts(count, count)
     idle = ~loaded[part]
     return idle, Parts(count, int(loaded.sum()), int(idle.sum()) * mesh.points.shape[1])

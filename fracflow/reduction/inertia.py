@@ -1,8 +1,8 @@
 """Inertia where loads are slow: a stage dynamic is then run as a stage auto, which has inertia only while something fails.
 
-A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static answer (Biggs
-1964, 2.3): for a ramp that takes T_load, with a kink at each end, at most T/(pi T_load) of what the load does. Many small
-changes in time with a mode add up, for as long as they last.
+A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static response
+(Biggs 1964, 2.3). For a ramp that takes T_load, with a kink at each end, this is at most T/(pi T_load) of the effect of
+the load. Many small changes in time with a mode add up, for as long as they last.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
 
 
 def asks_period(scene: Scene) -> bool:
-    """Whether the longest period would tell anything."""
+    """Whether the longest period is of use."""
     return any(stage.kind == "dynamic" and not why_not(scene, n, start, end) for n, stage, start, end in spans(scene))
 
 
@@ -89,7 +89,7 @@ def _kicks(facts: Facts, start: float, end: float) -> float:
 
 
 def longest_step(facts: Facts, value: float, stage: Stage, start: float, end: float) -> float:
-    """Step without inertia: the tolerance's share of the shortest ramp, twice that without a film, which fills in time."""
+    """Step without inertia: the tolerance's share of the shortest ramp, twice that without flow, which takes time."""
     ramp = facts.period / (pi * value) if value > 0.0 else end - start
     return min(ramp, end - start) * facts.tolerance * (1.0 if facts.scene.has_flow else 2.0)
 

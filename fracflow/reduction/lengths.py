@@ -23,7 +23,7 @@ def mean_spacing(area: float, length: float) -> float:
 
 
 def front_length(conducting: Floats, normal: Floats, held: Floats | float, time: float) -> Floats:
-    """sqrt(D t), how far a pressure reaches along a film: D = C/(1/k_n + c_f d), C = d^3/(12 mu) [length].
+    """sqrt(D t), the reach of a pressure along a fracture: D = C/(1/k_n + c_f d), C = d^3/(12 mu) [length].
 
     The diffusivity of (3.9) with walls that give by k_n alone, the shortest reach that there is.
     """
@@ -42,8 +42,8 @@ def corner_period(length: float, speed: float) -> float:
 def shortest_period(tables: Iterable[TimeTable], start: float, end: float) -> float:
     """Period of the fastest swing of any table between two times; inf where all stand still, 0 where one jumps [time].
 
-    Half of it is the time of a swing over the whole range at the steepest mean slope of a stretch that rises or falls: exact
-    for a sine, twice the length of a ramp; small fast ripples count by their share of the range.
+    Half of it is the time of a swing over the whole range at the steepest mean slope of a stretch that rises or falls.
+    It is exact for a sine, and twice the length of a ramp. Small fast ripples count by their share of the range.
     """
     found = np.inf
     for table in tables:

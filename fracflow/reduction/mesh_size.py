@@ -57,7 +57,7 @@ class Need:
     size     the largest joint or cell that resolves it there [length]
     found    the one there [length]
     along    whether it is joints that must be so short, else cells
-    is_told  whether ``unresolved`` tells: the card tells of others, or no stated mesh need be like that
+    is_told  whether ``unresolved`` lists it: the pre-run checks list others, or no stated mesh need be like that
     where    fracture or rock, and place
     """
 
@@ -70,7 +70,7 @@ class Need:
 
 
 def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
-    """A line for each length that a mesh does not resolve, but for those of the scene card. On one process."""
+    """A line for each length that a mesh does not resolve, except those of the pre-run checks. On one process."""
     view = View(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)
     coarse = slip.coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}

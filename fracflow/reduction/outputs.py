@@ -15,7 +15,7 @@ def fields(facts: Facts) -> list[Decision]:
 
 
 def far_field(facts: Facts) -> list[Decision]:
-    """Rock beyond absorbing sides, which waves that meet them at an angle would tell from none."""
+    """Rock beyond absorbing sides, which changes waves that meet them at an angle."""
     scene = facts.scene
     ratios = sorted({rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None})
     sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)

@@ -1,20 +1,20 @@
 """Fractures that can neither slip, open nor conduct are tied: their walls are one, and the rock goes on across them.
 
-Their compliance must not matter. A fracture of stiffness k adds its length over k times the area of the rock to what 1/E' is
-without it (Goodman 1976), and relieves the stress within its own length of it by E'/(k length); a wave of length w comes back
-from it by pi E'/(k w) (Schoenberg 1980). So L in E'/(k L) is the least of the area of the rock over the length of those tied,
-the fracture's own length, and with inertia w/pi of the shortest wave that the mesh resolves.
+Their compliance must not matter. A fracture of stiffness k adds its length over k times the area of the rock to 1/E' of
+the rock (Goodman 1976). It relieves the stress within its own length by E'/(k length), and reflects pi E'/(k w) of a
+wave of length w (Schoenberg 1980). So L in E'/(k L) is the least of three lengths: the area of the rock over the length
+of those locked, the fracture's own length, and with inertia w/pi of the shortest wave that the mesh resolves.
 
-The measured effect may be less than that of all of the rock. At a distance r a jump of 1/k over a length l adds a strain of
-about 1/(k r), and moves the rock by 1/k, from farther than l/2 by l/(2 k r) at most, of which a support that mirrors it is half
-(Crouch & Starfield 1983, 5). Whatever loads it, the rock strains there by 1/E', and moves by r/E' where supports are no nearer
-than r. So L is no more than the distance of the nearest probe, and what all of them do at a probe is the sum of
-E' l/(k r max(2 r, l)). Between a support and a fracture d apart may lie all that deforms: L is no more than d, on average
-along the fracture, and they add to the compliance of a layer d deep.
+The measured effect may be less than that of all of the rock. At a distance r a jump of 1/k over a length l adds a
+strain of about 1/(k r), and moves the rock by 1/k. From farther than l/2 it moves it by l/(2 k r) at most, half of it
+by the mirror image in a support (Crouch & Starfield 1983, 5). Whatever loads it, the rock strains there by 1/E', and
+moves by r/E' where supports are no nearer than r. So L is no more than the distance of the nearest probe, and what all
+of them do at a probe is the sum of E' l/(k r max(2 r, l)). All that deforms may lie between a support and a fracture d
+apart. So L is no more than d, on average along the fracture, and they add to the compliance of a layer d deep.
 
-Their strength must suffice for all that the scene may add to the initial stress: what loads and supports bring, and what
-fractures that are not tied shed, which slip or are pumped into. A crack of half length a sheds x/sqrt(x^2 - a^2) - 1 of what
-it loses at a distance x from its middle, along its own line, where that is most.
+Their strength must suffice for all that the scene may add to the initial stress. Loads and supports add to it, and
+fractures that are not locked, which slip or are pumped into, shed some. A crack of half length a sheds x/sqrt(x^2 -
+a^2) - 1 of what it loses at a distance x from its middle, along its own line, where that is most.
 """
 
 from __future__ import annotations

@@ -33,9 +33,9 @@ class Accuracy(Part):
     )
     tolerance: Fraction | None = Field(
         default=None,
-        description="error of results that time steps may make in a stage, over the largest change: steps are cut in parts so"
-        " that the errors of their parts, as estimated, add up to no more, of displacements with inertia, without it of the"
-        " volume stored in fractures; without it every step is of length time_step [1]",
+        description="error of results that time steps may make in a stage, over the largest change: steps are cut in substeps"
+        " whose estimated errors add up to no more; with inertia of displacements, without it of the volume stored in"
+        " fractures; if not given, every step is of length time_step [1]",
     )
     step_error: Fraction | None = Field(
         default=None,

@@ -81,8 +81,8 @@ class Method(StepperKeys):
     )
     storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = Field(
         default="lumped",
-        description="matrices of pressure force and film storage; lumped, consistent (2.37) and averaging (3.16) use one for"
-        " both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: what these two make of nothing is booked",
+        description="matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one"
+        " for both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work",
     )
     conductance: Literal["exact", "report"] = Field(
         default="exact",
@@ -105,14 +105,14 @@ class Method(StepperKeys):
         default="newmark",
         description="time integrator of dynamic stages: newmark (4.1)-(4.3); hht and generalised-alpha, which damp what the"
         " time step does not resolve and are of second order; implicit-euler, of first order, which damps all; explicit,"
-        " central differences of the rock with joints and film solved at the end of each step, in parts no longer than stable",
+        " central differences of the rock with joints and flow solved at the end of each step, in stable substeps",
     )
     fault_damping: Literal["auto"] | Annotated[float, Quantity(at_least=0.0)] = Field(
         default="auto",
         description="damping of the fastest vibration of the cells at fractures that can slide, over the critical one, in"
         " explicit steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a"
         " prescribed pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is"
-        ' none, and the default of model = "report"; booked as damping [1]',
+        ' none, and the default of model = "report"; counted as damping in the energy balance [1]',
     )
     coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
         default="auto",
@@ -132,7 +132,7 @@ class Method(StepperKeys):
     )
     events: Literal["auto", "located", "at-step-ends"] = Field(
         default="auto",
-        description="changes of friction, opening and closing in dynamic stages: each ends a part of its step (located), or is"
+        description="changes of friction, opening and closing in dynamic stages: each ends a substep (located), or is"
         " taken as the end of a step finds it; auto: located where no rock deforms, and while fewer"
         " than 16 sections slide, twice as many for each refine",
     )
@@ -153,8 +153,8 @@ class Method(StepperKeys):
     )
     line_search: Literal["none", "residual", "energy"] = Field(
         default="energy",
-        description="what shortens a step of Newton once joints open and close in circles, or whole steps do not converge:"
-        " nothing, the size of the residual, or the work that the unbalanced forces do along the step",
+        description="measure that shortens a step of Newton once joints open and close in cycles, or whole steps do not"
+        " converge: nothing, the size of the residual, or the work that the unbalanced forces do along the step",
     )
     newton_test: Literal["residual", "out-of-balance", "displacement"] = Field(
         default="residual", description="when Newton stops: scaled residuals, (4.9a), or (4.9b)"

@@ -20,7 +20,7 @@ class Before:
 
     rows, attrs  of history.h5, up to the checkpoint
     mesh         root of the seal of mesh.h5, empty without one
-    told         lines that a user should read
+    told         lines for the user
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:

@@ -14,7 +14,7 @@ from fracflow.scene.scene import Scene
 from fracflow.simulation.suction import told_suction
 from fracflow.simulation.totals import Totals
 
-TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
+TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is reported again
 TOLD_FROM = 0.1  # smaller factors are all the same
 
 FOLD = 1.5
@@ -22,16 +22,16 @@ FOLD = 1.5
 more, c d0^2 > 4/27, walls are only stopped by their own stiffness, at a solution far away; for less there are both."""
 WIDENS = 2.0  # and again where an aperture grew by as much more
 STRAINED = 0.1  # p/E: a tenth is no small strain
-SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
+SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
 
 
 def watches_spurious(scene: Scene) -> bool:
-    """Whether pressure force and film storage are not transposed, so that the books have a spurious entry."""
+    """Whether pressure force and storage are not transposed, so that the energy balance has a spurious entry."""
     return scene.has_flow and not is_transposed(scene.method.storage)
 
 
 class Notices:
-    """Tells of each step once: the totals keep what was told, also across a resume."""
+    """Reports each step once: the totals keep the reported lines, also across a restart."""
 
     def __init__(self, model: Model, totals: Totals, log: Callable[[str], None]) -> None:
         """Before the first step."""
@@ -76,7 +76,7 @@ class Notices:
             if totals.spurious <= SPURIOUS < share:
                 self._log(
                     f'time {step.state.time:.6g}: spurious work of method.storage = "{self._scene.method.storage}" is'
-                    f" {share:.1e} of the largest entry of the energy books, above {SPURIOUS:g}: see energy/spurious;"
+                    f" {share:.1e} of the largest entry of the energy balance, above {SPURIOUS:g}: see energy/spurious;"
                     ' method.storage = "lumped" has none'
                 )
             totals.spurious, totals.spurious_time = share, step.state.time

@@ -40,6 +40,6 @@ def told_suction(model: Model, state: State) -> str:
     time = f"time {state.time:.6g} {system.time}".rstrip()
     return (
         f"{time}: the pressure in {name} at ({x:.6g}, {y:.6g}){lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
-        " boils or lets air in there, of which the model knows nothing, and pulls the walls together in it: give a"
+        " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"
         " minimum_pressure to the wells that draw, or a higher fluid.initial_pressure if pressures are above another datum"
     )
