@@ -12,6 +12,7 @@ from fracflow.laws.base import (
     parameters_of,
     published_history,
 )
+from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, ReportCubic
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
@@ -23,6 +24,9 @@ JOINT_LAWS: dict[str, type[JointLaw]] = {
     "slip-weakening": SlipWeakening,
 }
 
+# of fractures without a conductance of their own, as method.conductance names them; others are registered in the same way
+FLOW_LAWS: dict[str, type[FlowLaw]] = {"exact": ExactCubic, "report": ReportCubic}
+
 
 def make_law(name: str, **parameters: Any) -> JointLaw:
     """The law of that name, with parameters as numbers or arrays (n,)."""
@@ -32,6 +36,6 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 
 __all__ = [
-    "JOINT_LAWS", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "LawStep", "Linear",
-    "SlipWeakening", "keys_of", "make_law", "parameters_of", "published_history",
+    "FLOW_LAWS", "JOINT_LAWS", "FlowLaw", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "LawStep",
+    "Linear", "SlipWeakening", "keys_of", "make_law", "parameters_of", "published_history",
 ]  # fmt: skip

@@ -117,7 +117,7 @@ def joint_ends(sampler: Sampler, state: State, names: tuple[str, ...]) -> Floats
         found["pressure"] = found["flow_rate"] = np.full((count, 2), np.nan)
     if flow is not None and not FLOW.isdisjoint(names):
         opening = joints.openings(sections.strain)
-        network = flow.conduct(state.motion.displacement, state.pressure, opening)
+        network = flow.conduct(state.motion.displacement, state.pressure, joints.walls(sections, flow.law))
         found["pressure"] = network.pressure + flow.resting_end
         found["aperture"] = flow.apertures(state.motion.displacement, opening)
         through = network.conductance * (network.pressure[:, 0] - network.pressure[:, 1])
@@ -149,7 +149,8 @@ def _at_least(sampler: Sampler, state: State) -> tuple[int, float]:
         return 0, 0.0
     opening = sampler.operators.joints.openings(state.sections.strain)
     ends = flow.at_least(state.motion.displacement, opening)
-    network = flow.conduct(state.motion.displacement, state.pressure, opening)
+    walls = sampler.operators.joints.walls(state.sections, flow.law)
+    network = flow.conduct(state.motion.displacement, state.pressure, walls)
     through = np.abs(network.conductance * (network.pressure[:, 0] - network.pressure[:, 1]))[ends.any(axis=1)]
     most = comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX) * sampler.flow_depth
     return comm.allreduce(int(ends.sum())), most
