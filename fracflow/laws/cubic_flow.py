@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from fracflow.laws.base import INSTANT, Floats, History, LawStep, Parameter
-
-MeanCube = Callable[[Parameter, Parameter], tuple[Floats, Floats, Floats]]
 
 
 def _walls(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats]:
@@ -47,9 +44,6 @@ def exact_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Float
     slope_1 = 2.0 * share_1 * share_2 * d2 * (total + d2)
     slope_2 = 2.0 * share_1 * share_2 * d1 * (total + d1)
     return mean, slope_1, slope_2
-
-
-MEANS: dict[str, MeanCube] = {"exact": exact_mean_cube, "report": report_mean_cube}
 
 
 def conductance(mean_cube: Parameter, length: Parameter, viscosity: Parameter) -> Floats:
@@ -111,7 +105,10 @@ class FlowLaw(ABC):
 class CubicLaw(FlowLaw):
     """(3.4) The cubic law of a hydraulic aperture, by a mean over the element that ``mean_cube`` gives."""
 
-    mean_cube: ClassVar[MeanCube]
+    @staticmethod
+    @abstractmethod
+    def mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats, Floats]:
+        """Mean of the cubed aperture [length^3] over elements of end apertures (n,), and its two derivatives (n,)."""
 
     def hydraulic(
         self, opening: Floats, slip: Floats, history: History, step: LawStep
@@ -124,7 +121,7 @@ class CubicLaw(FlowLaw):
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """(3.14a,e) Mean cube over 12 mu L."""
         hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
-        mean, slope_1, slope_2 = type(self).mean_cube(hydraulic[:, 0], hydraulic[:, 1])
+        mean, slope_1, slope_2 = self.mean_cube(hydraulic[:, 0], hydraulic[:, 1])
         slope = conductance(np.stack([slope_1, slope_2], axis=1), self.length[:, None], self.viscosity)
         return Conductance(
             conductance(mean, self.length, self.viscosity),
