@@ -163,8 +163,8 @@ class Network:
         """See what conducts at a state. Collective."""
         ops = self.model.operators
         assert ops.flow is not None
-        opening = ops.joints.openings(state.sections.strain)
-        self.look(ops.flow.conduct(state.motion.displacement, state.pressure, opening))
+        walls = ops.joints.walls(state.sections, ops.flow.law)
+        self.look(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
 
     def look(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""

@@ -12,6 +12,7 @@ from fracflow.laws.base import (
     parameters_of,
     published_history,
 )
+from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, ReportCubic
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
@@ -27,6 +28,9 @@ JOINT_LAWS: dict[str, type[JointLaw]] = {
 TERM_LAWS: dict[str, type[TermLaw]] = {}
 """Laws of terms by the key of their tables in a scene; one that is added before the scene is imported has its table there."""
 
+# of fractures without a conductance of their own, as method.conductance names them; others are registered in the same way
+FLOW_LAWS: dict[str, type[FlowLaw]] = {"exact": ExactCubic, "report": ReportCubic}
+
 
 def make_law(name: str, **parameters: Any) -> JointLaw:
     """The law of that name, with parameters as numbers or arrays (n,)."""
@@ -36,6 +40,7 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 
 __all__ = [
-    "JOINT_LAWS", "TERM_LAWS", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "LawStep",
-    "Leakage", "Linear", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of", "published_history",
+    "FLOW_LAWS", "JOINT_LAWS", "TERM_LAWS", "FlowLaw", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse",
+    "Key", "LawStep", "Leakage", "Linear", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of",
+    "published_history",
 ]  # fmt: skip

@@ -5,16 +5,16 @@ Everything is per unit thickness, with the pressure as unknown. Ends: each joint
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.elements import facet, flow
-from fracflow.laws.cubic_flow import MEANS, conductance
+from fracflow.laws import FLOW_LAWS, FlowLaw, keys_of, parameters_of
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
-from fracflow.model.joints import jump_matrix
+from fracflow.model.joints import Walls, jump_matrix
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import along_fractures, resting_pressure
 from fracflow.model.terms.term import Leaving, Term
@@ -56,7 +56,8 @@ class Compression:
 class Conduction:
     """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2).
 
-    ``compression`` is None where the fluid is incompressible, ``leaving`` where nothing leaves by terms.
+    ``by_slip`` (j, 2, dim-1) are slopes by slip, or None; ``compression`` is None where the fluid is incompressible,
+    ``leaving`` where nothing leaves by terms.
     """
 
     conductance: Floats
@@ -64,6 +65,7 @@ class Conduction:
     pressure: Floats
     compression: Compression | None = None
     leaving: Leaving | None = None
+    by_slip: Floats | None = None
 
     def tangents(self, storing: float) -> tuple[Floats, Floats]:
         """Derivatives (j, 2, 2) of what leaves each end: by the pressures of both, and by the openings of both.
@@ -92,9 +94,12 @@ class Flow:
     aperture    (j, 2) initial aperture d0 at the ends [length]
     least       (j, 2) minimum hydraulic aperture, for conduction only [length]
     length      (j,) [length]
-    given       (j,) conductance times length that the scene gives in place of the cubic law; NaN where it does not
+    law         conductance of the elements by what is known of their walls
+    given       (j,) conductance times length that the scene gives in place of the law; NaN where it does not
     resting     the pressure at which the fluid is at rest, zero but for its change with depth, at the flow nodes
     resting_end (j, 2) the same at the joint ends [stress]
+    slipping    displacement unknowns -> tangential jumps at the joint ends, rows end * (dim-1) + component; of laws that know
+                slip only
     counted     the pressure above rest at which volumes of a compressible fluid are counted [stress]
     terms       by which fluid leaves
     """
@@ -110,31 +115,32 @@ class Flow:
     given: Floats
     resting: PETSc.Vec
     resting_end: Floats
-    mean: str
+    law: FlowLaw
     viscosity: float
     compressibility: float = 0.0
     counted: float = 0.0
     terms: tuple[Term, ...] = ()
+    slipping: PETSc.Mat | None = None
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
         """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
-        jump = _apply(self.opening, displacement).reshape(-1, 2) if opening is None else opening
-        return self.aperture + jump
+        return self.aperture + self._openings(displacement, opening)
 
-    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
-        """(3.14e,f) Conductances (j,) of all elements at an opening (j, 2), with the end pressures that drive. Collective."""
-        mechanical = self.apertures(displacement, opening)
-        hydraulic = np.maximum(mechanical, self.least)
-        mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
-        slope = np.stack([slope_1, slope_2], axis=1) * (mechanical >= self.least)
-        cubic, is_cubic = conductance(mean, self.length, self.viscosity), np.isnan(self.given)
-        driving = self.driving(pressure)
+    def _openings(self, displacement: PETSc.Vec, known: Floats | None) -> Floats:
+        return _apply(self.opening, displacement).reshape(-1, 2) if known is None else known
+
+    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, walls: Walls) -> Conduction:
+        """(3.14e,f) Conductances of all elements between these walls, with the end pressures that drive. Collective."""
+        opening = self._openings(displacement, walls.opening)
+        found = self.law.conductance(opening, walls.slip, walls.history, walls.step)
+        driving, by_law = self.driving(pressure), np.isnan(self.given)
         return Conduction(
-            np.where(is_cubic, cubic, self.given / self.length),
-            np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
+            np.where(by_law, found.value, self.given / self.length),
+            np.where(by_law[:, None], found.by_opening, 0.0),
             driving,
-            self.compress(mechanical, driving) if self.compressibility > 0.0 else None,
-            self.leaving(driving, mechanical),
+            self.compress(self.aperture + opening, driving) if self.compressibility > 0.0 else None,
+            self.leaving(driving, self.aperture + opening),
+            None if found.by_slip is None else np.where(by_law[:, None, None], found.by_slip, 0.0),
         )
 
     def leaving(self, driving: Floats, aperture: Floats) -> Leaving | None:
@@ -213,6 +219,7 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     jump = jump_matrix(blocks, natural, expand)
     opening = normal.matMult(jump)
     normal.destroy()
+    slipping = _along(jump, dim) if FLOW_LAWS[scene.method.conductance].knows_slip else None
     jump.destroy()
 
     pick = create_matrix((end_layout, node_layout), 1, comm)
@@ -232,6 +239,9 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     kinds = STORAGE[scene.method.storage]
     push = weighted(kinds[0])
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
+    aperture, least = (
+        along_fractures(blocks, scene, key, natural) for key in ("aperture", "minimum_hydraulic_aperture")
+    )
     resting = PETSc.Vec().createMPI(node_layout, comm=comm)
     resting.setArray(resting_pressure(scene, blocks.flow.points))
     return Flow(
@@ -240,14 +250,37 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         push,
         squeeze,
         push if kinds[0] == "consistent" else weighted("consistent"),
-        along_fractures(blocks, scene, "aperture", natural),
-        along_fractures(blocks, scene, "minimum_hydraulic_aperture", natural),
+        aperture,
+        least,
         length,
         along_fractures(blocks, scene, "conductance", np.zeros(1))[:, 0],
         resting,
         _apply(pick, resting).reshape(-1, width),
-        scene.method.conductance,
+        flow_law(blocks, scene, aperture, least, length),
         scene.fluid.viscosity,
         scene.fluid.compressibility,
         scene.fluid.initial_pressure,
+        slipping=slipping,
     )
+
+
+def flow_law(blocks: Blocks, scene: Scene, aperture: Floats, least: Floats, length: Floats) -> FlowLaw:
+    """The law that the scene chooses, its own parameters as arrays (j, 2) at the joint ends."""
+    assert scene.fluid is not None
+    kind = FLOW_LAWS[scene.method.conductance]
+    own = {}
+    for each in parameters_of(kind):
+        if each.name in keys_of(kind):
+            given = along_fractures(blocks, scene, each.name, np.array([-1.0, 1.0]))
+            own[each.name] = given if each.default is MISSING else np.where(np.isnan(given), each.default, given)
+    return kind(aperture, least, length, scene.fluid.viscosity, **own)
+
+
+def _along(jump: PETSc.Mat, dim: int) -> PETSc.Mat:
+    """The tangential rows of jumps."""
+    first, last = jump.getOwnershipRange()
+    rows = np.arange(first, last)
+    chosen = PETSc.IS().createGeneral(rows[rows % dim < dim - 1].astype(PETSc.IntType), comm=jump.getComm())
+    found = jump.createSubMatrix(chosen)
+    chosen.destroy()
+    return found

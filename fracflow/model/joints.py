@@ -5,6 +5,7 @@ residual  G' W f(G u)      tangent  G' W D G
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import facet, joint
 from fracflow.errors import InputError
-from fracflow.laws import JOINT_LAWS, JointLaw, LawStep, make_law, parameters_of
+from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, make_law, parameters_of
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
@@ -94,6 +95,16 @@ class Massless:
 
 
 @dataclass(frozen=True)
+class Walls:
+    """What flow laws are told of the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), step."""
+
+    opening: Floats | None
+    slip: Floats
+    history: Mapping[str, Floats]
+    step: LawStep
+
+
+@dataclass(frozen=True)
 class Joints:
     """All joint sections of a rank; section = joint * rule points + point.
 
@@ -153,6 +164,15 @@ class Joints:
         """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None of the one-point rule, which does not tell."""
         extend = facet.to_nodes(self.natural)
         return None if extend is None else np.asarray(strain[:, -1].reshape(-1, self.points) @ extend.T)
+
+    def walls(self, sections: Sections, law: FlowLaw, step: LawStep = INSTANT) -> Walls:
+        """The joint ends as a flow law sees them when ``step`` has led to those sections; slip of the section next to each."""
+        slip = self._next_to_ends(sections.strain[:, :-1]) if law.knows_slip else np.zeros((0, 2, self.dim - 1))
+        history = {name: self._next_to_ends(self.history(sections.past, name)) for name in law.reads}
+        return Walls(self.openings(sections.strain), slip, history, step)
+
+    def _next_to_ends(self, values: Floats) -> Floats:
+        return values.reshape(-1, self.points, *values.shape[1:])[:, [0, -1]]
 
     def evaluate(self, strain: Floats, history: Past, step: LawStep = INSTANT) -> Sections:
         """Response of the laws to strains (s, dim) after ``history``, which stays as it is."""

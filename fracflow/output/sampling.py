@@ -149,7 +149,10 @@ class JointEnds:
     def network(self) -> Conduction | None:
         """What the network conducts; None where there is no flow."""
         flow, state = self._operators.flow, self._state
-        return None if flow is None else flow.conduct(state.motion.displacement, state.pressure, self._openings)
+        if flow is None:
+            return None
+        walls = self._operators.joints.walls(state.sections, flow.law)
+        return flow.conduct(state.motion.displacement, state.pressure, walls)
 
     @property
     def _through(self) -> Floats:

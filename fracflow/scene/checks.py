@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 from fracflow.errors import InputError
 from fracflow.integrators import WITH_INERTIA, keys_of
+from fracflow.scene.laws import check_flow
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import LONGEST_NAME
 from fracflow.scene.petsc import refusal
@@ -163,6 +164,8 @@ def _materials(scene: Tables) -> Iterator[Fault]:
             yield ("fracture", name, "aperture"), "missing; the fluid needs it, or conductance"
         elif scene.has_flow and scene.fluid is not None and scene.fluid.compressibility and fracture.aperture is None:
             yield ("fracture", name, "aperture"), "missing; a fluid with compressibility needs the volume it fills"
+        for key, fault in check_flow(scene.method.conductance, vars(fracture)) if scene.has_flow else ():
+            yield ("fracture", name, key), fault
         if fracture.pressure is not None and not scene.has_flow:
             yield ("fracture", name, "pressure"), "needs [fluid] with a viscosity: without it no fluid is modelled"
     if scene.fluid is not None and scene.fluid.compressibility and scene.units != "none":

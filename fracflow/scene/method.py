@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from fracflow.integrators import OF_FILMS, WITH_INERTIA, keys_of
+from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
 from fracflow.scene.units import (
     LENGTH,
@@ -84,7 +85,7 @@ class Method(StepperKeys):
         description="matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one"
         " for both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work",
     )
-    conductance: Literal["exact", "report"] = Field(
+    conductance: Literal[tuple(FLOW_LAWS)] = Field(  # type: ignore[valid-type]
         default="exact",
         description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
     )

@@ -38,6 +38,7 @@ class FreePart:
     sections: tuple[Ints, ...]
     flow_nodes: Ints
     ends: tuple[Ints, ...]
+    slips: tuple[Ints, ...]
     keeping: Ints
 
 
@@ -135,10 +136,13 @@ class JoinedMatrix:
         self._flow_nodes = np.zeros((0, 2), dtype=np.int64)
         self._sections = [layout.solid_numbers(group.unknowns) for group in ops.joints.groups]
         self._ends: list[tuple[Ints, Ints, Floats]] = []
+        self._slips: list[tuple[Ints, Ints, Floats]] = []
         if ops.flow is not None:
             self._flow_nodes = layout.flow_numbers(ops.blocks.joints.flow)
             for group in section_groups(ops.flow.opening, 1):
                 self._ends.append((group.sections, layout.solid_numbers(group.unknowns), group.jump[:, 0]))
+            for group in section_groups(ops.flow.slipping, ops.joints.dim - 1) if ops.flow.slipping is not None else ():
+                self._slips.append((group.sections, layout.solid_numbers(group.unknowns), group.jump))
         # of each joint end the row that keeps the fluid of its part, where one does, and its size
         self._keeping, self._kept = np.full(self._flow_nodes.shape, -1), np.ones(self._flow_nodes.shape)
         for closure in self._fluids:
@@ -175,6 +179,7 @@ class JoinedMatrix:
             tuple(free(numbers) for numbers in self._sections),
             nodes,
             tuple(free(numbers) for _, numbers, _ in self._ends),
+            tuple(free(numbers) for _, numbers, _ in self._slips),
             np.where(self._keeping < 0, -1, free(self._keeping)),
         )
 
@@ -191,6 +196,8 @@ class JoinedMatrix:
         arrays = [moduli] + (
             [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]
         )
+        if conduction is not None and conduction.by_slip is not None:
+            arrays.append(conduction.by_slip)
         if conduction is not None and conduction.compression is not None:
             arrays += [conduction.compression.weight, conduction.compression.slope]
         if conduction is not None and conduction.leaving is not None:
@@ -242,6 +249,13 @@ class JoinedMatrix:
                 values = slope[joint, :, end][:, :, None] * normal[:, None, :]
                 factor = scales.displacement / flow_scale
                 add_blocks(matrix, nodes[joint], unknowns, factor * values)
+            if conduction.by_slip is not None:
+                drop = np.stack([conduction.pressure[:, 0] - conduction.pressure[:, 1]] * 2, axis=1) * [1.0, -1.0]
+                for (ends, _, along), unknowns in zip(self._slips, free.slips, strict=True):
+                    joint, end = ends // 2, ends % 2
+                    change = np.einsum("nt,ntk->nk", conduction.by_slip[joint, end], along)
+                    values = drop[joint][:, :, None] * change[:, None, :]
+                    add_blocks(matrix, nodes[joint], unknowns, scales.displacement / flow_scale * values)
             if conduction.compression is not None and self._fluids:
                 self._keep_fluid(free, conduction.compression)
         matrix.assemble()

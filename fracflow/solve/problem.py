@@ -147,8 +147,11 @@ class StepProblem:
 
     def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
         """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the statuses of now."""
-        step = LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
-        return self.operators.joints.evaluate(strain, self.branch, step)
+        return self.operators.joints.evaluate(strain, self.branch, self.law_step(hold))
+
+    def law_step(self, hold: bool = True) -> LawStep:
+        """What laws are told of the step: how long it is, since the history of the sections was accepted."""
+        return LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
 
     def take(self, answer: Sections) -> None:
         """Take what the sections answer to the present motion."""
@@ -204,8 +207,8 @@ class StepProblem:
         network.squeeze.multTranspose(speed, flow)
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
-        opening = self.operators.joints.openings(self.sections.strain)
-        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening), None
+        walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
+        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, walls), None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         now = self.conduction.compression

@@ -62,8 +62,8 @@ class FilmOnJoints:
         """
         network, joints, flow = self.operators.flow, self.operators.joints, problem.flow_balance
         assert network is not None
-        opening = joints.openings(problem.state.sections.strain + change)
-        conduction = network.conduct(problem.displacement, problem.pressure, opening)
+        walls = joints.walls(problem.sections, network.law, problem.law_step())
+        conduction = network.conduct(problem.displacement, problem.pressure, walls)
         problem.conduction = conduction
         swept = problem.alphas.a1 * (joints.weights * change[:, -1]).reshape(-1, 2)
         slope = conduction.tangents(problem.alphas.b1)[1]

@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physics.test_flow_with_slip import OpensBySlip
 
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import rest
 from fracflow.advance.network import Network
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
+from fracflow.laws import FLOW_LAWS
 from fracflow.model.state import Memory
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
@@ -76,13 +78,34 @@ def test_jacobian_of_a_compressible_fluid(stepper):
         thing.destroy()
 
 
+def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
+    """Walls move by random amounts: slips of either sign change the flow, along joints that are turned too."""
+    monkeypatch.setitem(FLOW_LAWS, "exact", OpensBySlip)
+    scene = load("meshes/crossings/scene.toml", ["method.tangent=consistent", "method.conductance=exact"])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = rest(prepared), np.random.default_rng(5 + MPI.COMM_WORLD.rank)
+    problem = StepProblem(prepared.operators, prepared.loads, state, Newmark().alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    matrix = JoinedMatrix(prepared.operators, prepared.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    newton._pack(problem)
+    unknowns = newton.unknowns.copy()
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    assert problem.conduction.by_slip is not None
+    for thing in (newton, matrix, problem):
+        thing.destroy()
+
+
 def test_jacobian_where_a_part_keeps_its_fluid():
     """A steady step of a compressible fluid that nothing drains: a row with the walls and the pressures of the whole part."""
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
     prepared = prepare(scene, MPI.COMM_WORLD)
     operators, state, random = prepared.operators, rest(prepared), np.random.default_rng(12 + MPI.COMM_WORLD.rank)
     network, sealed = Network(prepared), replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64))
-    network.look(operators.flow.conduct(state.motion.displacement, state.pressure))
+    walls = operators.joints.walls(state.sections, operators.flow.law)
+    network.look(operators.flow.conduct(state.motion.displacement, state.pressure, walls))
     closed = network.close(sealed, stores=False)
     assert {closure.by for closure in closed.closures} == {"fluid"}
     problem = StepProblem(
@@ -203,7 +226,7 @@ def test_flow_volume_balance():
     assert np.isclose(rates.sum(), ops.layout.comm.allreduce(walls), rtol=1e-12)
     pressure, out = ops.layout.flow_vector(), ops.layout.flow_vector()
     pressure.setArray(np.random.default_rng(4 + ops.layout.comm.rank).standard_normal(pressure.getLocalSize()))
-    conduction = ops.flow.conduct(speed * 0.0, pressure)
+    conduction = ops.flow.conduct(speed * 0.0, pressure, ops.joints.walls(rest(prepared).sections, ops.flow.law))
     ops.flow.outflow(conduction, out)
     size = ops.layout.comm.allreduce(np.abs(out.getArray()).sum())
     assert abs(out.sum()) <= 1e-13 * size  # what leaves one node enters another

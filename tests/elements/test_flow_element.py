@@ -8,9 +8,11 @@ from facets import SIZE, facets
 
 from fracflow.elements import facet, flow, joint
 from fracflow.errors import InputError
-from fracflow.laws.cubic_flow import MEANS, conductance
+from fracflow.laws import FLOW_LAWS
+from fracflow.laws.cubic_flow import conductance
 
 pytestmark = pytest.mark.serial
+MEANS = {name: law.mean_cube for name, law in FLOW_LAWS.items()}
 
 LENGTH = np.array([2.0, 5.0])
 LINES = LENGTH[:, None, None] * np.array([[0.0, 0.0], [0.6, 0.8]])

@@ -159,6 +159,6 @@ def steady_friction(law: RateAndState, rate: float) -> float:
 
 if __name__ == "__main__":
     JOINT_LAWS["rate-and-state"] = RateAndState
-    from fracflow.cli.app import app
+    from fracflow.cli.app import main
 
-    app()
+    main()

@@ -110,7 +110,7 @@ steps = 4
 )
 def test_slip_that_opens_a_joint_reaches_aperture_flow_and_energy(run_scene, monkeypatch, kind, coupling):
     monkeypatch.setitem(JOINT_LAWS, "linear", Dilatant)
-    stepper = ["method.stepper=hht"] if kind == "dynamic" else []
+    stepper = ["method.stepper=hht", "well.in.pressure=100"] if kind == "dynamic" else []
     found = run_scene(SCENE.replace("KIND", kind), f"method.coupling={coupling}", *stepper)
     if MPI.COMM_WORLD.rank:
         return
