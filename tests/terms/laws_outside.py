@@ -1,4 +1,4 @@
-"""Two laws of terms from outside the package, each with the one line that registers it; and runs of scenes with them.
+"""Laws of terms from outside the package, each with the one line that registers it; and runs of scenes with them.
 
 python laws_outside.py FOLDER     runs FOLDER/NAME.toml in FOLDER/NAME; what failed, and the schema, in said.json
 """
@@ -44,7 +44,22 @@ class LeakOff(TermLaw):
         return Leakage(slope * (pressure - self.far_pressure), slope, np.zeros(len(pressure)))
 
 
+@dataclass(frozen=True)
+class Dashpots(TermLaw):
+    """Dashpots between sides and a ground that does not move."""
+
+    normal: float = field(metadata=key("across the side", "force*time/length**3", at_least=0.0))
+    shear: float = field(metadata=key("along the side", "force*time/length**3", at_least=0.0))
+
+    places: ClassVar[str] = "sides"
+    entry: ClassVar[str] = "dashpots"
+
+    def damping(self, dim):
+        return np.diag([*[self.shear] * (dim - 1), self.normal])
+
+
 TERM_LAWS["spring"] = Springs
+TERM_LAWS["dashpot"] = Dashpots
 TERM_LAWS["leak_off"] = LeakOff
 
 

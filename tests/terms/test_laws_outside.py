@@ -81,6 +81,10 @@ def film(kind, method="", wells=None):
     return method + FILM + LEAK.format(kind=kind) + "".join(WELL.format(at=at, rate=q) for at, q in wells.items())
 
 
+ABSORBING = '[[absorbing]]\non = ["west", "east"]\n'
+DASHPOTS = (
+    f'[[dashpot]]\non = ["west", "east"]\nnormal = 10\nshear = {np.sqrt(2 * 25)}\n'  # rho c_p, rho c_s of the block
+)
 EXPLICIT, CONDENSED = 'method.stepper = "explicit"\n', 'method.coupling = "condensed"\n'
 SCENES = {
     "held": block(rigid="yes"),
@@ -93,6 +97,10 @@ SCENES = {
     "misspelt": block().replace("normal_stiffness", "normal_stifness"),
     "elsewhere": block().replace('"south"', '"below"'),
     "dry": block() + '[[leak_off]]\non = "crack"\ncoefficient = 1\n',
+    "absorbed": block("dynamic", 0.1, along=0.3) + ABSORBING,
+    "dashed": block("dynamic", 0.1, along=0.3) + DASHPOTS,
+    "dashed explicit": block("dynamic", 0.1, along=0.3, method=EXPLICIT) + DASHPOTS,
+    "absorbed explicit": block("dynamic", 0.1, along=0.3, method=EXPLICIT) + ABSORBING,
     "filled": film("quasi-static"),
     "filled condensed": film("quasi-static", CONDENSED),
     "filled in cycles": film("quasi-static", 'method.coupling = "fixed-point"\nmethod.fixed_point = "added-storage"\n'),
@@ -164,6 +172,15 @@ def test_stiff_springs_shorten_explicit_steps(ran):
     """With k_n a hundred times what the cells have the steps of the rock alone would not be stable."""
     assert np.abs(ran["stiff explicit"]["probe/top/displacement"]).max() < 0.1
     assert ran.closes("stiff explicit", 1e-9)
+
+
+@pytest.mark.parametrize("rule", ["", " explicit"])
+def test_dashpots_are_what_absorbing_sides_have(ran, rule):
+    one, other = ran["absorbed" + rule], ran["dashed" + rule]
+    assert other["probe/top/displacement"] == pytest.approx(one["probe/top/displacement"], rel=1e-9, abs=1e-13)
+    assert other["energy/dashpots"] == pytest.approx(one["energy/radiated"], rel=1e-9)
+    assert other["energy/springs"] == pytest.approx(one["energy/springs"], rel=1e-9)
+    assert ran.closes("dashed" + rule) and one["energy/radiated"][-1] > 1e-3
 
 
 @pytest.mark.parametrize(
