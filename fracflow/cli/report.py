@@ -86,7 +86,8 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
     title = "Energy balance" + (f" [{force} {length} per {length} of thickness]" if length else "")
     table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
     books = [name for name in BOOKS if f"energy/{name}" in history]  # earlier versions had fewer
-    for name in books:
+    others = [key.removeprefix("energy/") for key in history if key.startswith("energy/")]
+    for name in [*(name for name in others if name not in BOOKS), *books]:  # first those of terms
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)

@@ -3,6 +3,7 @@
 Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
     + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
+Terms may add entries: on the left, or on the right where their names begin with "work_".
 """
 
 from __future__ import annotations

@@ -216,9 +216,7 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
         return
     label = label_parts(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
     drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
-    held = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
-    leaves = {name for term in scene.terms if term.drains for name in term.on}
-    held = [is_held or name in leaves for is_held, name in zip(held, mesh.fractures, strict=True)]
+    held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
     pumped: dict[int, list[str]] = {}
     limited = {w.name for w in scene.well if w.maximum_pressure is not None or w.minimum_pressure is not None}

@@ -217,7 +217,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             flow("conduction"),
             flow("source"),
             {name: solid(name) for name in _names_of_terms(operators, arrays)},
-            notes.get("powers", {}),
+            notes.get("powers") or dict.fromkeys(_names_of_terms(operators, arrays), notes.get("incident", 0.0)),
             solid(ANCHOR) if ANCHOR in arrays else None,
         ),
         controls=notes["controls"],

@@ -56,9 +56,8 @@ def idle_nodes(model: Model) -> tuple[Bools, Parts]:
     for name in loaded_names(scene):
         loaded[part[named_nodes(model, mesh, name)]] = True
     flow = np.array([*placed.wells.values()], dtype=np.int64)
-    held = [scene.has_flow and scene.fracture_named(name).pressure is not None for name in mesh.fractures]
-    leaves = {name for term in scene.terms if term.drains for name in term.on}
-    held = [held_here or name in leaves for held_here, name in zip(held, mesh.fractures, strict=True)]
+    driven = (name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures)
+    held = [scene.has_flow and each for each in driven]
     drives = np.isin(mesh.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[mesh.joint_fracture]
     loaded[part[mesh.joint_bottom[drives].ravel()]] = True
     if not loaded.any():  # the purpose of a run without loads is unknown

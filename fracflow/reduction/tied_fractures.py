@@ -58,7 +58,7 @@ class Fractures:
     facet      mean length of its facets [length]
     stiffness  the least at the start [stress/length]
     shear      largest initial shear traction [stress]
-    barred     a well, a probe or rigid rock meets it, or its walls' mass is carried by the rock behind
+    barred     a well, a probe or rigid rock meets it, a term drains it, or its walls' mass is carried by the rock behind
     apart      (g, f) distance from each group [length]
     reach      (g,) half the extent of each group [length]
     held       to supports, and terms that hold sides, on average along it; infinite without any [length]

@@ -106,7 +106,7 @@ def _of_mesh(model: Model) -> Fractures | None:
     probed = np.array([node for place in probes for node in place.stands_on], np.int64)
     wells = mesh.flow_origin[np.array([*placed.wells.values()], dtype=np.int64)]
     named = np.union1d(wells, mesh.origin[probed])
-    barred = np.zeros(count, dtype=bool)
+    barred = np.array([name in scene.drained for name in mesh.fractures], dtype=bool)
     barred[fracture[np.isin(mesh.flow_origin[mesh.joint_flow], named).any(axis=1)]] = True
     barred[fracture[~deforms(mesh, scene)[mesh.joint_cells].all(axis=1)]] = True
     if redistributes(scene):

@@ -166,6 +166,11 @@ class Tables(TablesOfLaws):
         return {key: value for key, value in given.items() if value and _are_terms(value)}
 
     @property
+    def drained(self) -> frozenset[str]:
+        """Names of the fractures that fluid leaves by terms."""
+        return frozenset(name for table in self.terms if table.drains for name in table.on)
+
+    @property
     def time_tables(self) -> tuple[TimeTable, ...]:
         """All tables in time, constants among them."""
         return tuple(_tables(self))

@@ -54,6 +54,10 @@ def _meaning(law: type[TermLaw]) -> str:
     return (law.__doc__ or "").splitlines()[0].rstrip(".")
 
 
+def _has(law: type[TermLaw], part: str) -> bool:
+    return getattr(law, part) is not getattr(TermLaw, part)
+
+
 def _table(name: str, law: type[TermLaw]) -> type[LawTable]:
     keys, found = keys_of(law), dict[str, Any]()
     for each in fields(law):  # type: ignore[arg-type]
@@ -64,7 +68,9 @@ def _table(name: str, law: type[TermLaw]) -> type[LawTable]:
     on = (Names, Field(description=f"names of {law.places}: one or a list"))
     table = create_model(law.__name__, __base__=LawTable, __doc__=f"[[{name}]] {_meaning(law)}.", on=on, **found)
     table.law, table.places = law, law.places
-    table.holds, table.drains = law.places == "sides", law.places == "fractures"
+    table.holds, table.drains = _has(law, "stiffness"), _has(law, "leakage")
+    if _has(law, "damping"):
+        table.moving = f"[[{name}]], which gives way to slow loads and does nothing without inertia"
     return table
 
 

@@ -154,11 +154,16 @@ def _factor(unit: str, target: str) -> float:
         raise LookupError(unit) from None
 
 
+def example(dimension: str) -> str:
+    """A number with a unit of a dimension, such as ``"30 GPa"``."""
+    return EXAMPLES.get(dimension) or f"1 {UnitSystem.parse('SI').unit(dimension)}".replace("**", "^").replace("*", " ")
+
+
 def what_fits(dimension: str, system: UnitSystem | None) -> str:
     """Say which values a dimension takes, with an example."""
     if dimension == PLAIN or system is None or system.name == "none":
         return "a plain number"
-    return f'a number in {system.unit(dimension)} or a string such as "{EXAMPLES[dimension]}"'
+    return f'a number in {system.unit(dimension)} or a string such as "{example(dimension)}"'
 
 
 def fault(text: str, **context: object) -> PydanticCustomError:
@@ -225,4 +230,4 @@ def number_schema(dimension: str) -> dict[str, Any]:
     """JSON schema of a number that may carry its unit."""
     if dimension == PLAIN:
         return {"type": "number", "dimension": "1"}
-    return {"type": ["number", "string"], "dimension": dimension, "examples": [EXAMPLES[dimension]]}
+    return {"type": ["number", "string"], "dimension": dimension, "examples": [example(dimension)]}

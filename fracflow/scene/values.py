@@ -10,7 +10,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import EXAMPLES, LENGTH, PLAIN, TIME, Quantity, fault, number_schema, system_of, what_fits
+from fracflow.scene.units import LENGTH, PLAIN, TIME, Quantity, example, fault, number_schema, system_of, what_fits
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Tabled(_Annotation):
         """A value as an example, in the units of the scene."""
         system = system_of(info)
         has_units = self.dimension != PLAIN and system is not None and system.name != "none"
-        return f'"{EXAMPLES[self.dimension]}"' if has_units else "1"
+        return f'"{example(self.dimension)}"' if has_units else "1"
 
     def _from_columns(self, value: dict[str, Any], info: ValidationInfo) -> TimeTable:
         unknown = sorted(set(value) - {"time", "value", "interpolation"})

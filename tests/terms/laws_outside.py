@@ -1,8 +1,9 @@
-"""Two laws of terms from outside the package, each with the one line that registers it; and runs of scenes with them.
+"""Laws of terms from outside the package, each with the one line that registers it; and runs of scenes with them.
 
-python laws_outside.py FOLDER     runs FOLDER/*.toml, each in FOLDER/<name>; "springs.toml" -> "springs/"
+python laws_outside.py FOLDER     runs FOLDER/NAME.toml in FOLDER/NAME; what failed, and the schema, in said.json
 """
 
+import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,17 +44,41 @@ class LeakOff(TermLaw):
         return Leakage(slope * (pressure - self.far_pressure), slope, np.zeros(len(pressure)))
 
 
+@dataclass(frozen=True)
+class Dashpots(TermLaw):
+    """Dashpots between sides and a ground that does not move."""
+
+    normal: float = field(metadata=key("across the side", "force*time/length**3", at_least=0.0))
+    shear: float = field(metadata=key("along the side", "force*time/length**3", at_least=0.0))
+
+    places: ClassVar[str] = "sides"
+    entry: ClassVar[str] = "dashpots"
+
+    def damping(self, dim):
+        return np.diag([*[self.shear] * (dim - 1), self.normal])
+
+
 TERM_LAWS["spring"] = Springs
+TERM_LAWS["dashpot"] = Dashpots
 TERM_LAWS["leak_off"] = LeakOff
 
 
 def main(folder):
     from fracflow._petsc import MPI
-    from fracflow.scene.scene import load
+    from fracflow.errors import InputError, SolveError
+    from fracflow.scene.scene import Scene, load
+    from fracflow.scene.schema import rows
     from fracflow.simulation.run import run
 
+    failures = {}
     for scene in sorted(folder.glob("*.toml")):
-        run(load(scene), scene.with_suffix(""), MPI.COMM_WORLD)
+        try:
+            run(load(scene), scene.with_suffix(""), MPI.COMM_WORLD)
+        except (InputError, SolveError) as error:
+            failures[scene.stem] = str(error)
+    if MPI.COMM_WORLD.rank == 0:
+        said = {"failures": failures, "schema": list(rows(Scene.json_schema()))}
+        (folder / "said.json").write_text(json.dumps(said), encoding="utf-8")
 
 
 if __name__ == "__main__":
