@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,15 @@ from fracflow.scene.scene import Scene
 Data = dict[str, NDArray[Any]]
 
 
-def probe_record(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place], snapshot: Snapshot) -> dict[str, Any]:
-    """History entries ``probe/NAME/QUANTITY`` of all probes.
+def measured(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place]) -> dict[str, Sequence[str]]:
+    """Names of the quantities of each probe: those that it names, else all there are by default at its place."""
+    return {p.name: p.quantities or available(scene, mesh, places[p.name], default=True) for p in scene.probe}
+
+
+def probe_record(
+    scene: Scene, mesh: SplitMesh, places: Mapping[str, Place], names: Mapping[str, Sequence[str]], snapshot: Snapshot
+) -> dict[str, Any]:
+    """History entries ``probe/NAME/QUANTITY`` of all probes, of the names of their quantities.
 
     On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace; what
     belongs to joints is the mean over those that end there. In the rock, strain and stress are means by area over the
@@ -32,16 +40,15 @@ def probe_record(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place], sna
     """
     record: dict[str, Any] = {}
     rows = quantities("node", "wall", "cell")
-    for probe in scene.probe:
-        place = places[probe.name]
+    for probe, wanted in names.items():
+        place = places[probe]
         at: OnFracture | InRock
         if isinstance(place, FracturePlace):
             at, sampled = OnFracture(place, snapshot), snapshot.at_ends(place.joints, place.ends)
         else:
             at, sampled = InRock(scene, mesh, place, snapshot), {}
-        for name in probe.quantities or available(scene, mesh, place, default=True):
-            value = sampled[name] if name in sampled else rows[name].formula(at)
-            record[f"probe/{probe.name}/{name}"] = one_less(value)
+        for name in wanted:
+            record[f"probe/{probe}/{name}"] = one_less(sampled[name] if name in sampled else rows[name].formula(at))
     return record
 
 
@@ -144,34 +151,20 @@ class InRock:
         area = rock.per_cell(local, lambda _, corner: solid.area(points[corner]))
         return Cells(self._scene, self._mesh, cells, points, local, motion), area / area.sum()
 
-    def _mean(self, name: str) -> Floats:
+    def __getattr__(self, name: str) -> Floats:
+        """Strain (4,), and what else ``Cells`` have, as means over the cells around."""
         return self._combined([shares @ getattr(cells, name) for cells, shares in self._around])
-
-    @property
-    def strain(self) -> Floats:
-        """Strain (4,)."""
-        return self._mean("strain")
 
     @property
     def stress(self) -> Floats:
         """Total stress (4,), with the initial one at the point itself."""
         initial: Floats = rock.initial_components(self._scene, self._place.point)
-        return self._mean("stress_change") + initial
-
-    @property
-    def strain_energy(self) -> Floats:
-        """Energy stored since the start per volume."""
-        return self._mean("strain_energy")
-
-    @property
-    def kinetic_energy(self) -> Floats:
-        """Kinetic energy per volume."""
-        return self._mean("kinetic_energy")
+        return self.stress_change + initial
 
 
 def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, moves: bool) -> tuple[Data, Data]:
     """Point and cell data of the rock from the motion (n, 3, 2) of all nodes; arguments as of ``Cells``."""
-    nodes = _Nodes(*np.moveaxis(motion, 1, 0))
+    nodes = SimpleNamespace(displacement=motion[:, 0], velocity=motion[:, 1], acceleration=motion[:, 2])
     cells = Cells(scene, mesh, np.arange(len(mesh.cells)), mesh.points, mesh.cells, motion, moves)
     point = {row.name: row.formula(nodes) for row in quantities("node").values() if row.field}
     cell: Data = {"rock": mesh.cell_rock}
@@ -180,13 +173,6 @@ def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, moves: bool) -> t
             values = row.formula(cells)
             cell[row.name] = rock.tensors(values) if row.kind == "tensor" else values
     return point, cell
-
-
-@dataclass(frozen=True)
-class _Nodes:
-    displacement: Floats
-    velocity: Floats
-    acceleration: Floats
 
 
 def fracture_fields(columns: Columns, table: Floats) -> Data:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -92,8 +93,8 @@ def make_sampler(operators: Operators, scene: Scene, places: Mapping[str, Fractu
 
 def _is_anywhere(row: OutputQuantity, scene: Scene, fractures: Sequence[str]) -> bool:
     """Whether a fracture of the scene has a quantity."""
-    tables = [(scene.fracture_named(name),) for name in fractures]
-    return not all(row.missing(scene, here) for here in tables or [()])
+    tables = [[scene.fracture_named(name)] for name in fractures] or [[]]
+    return not all(row.missing(scene, here) for here in tables)
 
 
 def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
@@ -125,7 +126,8 @@ class JointEnds:
     def sections(self) -> Sections:
         """What the laws answered."""
         found = self._state.sections
-        return replace(found, **{f.name: self._ends(getattr(found, f.name)) for f in fields(found) if f.name != "past"})
+        ends: dict[str, Any] = {f.name: self._ends(getattr(found, f.name)) for f in fields(found) if f.name != "past"}
+        return replace(found, **ends)
 
     @cached_property
     def rate(self) -> Floats:

@@ -27,7 +27,7 @@ from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, R
 from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
 from fracflow.output.events import Chatter
-from fracflow.output.probes import fracture_fields, probe_record, rock_fields
+from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, Facts, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
@@ -190,6 +190,7 @@ class Files:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
+        self.measured = measured(model.scene, model.mesh, model.placed.probes)
         before = None if notes is None else Before(folder, notes)  # before anything is cut back
         scene = model.stated.dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
@@ -306,7 +307,8 @@ class Files:
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}
         record |= {f"volume/{name}": value for name, value in state.left.items()}
-        self.history.append(record | probe_record(self.scene, self.mesh, self.placed.probes, snapshot))
+        places = self.placed.probes
+        self.history.append(record | probe_record(self.scene, self.mesh, places, self.measured, snapshot))
 
         # A tip has no jump: what its law does with a stress past its strength is no slip.
         parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
