@@ -116,10 +116,10 @@ def stop(message: str, code: int) -> None:
     if code == 2:
         PETSc.Options().delValue("options_left")  # what has not begun has used few of its options
     line = shown_plain(" ".join(message.split()))
-    if MPI.COMM_WORLD.rank == 0:
-        print(f"fracflow: {line}", file=sys.stderr, flush=True)
-    if not _all_come(MPI.COMM_WORLD):
-        print(f"fracflow: rank {MPI.COMM_WORLD.rank} alone: {line}", file=sys.stderr, flush=True)
+    rank, come = MPI.COMM_WORLD.rank, _all_come(MPI.COMM_WORLD)
+    if rank == 0 or not come:
+        print(f"fracflow: {line if come else f'rank {rank} alone: {line}'}", file=sys.stderr, flush=True)
+    if not come:
         MPI.COMM_WORLD.Abort(code)
     sys.exit(code)
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fracflow.errors import InputError
 from fracflow.output.folder import to_json
 from fracflow.storage.files import part_of
-from fracflow.storage.hdf5 import Committed, complete
+from fracflow.storage.hdf5 import Committed, complete, uninterrupted
 from fracflow.storage.reader import Found, read_h5
 from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
 
@@ -36,6 +36,7 @@ class HistoryFile:
     OSError where a record cannot be written.
     """
 
+    @uninterrupted()
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
         self._part = part_of(self.path)
@@ -57,6 +58,7 @@ class HistoryFile:
         return cls.after(path, *read_rows(path, rows, seal))
 
     @classmethod
+    @uninterrupted()
     def after(cls, path: str | Path, old: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> HistoryFile:
         """Go on after these records, with these attributes."""
         history = cls(path, attrs)
@@ -72,6 +74,7 @@ class HistoryFile:
         """Digest of the last record, in hexadecimal digits; empty before the first."""
         return self._last.hex()
 
+    @uninterrupted()
     def append(self, record: Mapping[str, ArrayLike]) -> None:
         """Add one step.
 
@@ -92,6 +95,7 @@ class HistoryFile:
         self._extend(row)
         self._show()
 
+    @uninterrupted()
     def close(self) -> None:
         """Close the file, if it is open; a closed history needs no SWMR reader. Raises OSError."""
         if self._disk.file < 0:

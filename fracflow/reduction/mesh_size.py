@@ -17,7 +17,7 @@ from fracflow.mesh.quality import cell_areas
 from fracflow.mesh.read import GROWTH as USUAL
 from fracflow.mesh.snap import natural_snap
 from fracflow.mesh.traces import polygon_area
-from fracflow.reduction.coarse_rock import GENTLE, coarse_beside
+from fracflow.reduction.coarse_rock import coarse_beside
 from fracflow.reduction.lengths import (
     affordable,
     cell_count,
@@ -27,6 +27,7 @@ from fracflow.reduction.lengths import (
     shortest_period,
     typical_length,
 )
+from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, TIME

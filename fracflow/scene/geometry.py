@@ -16,13 +16,12 @@ from fracflow.errors import InputError
 from fracflow.scene.materials import Fracture
 from fracflow.scene.messages import nearest, one_line
 from fracflow.scene.method import ALTERNATIVES, with_default_fracture
-from fracflow.scene.toml import write_value
+from fracflow.scene.toml import LARGEST, write_value
 from fracflow.scene.units import HUGE, UnitSystem
 from fracflow.storage.files import PLAIN_TEXT, read_text
 
 POINT, SEGMENT = ("x", "y"), ("x1", "y1", "x2", "y2")
 PROPERTIES = tuple(Fracture.model_fields)
-LARGEST = 8 << 20  # bytes of a table
 MOST_TRACES = 100_000
 
 

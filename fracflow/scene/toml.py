@@ -18,7 +18,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-LARGEST = 8 << 20  # bytes of a scene: a hundred thousand rows of tables
+LARGEST = 8 << 20  # bytes of a scene, or of a table beside it: a hundred thousand rows of tables
 MOST_DOTS = 2000  # in a value of --set, but for those of plain numbers
 DEEPEST = 50  # tables and lists inside each other, or keys joined by dots
 _BARE = re.compile(r"[A-Za-z0-9_-]+")

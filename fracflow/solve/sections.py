@@ -22,6 +22,7 @@ from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
 from fracflow.solve.linear_check import check_solution
+from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY, largest, over_ranks
 
@@ -142,7 +143,6 @@ class FilmOnJoints:
         self.matrix.destroy()
 
 
-MOST_CHANGES = 50  # rounds of status changes in one step
 TIGHT = 1e-12  # of the largest motion of a section in the step
 ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of what the motion of a section is the difference of
 

@@ -6,6 +6,7 @@ HDF5 cannot let go of a file that it could not write: it keeps what is left of i
 from __future__ import annotations
 
 import os
+import signal
 import struct
 import zlib
 from bisect import bisect_left, bisect_right
@@ -126,12 +127,29 @@ def write_all(file: int, data: bytes, offset: int) -> None:
 
 
 @contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Keep Ctrl-C until HDF5 has returned: raised by an object of ours, it would leave HDF5 in the middle of a call."""
+    came: list[int] = []
+    try:
+        before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    except ValueError:  # not in the main thread, and interrupts come to no other
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
 def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
     """An HDF5 file that is written aside, and put in the place of the last one when it is whole. Raises OSError.
 
     is_synced   bring it to disk before
     """
-    with replacing(path) as part:
+    with replacing(path) as part, uninterrupted():
         backing = Backing(part)
         backing.path = path
         try:

@@ -7,6 +7,7 @@ import fcntl
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -31,6 +32,7 @@ from fracflow.simulation import recorder as recorder_of
 from fracflow.simulation.run import resume, run
 from fracflow.storage import hdf5 as files_hdf
 from fracflow.storage.hdf5 import Committed, redo_of, whole_file
+from fracflow.storage.sealed import write_sealed
 
 ROOT = Path(__file__).parents[2]
 SCENE = str(ROOT / "meshes/report_5_2/scene.toml")
@@ -216,6 +218,28 @@ def test_half_a_change_is_completed_by_whoever_reads(tmp_path):
     redo_of(path).write_bytes(whole)
     files_hdf.complete(path)
     assert path.read_bytes() == b"one TWO three" and not redo_of(path).exists()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("at", [1, 4, 9, 14])
+def test_an_interrupt_while_hdf5_writes_comes_after_it(at, tmp_path, monkeypatch):
+    """Out of a write that HDF5 has asked for, it would be an error of HDF5, with a traceback."""
+    real, count = os.pwrite, [0]
+
+    def interrupted(*given):
+        count[0] += 1
+        if count[0] == at:
+            signal.raise_signal(signal.SIGINT)
+        return real(*given)
+
+    monkeypatch.setattr(os, "pwrite", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_sealed(tmp_path / "a.h5", {"a": np.zeros(20_000)}, {"note": "x"})
+        count[0] = 0 if count[0] < at else at  # it has fewer writes
+        with HistoryFile(tmp_path / "b.h5") as history:
+            for row in range(3):
+                history.append({"time": row, "a": np.zeros(1000)})
+    assert count[0] >= at and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.parametrize("how", ["moved", "removed", "replaced"])
