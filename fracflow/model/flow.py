@@ -98,8 +98,8 @@ class Flow:
     counted: float = 0.0
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
-        """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
-        jump = _apply(self.opening, displacement).reshape(-1, 2) if opening is None else opening
+        """(3.1b) d = d0 + opening at the joint ends (j, k) [length]; ``opening`` if it is known better. Collective."""
+        jump = _apply(self.opening, displacement).reshape(self.aperture.shape) if opening is None else opening
         return self.aperture + jump
 
     def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
@@ -147,8 +147,8 @@ class Flow:
         ends.destroy()
 
     def at_ends(self, nodes: PETSc.Vec) -> Floats:
-        """Values of the flow nodes at the joint ends (j, 2). Collective."""
-        return _apply(self.pick, nodes).reshape(-1, 2)
+        """Values of the flow nodes at the joint ends (j, k). Collective."""
+        return _apply(self.pick, nodes).reshape(self.aperture.shape)
 
     def driving(self, pressure: PETSc.Vec) -> Floats:
         """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""
