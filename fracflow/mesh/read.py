@@ -16,12 +16,12 @@ from fracflow.mesh.files.geo_check import check_geo
 from fracflow.mesh.files.gmsh import open_checked, open_in_gmsh, open_msh, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
-from fracflow.mesh.near import NearMiss, near_misses, told
-from fracflow.mesh.quads import all_quads
-from fracflow.mesh.quality import cell_areas
-from fracflow.mesh.sizes import Source, sources
-from fracflow.mesh.snap import STRETCH, natural_snap
-from fracflow.mesh.traces import Network, Trace, polygon_area, tidy
+from fracflow.mesh.plane.near import NearMiss, near_misses, told
+from fracflow.mesh.plane.quads import all_quads
+from fracflow.mesh.plane.quality import cell_areas
+from fracflow.mesh.plane.sizes import Source, sources
+from fracflow.mesh.plane.snap import STRETCH, natural_snap
+from fracflow.mesh.plane.traces import Network, Trace, polygon_area, tidy
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh")

@@ -27,7 +27,7 @@ from fracflow.mesh.facets import (
     rows_near,
     spot,
 )
-from fracflow.mesh.quality import worst_cells
+from fracflow.mesh.plane.quality import worst_cells
 
 
 def arc_length(points: Floats, facets: Ints, fracture_of: Ints) -> Floats:

@@ -123,11 +123,11 @@ class Flow:
     slipping: PETSc.Mat | None = None
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
-        """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
+        """(3.1b) d = d0 + opening at the joint ends (j, k) [length]; ``opening`` if it is known better. Collective."""
         return self.aperture + self._openings(displacement, opening)
 
     def _openings(self, displacement: PETSc.Vec, known: Floats | None) -> Floats:
-        return _apply(self.opening, displacement).reshape(-1, 2) if known is None else known
+        return _apply(self.opening, displacement).reshape(self.aperture.shape) if known is None else known
 
     def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, walls: Walls) -> Conduction:
         """(3.14e,f) Conductances of all elements between these walls, with the end pressures that drive. Collective."""
@@ -178,8 +178,8 @@ class Flow:
         ends.destroy()
 
     def at_ends(self, nodes: PETSc.Vec) -> Floats:
-        """Values of the flow nodes at the joint ends (j, 2). Collective."""
-        return _apply(self.pick, nodes).reshape(-1, 2)
+        """Values of the flow nodes at the joint ends (j, k). Collective."""
+        return _apply(self.pick, nodes).reshape(self.aperture.shape)
 
     def driving(self, pressure: PETSc.Vec) -> Floats:
         """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""

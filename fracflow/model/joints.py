@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -162,8 +163,12 @@ class Joints:
 
     def openings(self, strain: Floats) -> Floats | None:
         """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None of the one-point rule, which does not tell."""
-        extend = facet.to_nodes(self.natural)
-        return None if extend is None else np.asarray(strain[:, -1].reshape(-1, self.points) @ extend.T)
+        normal = strain[:, -1].reshape(-1, self.points)
+        return None if self._to_nodes is None else np.asarray(normal @ self._to_nodes.T)
+
+    @cached_property
+    def _to_nodes(self) -> Floats | None:
+        return facet.to_nodes(self.natural)
 
     def walls(self, sections: Sections, law: FlowLaw, step: LawStep = INSTANT) -> Walls:
         """The joint ends as a flow law sees them when ``step`` has led to those sections; slip of the section next to each."""

@@ -15,8 +15,8 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place, tied_nodes
+from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
-from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
 from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes

@@ -13,10 +13,10 @@ from fracflow.diagnostics.joints import cell_rocks, gather
 from fracflow.diagnostics.number import View, spans
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
-from fracflow.mesh.quality import cell_areas
+from fracflow.mesh.plane.quality import cell_areas
+from fracflow.mesh.plane.snap import natural_snap
+from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
-from fracflow.mesh.snap import natural_snap
-from fracflow.mesh.traces import polygon_area
 from fracflow.reduction.coarse_rock import coarse_beside
 from fracflow.reduction.lengths import (
     affordable,

@@ -18,7 +18,7 @@ from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
 from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveError, is_alone
 from fracflow.mesh.data import SplitMesh
-from fracflow.mesh.near import near_ones
+from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport

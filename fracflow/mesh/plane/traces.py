@@ -9,7 +9,7 @@ import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.planar_graph import Sketch, cross, near_edges, settle, sketch
+from fracflow.mesh.plane.planar_graph import Sketch, cross, near_edges, settle, sketch
 
 ROUNDS = 30  # of merging, moving and cutting
 EXACT = 1e-9  # of the domain's extent: moves under this are round-off and go without saying

@@ -9,7 +9,7 @@ import numpy as np
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.facets import half_facets, match, number_facets
 from fracflow.mesh.files.gmsh import Elements
-from fracflow.mesh.quality import corner_angles
+from fracflow.mesh.plane.quality import corner_angles
 
 WORST = 75.0  # degrees: corners of a pair of triangles are nearer than this to a right angle
 

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.planar_graph import near_edges
-from fracflow.mesh.traces import Network
+from fracflow.mesh.plane.planar_graph import near_edges
+from fracflow.mesh.plane.traces import Network
 
 WITHIN = 5.0  # snaps
 AROUND = 12.0  # distances along the network: what meets by a shorter way has met, at over 10 degrees

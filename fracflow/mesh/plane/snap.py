@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracflow.mesh.data import Floats
-from fracflow.mesh.traces import Trace, polygon_area
+from fracflow.mesh.plane.traces import Trace, polygon_area
 
 FRACTION = 0.004  # a pencil's line, 0.4 mm, on a map on which the median trace is 10 cm long
 SPARE = 0.25  # of the shortest trace or side, which snapping must not swallow

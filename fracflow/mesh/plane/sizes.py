@@ -6,8 +6,8 @@ import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.planar_graph import boxes_that_meet
-from fracflow.mesh.traces import SHALLOW, Network
+from fracflow.mesh.plane.planar_graph import boxes_that_meet
+from fracflow.mesh.plane.traces import SHALLOW, Network
 
 STEP = 2**0.5  # ratio of sizes that follow each other
 MOST = 5_000_000  # points
