@@ -8,7 +8,6 @@ within a rank follow the original numbers.
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -38,42 +37,29 @@ def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
     return graph
 
 
-def partition_cells(mesh: SplitMesh | None, comm: MPI.Comm) -> Ints | None:
-    """Rank (cells,) of each cell, on rank 0 (the mesh lives there); None elsewhere. Collective."""
-    if comm.size == 1:
-        assert mesh is not None
+def partition_cells(mesh: SplitMesh, ranks: int) -> Ints:
+    """Rank (m,) of each cell, the same whenever it is asked: by one rank, for partitioners differ from run to run on more."""
+    if ranks == 1:
         return np.zeros(len(mesh.cells), dtype=np.int64)
-    chunks: Any = None
-    if mesh is not None:
-        graph = cell_graph(mesh)
-        cuts = np.linspace(0, graph.shape[0], comm.size + 1).astype(int)
-        chunks = [
-            (
-                graph.shape[0],
-                graph.indptr[a : b + 1] - graph.indptr[a],
-                graph.indices[graph.indptr[a] : graph.indptr[b]],
-                graph.data[graph.indptr[a] : graph.indptr[b]],
-            )
-            for a, b in pairwise(cuts)
-        ]
-    total, indptr, indices, weights = comm.scatter(chunks, root=0)
-    local = len(indptr) - 1
-    csr = (indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), weights)
-    adjacency = PETSc.Mat().createAIJ(((local, total), (local, total)), csr=csr, comm=comm)
+    graph = cell_graph(mesh)
+    csr = (graph.indptr.astype(PETSc.IntType), graph.indices.astype(PETSc.IntType), graph.data)
+    adjacency = PETSc.Mat().createAIJ(graph.shape, csr=csr, comm=PETSc.COMM_SELF)
     adjacency.convert("mpiadj")
+    given = {"mat_partitioning_use_edge_weights": None, "mat_partitioning_nparts": ranks}
     options = PETSc.Options()
-    options["mat_partitioning_use_edge_weights"] = None
-    partitioner = PETSc.MatPartitioning().create(comm)
+    for name, value in given.items():
+        options[name] = value
+    partitioner, result = PETSc.MatPartitioning().create(PETSc.COMM_SELF), PETSc.IS().create(PETSc.COMM_SELF)
     partitioner.setAdjacency(adjacency)
     partitioner.setType("ptscotch")
     partitioner.setFromOptions()
-    result = PETSc.IS().create(comm)
     partitioner.apply(result)
-    parts = comm.gather(result.getIndices().astype(np.int64), root=0)
-    options.delValue("mat_partitioning_use_edge_weights")
+    found: Ints = result.getIndices().astype(np.int64)
+    for name in given:
+        options.delValue(name)
     for thing in (result, partitioner, adjacency):
         thing.destroy()
-    return None if parts is None else np.concatenate(parts)
+    return found
 
 
 def distribute(
@@ -88,11 +74,9 @@ def distribute(
     ties       (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
     cell_rank  (m,) where the cells go, on rank 0; else the partitioner says
     """
-    if not comm.bcast(cell_rank is not None, root=0):
-        cell_rank = partition_cells(mesh, comm)
     pieces: Any = None
     if mesh is not None:
-        assert cell_rank is not None
+        cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank
         pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks, np.zeros((0, 2), np.int64) if ties is None else ties)
     solid, joints, flow, sizes = comm.scatter(pieces, root=0)
     return Blocks(comm, SolidBlock(**solid), JointBlock(**joints), FlowBlock(**flow), Sizes(**sizes))

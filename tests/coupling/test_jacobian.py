@@ -84,7 +84,12 @@ def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
     scene = load("meshes/crossings/scene.toml", ["method.tangent=consistent", "method.conductance=exact"])
     prepared = prepare(scene, MPI.COMM_WORLD)
     state, random = rest(prepared), np.random.default_rng(5 + MPI.COMM_WORLD.rank)
-    problem = StepProblem(prepared.operators, prepared.loads, state, Newmark().alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(Newmark().alphas(1e-3)),
+    )
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
