@@ -265,14 +265,15 @@ class Bench:
     def batch(self, cases: list[Case], worker: Worker) -> Iterator[Finding]:
         """Cases that are resumed together: those on two ranks."""
         found = [self.fault(case, worker) for case in cases]
-        begun = [self.place(each.case) for each in found if (self.place(each.case) / "scene.toml").exists()]
+        # one that begins again has a process to itself: the second partition that a process makes is another than the first
+        begun = [self.place(each.case) for each in found if (self.place(each.case) / "checkpoint.h5").exists()]
         ended = resumed_on_ranks(begun, self.folder / f"batch_{cases[0].number}.out")
         for each in found:
             folder = self.place(each.case)
             if folder in ended:
                 code, said = ended[folder]
             else:
-                code, said = on_ranks(["-m", "fracflow", *self.words(each.case.scene, folder)], Path(f"{folder}.out"))
+                code, said = on_ranks(["-m", "fracflow", *self.go_on(each.case)], Path(f"{folder}.out"))
             self.judge_end(each, code, said, worker)
             yield each
 
