@@ -160,6 +160,7 @@ def main() -> int:
         for ranks in given.ranks
         for name, path, sets in found
         if not given.only or any(each in name for each in given.only)
+        if given.action == "keep" or (folder / "before" / str(ranks) / name).exists()
     ]
     place = folder / ("before" if given.action == "keep" else "after")
     begun, console = time.monotonic(), Console()
