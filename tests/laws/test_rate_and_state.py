@@ -200,3 +200,13 @@ def test_its_history_is_kept_and_a_cut_run_ends_as_the_whole_one(slid):
     assert all(np.array_equal(one[name], other[name], equal_nan=True) for name in one)
     state, same = (read_arrays(slid / name / "checkpoint.h5")["past/0/state"] for name in ("whole", "cut"))
     assert np.array_equal(state, same) and state == pytest.approx(D_C * 100 / FAST, rel=1e-3)
+
+
+def test_its_history_is_published_by_itself(slid):
+    """In probes at every step, and in the fields of fractures; nothing else says so than the law."""
+    from fracflow.output import list_steps, read_step
+
+    _, point, cell = read_step(list_steps(slid / "whole", "fractures")[-1][1])
+    assert {**point, **cell}["state"] == pytest.approx(D_C * 100 / FAST, rel=1e-3)
+    probed = history_of(slid / "whole")["probe/middle/state"]
+    assert probed[0] == pytest.approx(1000.0, rel=1e-12) and probed[26] == pytest.approx(D_C * 100 / FAST, rel=1e-3)
