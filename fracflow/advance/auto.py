@@ -7,15 +7,15 @@ from dataclasses import replace
 
 from fracflow.advance.error_control import step_error
 from fracflow.advance.events import EventLocated
-from fracflow.advance.excitation import next_kink, shaken, why_inertia
+from fracflow.advance.excitation import excitations, next_kink, why_inertia
 from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
-from fracflow.advance.prescribed import prescribed
+from fracflow.advance.prescribed_times import prescribed
 from fracflow.advance.regime import (
     LONG,
     RADIATED,
     SETTLED,
-    Course,
+    EventState,
     Slipped,
     Tried,
     begin,
@@ -24,9 +24,9 @@ from fracflow.advance.regime import (
     weak_waves,
 )
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
-from fracflow.advance.substeps import CALM, Place, Rules, Substepped, most_halvings
+from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
-from fracflow.errors import NotConverged, PutBack
+from fracflow.errors import NotConverged, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.solve.failure import fractures_of, places_of
@@ -37,7 +37,7 @@ from fracflow.solve.request import LoadStep, StepRequest
 NEAR = 1e-9  # of a step: times so near are one
 ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
-TOLD = 4  # trials rejected on the way to one step: the log tells of so many
+TOLD = 4  # trials rejected on the way to one step from which on the log reports them
 REST, WAVES = "quasi-static", "dynamic"
 
 
@@ -46,12 +46,17 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
 
     With "moving" in it a stage before has left ``state`` in motion, and ``progress`` is that stage's.
 
-    A change of regime is a step of no length: where inertia comes in, the state is in balance but for what no state at rest
-    balances, which alone starts the motion; where it goes, kinetic energy is dropped, and booked.
+    A change of regime is a step of no length. Where inertia comes in, the state is in balance except for forces that no
+    state at rest balances; these alone start the motion. Where it goes, the kinetic energy is counted as dissipated by
+    switching.
     """
     model, stage = stepping.model, stepping.model.scene.stage[number]
     goes_on = bool(progress) and "moving" not in progress
-    course, place = (Course.of(progress), Place.of(progress)) if goes_on else (begin(model, state, stage), Place())
+    course, place = (
+        (EventState.of(progress), SubstepCursor.of(progress))
+        if goes_on
+        else (begin(model, state, stage), SubstepCursor())
+    )
     regimes = _Regimes(stepping, number, log, course, place)
     method = model.scene.method
     damps = method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
@@ -75,23 +80,23 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
     spent, waves = StepReport(), regimes.waves
     while waves.place.fraction or stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
         if course.moves:
-            if not waves.place.fraction and course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
-                settled, course, trials = regimes.rest(state, course)
+            if not waves.place.fraction and course.is_quiet(state, stage) and not regimes.is_excited(state.time):
+                settled, course, trials = regimes.return_to_quasi_static(state, course)
                 yield from (Step(state, number, 0.0, StepReport(), trial=trial) for trial in trials)
                 if settled is not None:
-                    state, waves.place = settled, Place()
+                    state, waves.place = settled, SubstepCursor()
                     yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
                     continue
             before, step = state.time, regimes.wave_step(state, course)
             found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
             state = found.state
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + (found.reached == 1.0))
-            if told := course.restless(before, state.time, any(term.absorbs for term in model.scene.terms), damps):
+            if told := course.is_unstable(before, state.time, any(term.absorbs for term in model.scene.terms), damps):
                 log(f"time {state.time:.9g}: {told}")
             report = regimes.counted(found.report)
             yield Step(state, number, found.length, report, course.as_progress(waves.place), WAVES)
             continue
-        if why := regimes.is_shaken(state.time):
+        if why := regimes.is_excited(state.time):
             log(f"time {state.time:.9g}: an event begins: {why}")
         else:
             tried = regimes.slow_step(state, course)
@@ -121,7 +126,7 @@ def in_words(spent: StepReport) -> str:
 class _Regimes:
     """Steps of both regimes of one stage."""
 
-    def __init__(self, stepping: Stepping, number: int, log: Log, course: Course, place: Place) -> None:
+    def __init__(self, stepping: Stepping, number: int, log: Log, course: EventState, place: SubstepCursor) -> None:
         model, scene, least = stepping.model, stepping.model.scene, course.least
         self.stepping, self.model, self.log, self.scene, self.stage = stepping, model, log, scene, scene.stage[number]
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=scene.accuracy.tolerance or SEEN)
@@ -140,11 +145,11 @@ class _Regimes:
         self.period = course.period
         self.vain = StepReport()
         self.coarse: dict[str, tuple[str, ...]] | None = None
-        self.shaken = () if self.most is not None else shaken(scene, course.period)
+        self.shaken = () if self.most is not None else excitations(scene, course.period)
         shakes = {span.start for span in self.shaken}
         self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
 
-    def slow_step(self, state: State, course: Course) -> Tried:
+    def slow_step(self, state: State, course: EventState) -> Tried:
         """A step without inertia as long as it is foreseen, or why it may not be taken. Collective."""
         assert self.stage.end is not None
         time, jumps = self._target(state.time, course.step)
@@ -152,7 +157,7 @@ class _Regimes:
         ahead = 0.0 if ends else self._target(time, course.step)[0] - time
         return replace(self._attempt(state, time, ahead=ahead), jumps=jumps)
 
-    def accepted(self, time: float, course: Course, tried: Tried, spent: StepReport) -> Course:
+    def accepted(self, time: float, course: EventState, tried: Tried, spent: StepReport) -> EventState:
         """The course after a step without inertia from a time, with the trials rejected on the way to it."""
         assert self.stage.time_step is not None and tried.state is not None
         if spent.rejected >= TOLD:
@@ -198,7 +203,7 @@ class _Regimes:
         vain, self.vain = self.vain, StepReport()
         return report.after_trials(vain)
 
-    def is_shaken(self, time: float) -> str:
+    def is_excited(self, time: float) -> str:
         """The cause that shakes the rock from a time on, or has not ended; empty if none does."""
         assert self.stage.time_step is not None
         slack = max(3.0 * NEAR * self.stage.time_step, 3e-11 * abs(time))  # steps end just before a jump
@@ -215,7 +220,7 @@ class _Regimes:
         left = next_kink(self.scene, new.time, self.stage.end) - new.time
         if why := why_inertia(old, new, self.period, left, self.most):
             new.destroy()
-            raise PutBack(self.decision, old.time, why)
+            raise ReductionInvalid(self.decision, old.time, why)
 
     def _target(self, time: float, step: float) -> tuple[float, bool]:
         """Where a step ends: just before the next jump of what is prescribed; and whether it is there.
@@ -262,7 +267,7 @@ class _Regimes:
             new, report = self.stepping.step(state, request, self.still)
         except NotConverged as failure:
             if self.most is not None:
-                raise PutBack(self.decision, state.time, "there is no step without it") from failure
+                raise ReductionInvalid(self.decision, state.time, "there is no step without it") from failure
             return Tried(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton, length=dt)
         self._must_not_matter(state, new)
         slip = slipped(self.model, state, new, dt)
@@ -277,14 +282,14 @@ class _Regimes:
         new.destroy()
         return Tried(why, report.newton, length=dt)
 
-    def wave_step(self, state: State, course: Course) -> LoadStep:
+    def wave_step(self, state: State, course: EventState) -> LoadStep:
         """The step with inertia that a state is in."""
         assert self.stage.end is not None
         start = course.begun + course.count * course.least
         whole = min(course.least, self.stage.end - start)
         return LoadStep(start, 1, whole, whole, whole, state.controls, self.model.loads, in_halves=False)
 
-    def rest(self, state: State, course: Course) -> tuple[State | None, Course, list[Trial]]:
+    def return_to_quasi_static(self, state: State, course: EventState) -> tuple[State | None, EventState, list[Trial]]:
         """The state as it is taken over without inertia, if a step without it keeps what slips as it is; and what was tried.
 
         Collective.

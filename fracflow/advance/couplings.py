@@ -22,7 +22,7 @@ class Couplings:
     """Makes the coupling of each set of loads when a step first needs it."""
 
     def __init__(self, model: Model, log: Log) -> None:
-        """Plan which steps are condensed; where any are, the first coupling that is made tells the log. Collective."""
+        """Plan which steps are condensed; where any are, the first coupling that is made writes to the log. Collective."""
         self.model, self.log, self._told = model, log, False
         operators = model.operators
         self._unknowns = int(operators.layout.solid_starts[-1])
@@ -33,7 +33,7 @@ class Couplings:
         self._kept: dict[Loads, Coupling] = {}  # the one used last comes last
 
     def expect(self, stepper: Stepper, dt: float) -> None:
-        """Prepare for steps by a rule of inertia of which nobody knows how many events will take. Collective."""
+        """Prepare for steps by a rule of inertia, whose number in events is unknown. Collective."""
         key = key_of(stepper.alphas(dt), self._damps)
         self._planned = replace(self._planned, steps={**self._planned.steps, key: math.inf})
         for coupling in self._kept.values():

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.advance.network import Network
+from fracflow.advance.network import FlowNetwork
 from fracflow.advance.sampling import sides_of
 from fracflow.integrators import Alphas, Stepper
 from fracflow.mesh.data import Bools
-from fracflow.model.energy import book, compressed, dissipated, jumped, pushed, switch
+from fracflow.model.energy import compressed, dissipated, jumped, pushed, switch, update_balance
 from fracflow.model.energy_motion import Scheme, kinetic_energy
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
-from fracflow.model.state import Memory, Motion, Past, State
+from fracflow.model.state import Motion, PreviousStep, SectionHistory, State
 from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
 from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
@@ -25,7 +25,7 @@ from fracflow.solve.request import StepRequest, StepRule
 KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off
 
 
-def enter(model: Model, network: Network, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
+def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
     """A new state, as a stage takes it over. Collective.
 
     With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
@@ -44,13 +44,13 @@ def enter(model: Model, network: Network, loads: Loads, state: State, stepper: S
             forces.anchor.destroy()
             forces = replace(forces, anchor=None)
         kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
-        return replace(kept, memory=Memory(), uptake=None)
+        return replace(kept, previous_step=PreviousStep(), uptake=None)
     for moved in model.loads.supports if dt > 0.0 else ():
         motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
     energy = pushed(energy, kinetic_energy(ops, motion.velocity))
     was, around = state.sections, (0.0, dt)
-    begun = replace(state, motion=motion, uptake=None, energy=energy, around=around)
-    start = _first_instant(model, network, loads, begun, was.past, dt)
+    begun = replace(state, motion=motion, uptake=None, energy=energy, adjacent_steps=around)
+    start = _first_instant(model, network, loads, begun, was.history, dt)
     # nothing moved in an instant: no section came nearer to a choice
     sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record, margin=was.margin)
     start = replace(start, sections=sections)
@@ -59,24 +59,24 @@ def enter(model: Model, network: Network, loads: Loads, state: State, stepper: S
     return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
 
 
-def change(model: Model, network: Network, loads: Loads, state: State, leaving: Bools) -> State:
+def change(model: Model, network: FlowNetwork, loads: Loads, state: State, leaving: Bools) -> State:
     """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective.
 
     Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
     """
     ops = model.operators
-    branch = ops.joints.with_other_status(state.sections.strain, state.sections.past, leaving)
+    branch = ops.joints.with_other_status(state.sections.strain, state.sections.history, leaving)
     old = state.motion
     motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
     new = _first_instant(model, network, loads, replace(state, motion=motion), branch)
     # they stand at their threshold because they were brought there, not by chance
     settled = replace(new.sections, margin=np.where(leaving, np.inf, state.sections.margin))
-    new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
+    new = replace(new, sections=settled, energy=update_balance(ops, state, new, 0.0, Scheme()))
     new = replace(new, friction=dissipated(state, new))
     return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
 
 
-def keep_pace(model: Model, network: Network, state: State, request: StepRequest, stepper: Stepper) -> State | None:
+def keep_pace(model: Model, network: FlowNetwork, state: State, request: StepRequest, stepper: Stepper) -> State | None:
     """The state as the walls of parts that nothing drains take up what wells pump in a step by a rule. Collective.
 
     The sum of (3.20) over such a part, w v = sum Q, has a rate, w a = sum Q', that jumps where Q bends; the level of its
@@ -118,16 +118,16 @@ def keep_pace(model: Model, network: Network, state: State, request: StepRequest
         acceleration.axpy(1.0, moves)
         motion = Motion(state.motion.displacement.copy(), state.motion.velocity.copy(), acceleration)
         assert ops.flow is not None
-        ops.flow.push.mult(level, push)
+        ops.flow.pressure_load.mult(level, push)
         ops.mass.mult(moves, reaction)
         forces, held = state.forces.copy(), loads.held
         forces.support.getArray()[held] += reaction.getArray()[held] - push.getArray()[held]
     uptake = None if state.uptake is None else state.uptake.copy()
-    return replace(state, motion=motion, pressure=pressure, forces=forces, uptake=uptake, memory=Memory())
+    return replace(state, motion=motion, pressure=pressure, forces=forces, uptake=uptake, previous_step=PreviousStep())
 
 
 def _first_instant(
-    model: Model, network: Network, loads: Loads, begun: State, branch: Past, dt: float | None = None
+    model: Model, network: FlowNetwork, loads: Loads, begun: State, branch: SectionHistory, dt: float | None = None
 ) -> State:
     """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
 
@@ -139,7 +139,7 @@ def _first_instant(
         failed.callback(motion.destroy)
         closed = loads
         if ops.flow is not None:
-            network.look_at(begun)
+            network.update(begun)
             closed = network.level(loads, begun)
         now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
         known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
@@ -147,7 +147,7 @@ def _first_instant(
             done.callback(anchor.destroy)
         begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
         request = StepRequest(begun.time, 0.0, begun.controls, closed)
-        problem = StepProblem(ops, begun, request, StepRule(now, begun.around, inertia=True))
+        problem = StepProblem(ops, begun, request, StepRule(now, begun.adjacent_steps, inertia=True))
         done.callback(problem.destroy)
         problem.branch = branch
         problem.evaluate()
@@ -172,4 +172,4 @@ def _first_instant(
         forces = problem.forces(motion)
         failed.pop_all()
         start = replace(begun, pressure=problem.pressure.copy(), sections=problem.sections, forces=forces)
-    return replace(start, memory=Memory(), uptake=rate)
+    return replace(start, previous_step=PreviousStep(), uptake=rate)

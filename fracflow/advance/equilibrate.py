@@ -13,7 +13,7 @@ from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.step import DONE, Progress, Step, Stepping
 from fracflow.advance.substeps import Rules, Substepped, most_halvings
 from fracflow.integrators import Steady
-from fracflow.model.loads import Loads, Prescribed
+from fracflow.model.loads import Loads, PrescribedValues
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State
@@ -41,7 +41,7 @@ class Restrained:
 def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
     """Let go of the initial state in equal increments, the fluid kept at its initial pressure. Collective.
 
-    The force that held the state out of balance is taken away; what it does meanwhile is booked as work of boundaries.
+    The force that held the state out of balance is taken away; its work meanwhile counts as work of boundaries.
     Raises SolveError where no equilibrium is found. The caller owns the states.
     """
     if "done" in progress:
@@ -76,7 +76,7 @@ def _resting_fluid(model: Model) -> Loads:
         return loads
     points = ops.blocks.flow.points
     initial = initial_pressure(model.scene, points)
-    kept = Prescribed(np.arange(len(points)), lambda time, around=AT_ONCE: initial)
+    kept = PrescribedValues(np.arange(len(points)), lambda time, around=AT_ONCE: initial)
     everywhere = ops.layout.flow_numbers(np.arange(ops.layout.flow_starts[-1]))
     return replace(loads, pressures=(kept,), fixed_flow=everywhere, limits=())
 

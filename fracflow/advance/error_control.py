@@ -12,7 +12,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc
 from fracflow.advance.explicit import ExplicitSteps
 from fracflow.advance.outcome import Advance, Outcome
-from fracflow.advance.prescribed import AT_A_TIME, bends_of, latest
+from fracflow.advance.prescribed_times import AT_A_TIME, bends_of, latest
 from fracflow.advance.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
 from fracflow.errors import SolveError
 from fracflow.integrators import FilmRule, Rates, Stepper, storage_error
@@ -24,8 +24,8 @@ from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import StepRequest
 
-FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
-LATE = 2.0  # as much less a film may be wrong, over what is allowed at the end of a stage, than as it begins
+FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
+LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
 LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
 
 
@@ -62,7 +62,7 @@ def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
 
 @dataclass(frozen=True)
 class _Tried:
-    """End of a part, its size and error as ``Judge`` measures them, and what it follows where it is very short."""
+    """End of a part, its size and error as ``ErrorEstimator`` measures them, and what it follows where it is very short."""
 
     time: float
     size: float
@@ -70,7 +70,7 @@ class _Tried:
     follows: Vibration
 
 
-class Judge:
+class ErrorEstimator:
     """Whether the parts of a stage's steps are as accurate as asked, and relative to how much.
 
     With ``accuracy.step_error`` the error that a part adds is held to that. With ``accuracy.tolerance`` it is held to a
@@ -92,7 +92,7 @@ class Judge:
         self.by_step, self.tolerance = asked.step_error, asked.tolerance
         by_sum = self.by_step is None and self.tolerance is not None
         self.of_film = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
-        # where a film begins anew, for what was before says nothing of what follows
+        # where fracture flow begins anew, since earlier steps do not predict later ones
         self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_film and self.tolerance else {}
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
@@ -115,7 +115,7 @@ class Judge:
         return f"accuracy.tolerance = {self.tolerance:g} of {of}"
 
     @property
-    def last_words(self) -> str:
+    def summary(self) -> str:
         """The error that was reached, for the log."""
         assert self.tolerance is not None
         reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
@@ -150,7 +150,7 @@ class Judge:
         return error / max(allowed, float(np.finfo(float).tiny))
 
     def _span(self, begin: float, end: float) -> float:
-        """Time over which a film's part gets its share of what is allowed; anew from each bend, by its size."""
+        """Time over which a substep of fracture flow gets its share of the allowed error; anew from each bend, by its size."""
         since, bend = end - self.start, latest(self.bends, begin)
         anew = since if bend is None or bend < self.start else (end - bend) / self.bends[bend]
         return min(since, anew) * (1.0 + LATE * since / (self.length or np.inf))
@@ -170,8 +170,8 @@ class Judge:
     def outlook(self, time: float) -> str:
         """A line on how much is left of a stage whose parts have long been very short; "" elsewhere.
 
-        Raises SolveError, on every rank, where they follow a vibration that is smaller than what may be wrong: errors of
-        its phase are counted as if they added up, but come to twice its amplitude at most. A run that is resumed goes on.
+        Raises SolveError, on every rank, where they follow a vibration smaller than the allowed error. Errors of its
+        phase are counted as if they added up, but come to twice its amplitude at most. A run that is resumed goes on.
         """
         if self.follows.parts != WATCHED or self.tolerance is None:
             return ""
@@ -246,9 +246,9 @@ class Judge:
         before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
         last, passing, passed = self.last, after, before
         if self.stepper.memory:
-            last = old.memory.time_step
-            passing = new.memory.velocity, new.memory.uptake
-            passed = (old.memory.velocity, old.memory.uptake) if last > 0.0 else before
+            last = old.previous_step.time_step
+            passing = new.previous_step.velocity, new.previous_step.uptake
+            passed = (old.previous_step.velocity, old.previous_step.uptake) if last > 0.0 else before
         bend = latest(self.bends, old.time)
         if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
             last = 0.0
@@ -266,7 +266,7 @@ class Judge:
     def _room(self, walls: PETSc.Vec) -> Floats:
         assert self.operators.flow is not None
         room = self.operators.layout.flow_vector()
-        self.operators.flow.squeeze.multTranspose(walls, room)
+        self.operators.flow.storage_coupling.multTranspose(walls, room)
         found: Floats = room.getArray().copy()
         room.destroy()
         return found
@@ -280,7 +280,7 @@ class ErrorControlled:
     """Tells how wrong a part of a step is, over what is allowed."""
 
     inner: Advance
-    judge: Judge
+    judge: ErrorEstimator
     explicit: ExplicitSteps
 
     def advance(self, state: State, request: StepRequest) -> Outcome:

@@ -1,6 +1,6 @@
 """Where inside a step the first joint sections begin or end to slide, part or meet.
 
-Between two states that a rule for motions connects with all statuses held, strains are taken as the cubic through both ends'
+Two states are connected by an integrator with all statuses held. Between them strains are the cubic through both ends'
 strains and rates (Hermite), which for the trapezoidal rule is its own parabola. A wall without mass goes its way in the
 measure in which that of its mass has been gone.
 """
@@ -90,7 +90,9 @@ def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tu
     follows = np.abs(change) <= np.abs(whole)
     share = np.where(follows, change, 0.0) / np.where(follows & (whole != 0.0), whole, 1.0)
     gap = [
-        joints.approach(state.sections.strain, change, old.sections.past, LawStep(state.time, length, True))[:, CONTACT]
+        joints.approach(state.sections.strain, change, old.sections.history, LawStep(state.time, length, True))[
+            :, CONTACT
+        ]
         for state, length in zip(ends, (0.0, dt), strict=True)
     ]
     opens, closes = (gap[0] < 0.0) & (gap[1] > 0.0), (gap[0] > 0.0) & (gap[1] < 0.0)
@@ -110,7 +112,7 @@ def _first_roots(joints: Joints, path: Path, old: State, dt: float, until: float
 
     def distances(fraction: Floats) -> Floats:
         step = LawStep(old.time + fraction * dt, fraction * dt, inertia=True)
-        return signs * joints.approach(*path(fraction), old.sections.past, step)
+        return signs * joints.approach(*path(fraction), old.sections.history, step)
 
     times = np.linspace(0.0, until, SAMPLES + 1)
     values = np.stack([distances(np.full(count, time)) for time in times])

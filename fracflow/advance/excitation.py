@@ -23,7 +23,7 @@ WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest p
 
 
 @dataclass(frozen=True)
-class Shaken:
+class Excitation:
     """A time span in which something shakes the rock, which may be an instant, and what it is."""
 
     start: float
@@ -31,26 +31,29 @@ class Shaken:
     why: str
 
 
-def shaken(scene: Scene, period: float) -> tuple[Shaken, ...]:
+def excitations(scene: Scene, period: float) -> tuple[Excitation, ...]:
     """All of a scene's spans, by their start; ``period`` is the longest in which its rock vibrates."""
     waves = [wave for each in scene.terms for wave in each.waves]
     loads = [table for table in scene.driving_tables if table not in waves]
-    found = [*(span for table in waves for span in _arrivals(table)), *(s for t in loads for s in _kicks(t, period))]
+    found = [
+        *(span for table in waves for span in _arrivals(table)),
+        *(s for t in loads for s in _rate_jumps(t, period)),
+    ]
     return tuple(sorted(found, key=lambda span: span.start))
 
 
-def _arrivals(table: TimeTable) -> Iterator[Shaken]:
+def _arrivals(table: TimeTable) -> Iterator[Excitation]:
     times, values = np.array(table.times), np.array(table.values)
     ends = [*times[1:], np.inf]
     for n, (start, end) in enumerate(zip(times, ends, strict=True)):
         after = values[min(n + 1, len(values) - 1)] if table.interpolation == "linear" else values[n]
         if values[n] != 0.0 or (after != 0.0 and end > start):
-            yield Shaken(float(start), float(end), WAVE)
+            yield Excitation(float(start), float(end), WAVE)
 
 
-def _kicks(table: TimeTable, period: float) -> Iterator[Shaken]:
+def _rate_jumps(table: TimeTable, period: float) -> Iterator[Excitation]:
     at, _ = table.jumps
-    yield from (Shaken(float(time), float(time), LOAD) for time in at)
+    yield from (Excitation(float(time), float(time), LOAD) for time in at)
     if table.interpolation == "step" or table.spread == 0.0:
         return
     times, values = np.array(table.times), np.array(table.values)
@@ -61,7 +64,7 @@ def _kicks(table: TimeTable, period: float) -> Iterator[Shaken]:
     at = np.append(times[:-1][moves], times[1:][moves][-1])
     total, last = np.concatenate([[0.0], np.cumsum(changes)]), np.searchsorted(at, at + period, side="right")
     for n in np.flatnonzero((total[last] - total[:-1] > SHAKES) & (changes > 0.0)):
-        yield Shaken(float(at[n]), float(at[last[n] - 1]), LOAD)
+        yield Excitation(float(at[n]), float(at[last[n] - 1]), LOAD)
 
 
 def why_inertia(old: State, new: State, period: float, left: float, most: float) -> str:

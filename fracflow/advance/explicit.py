@@ -1,4 +1,4 @@
-"""Explicit stages: the critical time step, and steps in parts that are no longer."""
+"""Explicit stages: the critical time step, and steps in substeps that are no longer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fracflow.solve.request import StepRequest, on_the_way
 
 
 class ExplicitSteps:
-    """The explicit coupling of a model, and what the log is told of its critical time step."""
+    """The explicit coupling of a model, and the line of its critical time step for the log."""
 
     def __init__(self, model: Model, log: Log) -> None:
         """Make the coupling when a stage first needs it."""

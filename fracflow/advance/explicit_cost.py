@@ -12,7 +12,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.solve.explicit import ExplicitCoupling
 
-PRODUCTS = 16.0  # the time of a part of a step, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
+PRODUCTS = 16.0  # the time of a substep, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
 TIMED = 5  # products
 
 

@@ -12,7 +12,7 @@ from fracflow.errors import InputError
 from fracflow.laws.base import HELD
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
-from fracflow.model.energy import book, dissipated, empty_books, put_in
+from fracflow.model.energy import close_initial_balance, dissipated, empty_balance, update_balance
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.joints import implied_tractions
 from fracflow.model.operators import Operators
@@ -27,7 +27,7 @@ EQUILIBRIUM = 1e-9  # of the natural force of a joint
 ANYTHING = 1e30  # times the natural force: more than any joint has
 
 
-def settle(model: Model) -> None:
+def refuse_imbalance(model: Model) -> None:
     """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by.
 
     Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
@@ -76,7 +76,7 @@ def _uncarried(scene: Scene) -> str:
     return f" ({'; '.join(found)})" if found else ""
 
 
-def rest(model: Model) -> State:
+def equilibrium_state(model: Model) -> State:
     """The state before the first step, of a model that was settled. Collective.
 
     Fractures past their strength carry their initial tractions all the same: only a scene with a stage
@@ -86,7 +86,7 @@ def rest(model: Model) -> State:
     motion, sections, pressure = _unmoved(model)
     controls = {name: control.initial for name, control in scene.control.items()}
     holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
-    state = State(0.0, motion, pressure, sections, holding, controls, empty_books(ops.terms), friction=friction)
+    state = State(0.0, motion, pressure, sections, holding, controls, empty_balance(ops.terms), friction=friction)
     state = replace(state, left={term.name: 0.0 for term in ops.terms if term.drains})
     return state if scene.initial is None else _moved(model, state)
 
@@ -115,7 +115,7 @@ def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.V
 
 
 def _moved(model: Model, state: State) -> State:
-    """The start that [initial] describes; what it holds more than the state at rest is booked as put in. Collective."""
+    """The start that [initial] describes; its energy above that at rest counts as added at the start. Collective."""
     ops, initial = model.operators, model.scene.initial
     assert initial is not None
     motion = Motion(ops.layout.solid_vector(), ops.layout.solid_vector(), ops.layout.solid_vector())
@@ -127,7 +127,9 @@ def _moved(model: Model, state: State) -> State:
     sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history())
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
-    energy = put_in(book(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False)))
+    energy = close_initial_balance(
+        update_balance(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False))
+    )
     friction = dissipated(state, new)
     state.destroy()
     return replace(new, energy=energy, friction=friction)

@@ -1,4 +1,4 @@
-"""Limit points: where slip in a stage without inertia has no state at rest to go on to, and what is told of it.
+"""Limit points: where slip in a stage without inertia has no further equilibrium, and the message on it.
 
 Strength that falls with slip lets a slipping patch grow at rest up to a length of its own; past it no state at rest is near.
 A step that comes to another one, farther away, has jumped: it slips far on the length over which strength falls, and is
@@ -32,7 +32,7 @@ MOST_HALVED = 40  # times: a step of a year is a millisecond then
 SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
 
 
-class Jumped(NotConverged):
+class UnstableStep(NotConverged):
     """A step without inertia came to a state that slip does not reach at rest; with what slid on its way."""
 
     def __init__(self, message: str, newton: int, sections: Sections, weakening: Weakening) -> None:
@@ -55,7 +55,7 @@ class Patch:
     """The patch that slips as a limit point is reached.
 
     share     of what rock takes up that the falling strength gives; unstable from 1 on
-    is_sharp  whether all its digits are known that are told
+    is_sharp  whether all its printed digits are known
     fracture  its name
     place     of the most slip (dim,) [length]
     length    of what weakens as it slips, along that fracture [length]
@@ -95,7 +95,7 @@ def refuse_unstable_slip(model: Model, old: State, new: State, newton: int) -> N
         new.destroy()
         fast = f"{'' if is_sharp else 'about '}{share:.3g} times as fast as rock unloads"
         told = f"slip of {slipped:.3g} of the distance over which strength falls, {fast}"
-        raise Jumped(f"time {new.time:.6g}: {told}", newton, new.sections, weakening)
+        raise UnstableStep(f"time {new.time:.6g}: {told}", newton, new.sections, weakening)
 
 
 def weakens(model: Model) -> bool:
@@ -111,7 +111,7 @@ def weakened(model: Model, old: Sections, new: Sections) -> float:
     """Most slip of a step over the length of its law, of sections whose strength fell with it. Collective."""
     slipped = np.linalg.norm((new.inelastic - old.inelastic)[:, :-1], axis=1)
     most = 0.0
-    for group, past in zip(model.operators.joints.laws, old.past, strict=True):
+    for group, past in zip(model.operators.joints.laws, old.history, strict=True):
         here = group.sections
         falls = np.maximum(group.law.softening(old.traction[here], past), group.law.softening(new.traction[here], past))
         length = np.where(falls > 0.0, group.law.slip_length(len(here)), np.inf)
@@ -210,7 +210,7 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
     """The limit point that a failed step of ``least`` length after a state is taken for; None for another one. Collective."""
     cause = failure.__cause__ or failure
     patch = patch_at_limit(model, state)
-    if patch is None and isinstance(cause, Jumped):
+    if patch is None and isinstance(cause, UnstableStep):
         patch = patch_of(model, cause.sections, cause.weakening)
     if patch is None:
         return None

@@ -12,11 +12,19 @@ from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
-from fracflow.model.network_parts import Part, close, conducting, find_parts, give_way, holding, leaving
+from fracflow.model.network_parts import (
+    NetworkComponent,
+    change_volume,
+    close,
+    conducting,
+    find_components,
+    holding,
+    leaving,
+)
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
-from fracflow.solve.initial_rates import Enclosed
+from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
 MOST_TOLD = 5  # parts that the log lists
@@ -31,10 +39,10 @@ class _Closed:
     """Loads with the parts closed that nothing drains, and the wells of each."""
 
     loads: Loads
-    parts: tuple[tuple[Part, tuple[str, ...], bool], ...]
+    parts: tuple[tuple[NetworkComponent, tuple[str, ...], bool], ...]
 
 
-class Network:
+class FlowNetwork:
     """The parts of a model's network as they are now."""
 
     def __init__(self, model: Model, log: Log = lambda line: None) -> None:
@@ -45,7 +53,7 @@ class Network:
         self._leaves = leaving(model.operators)
         self._told: np.ndarray | None = None
         self._told_digits = False
-        self._parts: tuple[Part, ...] = ()
+        self._parts: tuple[NetworkComponent, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
 
@@ -71,7 +79,7 @@ class Network:
         found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
         for part, wells, _ in found.parts:
-            rates = [loads.demanded(well, state.time, state.controls, state.around) for well in wells]
+            rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
             taken, moved = self._taken(part, state)
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
                 raise SolveError(
@@ -81,7 +89,7 @@ class Network:
                 )
         return found.loads
 
-    def _taken(self, part: Part, state: State) -> tuple[float, float]:
+    def _taken(self, part: NetworkComponent, state: State) -> tuple[float, float]:
         """Rate at which the walls of a part make room, and the sum of its sizes [area/time]. Collective."""
         closure = close(self.model.operators, part, len(part.nodes) > 1)
         walls, speed = closure.weights, state.motion.velocity
@@ -95,7 +103,7 @@ class Network:
         sizes.destroy()
         return taken, moved
 
-    def enclosed(self, loads: Loads, state: State, dt: float) -> list[Enclosed]:
+    def enclosed(self, loads: Loads, state: State, dt: float) -> list[EnclosedComponent]:
         """The parts whose level the walls settle, with what wells begin to pump in the first ``dt``. The caller owns them.
 
         Collective.
@@ -103,7 +111,7 @@ class Network:
         layout = self.model.operators.layout
         fluid = self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
-        first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[Enclosed]()
+        first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[EnclosedComponent]()
         for part, wells, moves in self._found(loads, True, at_start=True).parts:
             if not moves or len(part.nodes) == 1:
                 continue
@@ -112,7 +120,7 @@ class Network:
             for time, sign, side in ends if dt > 0.0 else ():
                 rate += sign * sum(loads.demanded(well, time, state.controls, side) for well in wells) / (dt * depth)
             nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
-            found.append(Enclosed(nodes, close(self.model.operators, part, True).weights, rate))
+            found.append(EnclosedComponent(nodes, close(self.model.operators, part, True).weights, rate))
         return found
 
     def overfull(self, loads: Loads, stores: bool, problem: StepProblem) -> frozenset[Limit]:
@@ -159,14 +167,14 @@ class Network:
             self._closed[key] = self._make(loads, stores, at_start)
         return self._closed[key]
 
-    def look_at(self, state: State) -> None:
+    def update(self, state: State) -> None:
         """See what conducts at a state. Collective."""
         ops = self.model.operators
         assert ops.flow is not None
         walls = ops.joints.walls(state.sections, ops.flow.law)
-        self.look(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
+        self.check(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
 
-    def look(self, conduction: Conduction) -> None:
+    def check(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
         operators, before = self.model.operators, self._conducts
         now, holds = conducting(operators, conduction.conductance), holding(operators, conduction.compression)
@@ -174,7 +182,7 @@ class Network:
         if not operators.layout.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
             self.version += 1
-            self._conducts, self._parts, self._holds = now, find_parts(operators, now), holds
+            self._conducts, self._parts, self._holds = now, find_components(operators, now), holds
 
     def tell(self, time: float) -> None:
         """Log what has begun or ceased to conduct since the last time, and what no pressure reaches. Collective."""
@@ -191,7 +199,7 @@ class Network:
             ]
             self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
         drained = self._drained(self.model.loads)
-        gives = give_way(self.model.operators, self._parts, self.model.loads.fixed_solid)
+        gives = change_volume(self.model.operators, self._parts, self.model.loads.fixed_solid)
         fluid = self.model.scene.fluid
         stores = fluid is not None and fluid.compressibility > 0.0
         cut_off = [
@@ -213,7 +221,7 @@ class Network:
     def _make(self, loads: Loads, stores: bool, at_start: bool) -> _Closed:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
-        drained, gives = self._drained(loads), give_way(operators, self._parts, loads.fixed_solid)
+        drained, gives = self._drained(loads), change_volume(operators, self._parts, loads.fixed_solid)
         parts, closures = [], []
         nodes = {
             name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
@@ -232,7 +240,7 @@ class Network:
         here = np.flatnonzero(local) + vector.getOwnershipRange()[0]  # type: ignore[attr-defined]
         return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
 
-    def _refuse(self, part: Part, wells: tuple[str, ...], total: float, moves: bool, time: float) -> None:
+    def _refuse(self, part: NetworkComponent, wells: tuple[str, ...], total: float, moves: bool, time: float) -> None:
         why = "in a steady stage its walls store nothing" if moves else "its walls cannot move"
         other = 'use kind = "quasi-static", whose walls store the fluid' if moves else "give fluid.compressibility"
         raise SolveError(
@@ -261,7 +269,7 @@ def _swept(problem: StepProblem) -> tuple[Floats, float]:
     network, room = problem.operators.flow, problem.operators.layout.flow_vector()
     assert network is not None
     if problem.fluid_before is None:
-        network.squeeze.multTranspose(problem.increment, room)
+        network.storage_coupling.multTranspose(problem.increment, room)
     else:
         network.taken_up(-problem.fluid_before.weight / network.compressibility, room)
     found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))

@@ -10,7 +10,7 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.advance.inertial_steps import SHARE, deforming, wave_step
-from fracflow.advance.substeps import Place
+from fracflow.advance.substeps import SubstepCursor
 from fracflow.mesh.data import Bools
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
@@ -25,13 +25,13 @@ CREEP = 2.0  # times the kinetic energy at the onset: no more than slow slip goe
 
 
 @dataclass(frozen=True)
-class Course:
+class EventState:
     """Where a stage auto is, all of it numbers, for checkpoints.
 
     least   step with inertia, and shortest without [time]
     period  longest period of vibration, as at the last onset [time]
     step    length of the next step without inertia [time]
-    calm    steps in a row that could have been longer
+    calm    accepted accepted steps in a row that could have been longer
     begun   onset of the event under way; ``moves`` 1 during one
     count   whole steps with inertia since then
     creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]
@@ -52,22 +52,22 @@ class Course:
     loud: float = 0.0
     trials: float = 0.0
 
-    def as_progress(self, place: Place | None = None) -> dict[str, float]:
+    def as_progress(self, place: SubstepCursor | None = None) -> dict[str, float]:
         """The numbers that a checkpoint keeps of it, and of the place in a step with inertia."""
-        return {**vars(self), **(place or Place()).as_progress()}
+        return {**vars(self), **(place or SubstepCursor()).as_progress()}
 
     @classmethod
-    def of(cls, progress: Mapping[str, float]) -> Course:
+    def of(cls, progress: Mapping[str, float]) -> EventState:
         """The one that a checkpoint kept."""
         return cls(**{name: progress[name] for name in cls.__dataclass_fields__ if name in progress})
 
-    def onset(self, state: State, period: float, weak: float) -> Course:
-        """As an event begins from a state whose books have its kinetic energy; ``weak`` waves have less than that."""
+    def onset(self, state: State, period: float, weak: float) -> EventState:
+        """As an event begins from a state whose energy balance has its kinetic energy; ``weak`` waves have less than that."""
         energy = state.energy["kinetic"]
         begun = replace(self, moves=1.0, begun=state.time, count=0.0, period=period)
         return replace(begun, creep=max(CREEP * energy, weak), peak=energy, loud=state.time)
 
-    def moved_to(self, state: State, at_rest: float) -> Course:
+    def moved_to(self, state: State, at_rest: float) -> EventState:
         """After a step, or a part of one, with inertia."""
         energy = state.energy["kinetic"]
         peak = max(self.peak, energy)
@@ -78,7 +78,7 @@ class Course:
         """Whether kinetic energy has been low for long enough."""
         return state.time - self.loud >= stage.rest_periods * self.period
 
-    def restless(self, before: float, now: float, absorbs: bool, damps: bool) -> str:
+    def is_unstable(self, before: float, now: float, absorbs: bool, damps: bool) -> str:
         """The line of the log on an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing.
 
         absorbs, damps  the scene has sides that absorb, or damps by its stepper already, which is then no remedy
@@ -94,16 +94,16 @@ class Course:
             f" damps its waves it never is: {', or '.join(remedies)}"
         )
 
-    def at_rest(self) -> Course:
+    def at_rest(self) -> EventState:
         """As an event ends: the first step without inertia lasts a period."""
         return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0, trials=0.0)
 
 
-def begin(model: Model, state: State, stage: Stage) -> Course:
-    """The course at the start of a stage. Raises SolveError where nothing tells how long an event lasts. Collective."""
+def begin(model: Model, state: State, stage: Stage) -> EventState:
+    """The course at the start of a stage. Raises SolveError where the duration of an event is unknown. Collective."""
     least, period = wave_step(model, state, stage)
     assert stage.time_step is not None
-    return Course(least, period, max(stage.time_step, least))
+    return EventState(least, period, max(stage.time_step, least))
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Tried:
     why         it may not be taken; empty where it may
     newton      iterations spent on it
     state       that it led to, with its ``report``; None where it may not be taken
-    may_double  whether one twice as long may follow, as far as its slip tells
+    may_double  whether one twice as long may follow, by its slip
     length      of it [time]
     jumps       something prescribed jumps just behind its end
     """
@@ -172,7 +172,7 @@ def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
     far = np.linalg.norm((after.inelastic - before.inelastic)[:, :-1], axis=1)
     scale = FLOOR * np.maximum(after.record, np.linalg.norm(before.traction, axis=1))
     drops, share = False, 0.0
-    for group, past in zip(joints.laws, before.past, strict=True):
+    for group, past in zip(joints.laws, before.history, strict=True):
         here = group.sections
         pressed = np.maximum(-after.traction[here, -1], 0.0)
         drop, length = group.law.strength_drop(pressed), group.law.slip_length(len(here))

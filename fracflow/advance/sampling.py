@@ -12,7 +12,7 @@ from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
 from fracflow.solve.request import StepRequest, StepRule
 
-MOST_GROWTH = 1e3  # of steps, beyond which the last one tells nothing
+MOST_GROWTH = 1e3  # of steps, beyond which the last one has no influence
 
 
 def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
@@ -24,21 +24,21 @@ def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
 
 def rule_of(stepper: Stepper, state: State, request: StepRequest, follows: Stepper) -> StepRule:
     """How a step by a rule, which another ``follows``, takes rates and samples what is tabled."""
-    dt, ahead, last = request.length, request.next_length, state.memory.time_step
+    dt, ahead, last = request.length, request.next_length, state.previous_step.time_step
     alphas = stepper.alphas(dt, last) if last > 0.0 else stepper.alphas(dt)
     rates = rates_of(stepper, alphas, state, dt, ahead, follows)
     return StepRule(alphas, sides_of(stepper, dt, ahead), rates, stepper.inertia)
 
 
 def begins_anew(rule: Stepper, state: State, request: StepRequest) -> bool:
-    """Whether a step of a rule that remembers goes without its memory, by backward Euler.
+    """Whether a step of a multistep rule is taken by backward Euler, without the previous step.
 
     There is none, or that of a step so short that round-off is all of it; or the length of the step after this one is not
     known, with which a rule that weighs both ends would share what a table leaves within this one; or a rate jumps as it
     begins, which such a rule would take by half.
     """
     dt, ahead = request.length, request.next_length
-    if not rule.memory or state.memory.time_step == 0.0 or dt > MOST_GROWTH * state.memory.time_step:
+    if not rule.memory or state.previous_step.time_step == 0.0 or dt > MOST_GROWTH * state.previous_step.time_step:
         return True
     if rule.alphas(dt).a4 == 0.0:
         return False
@@ -69,8 +69,8 @@ def rates_of(
     if follows.alphas(dt).a4 > 0.0 and ahead:
         share = 0.5 * ahead / (dt + 0.5 * ahead)
         return Rates(now=1.0 - share, share=share, around=(0.0, ahead), begin=state.time)
-    last = state.memory.time_step
+    last = state.previous_step.time_step
     if alphas.a6 > 0.0 and last > 0.0:
-        before, factors, through = state.time - last, (alphas.a1 * dt, alphas.a6), state.memory.through
+        before, factors, through = state.time - last, (alphas.a1 * dt, alphas.a6), state.previous_step.through
         return Rates(*factors, 0.0, begin=state.time, before=before, controls=state.controls, through=through)
     return Rates(now=1.0, share=0.0, begin=state.time)

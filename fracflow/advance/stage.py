@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from fracflow.advance.error_control import ErrorControlled, Judge
+from fracflow.advance.error_control import ErrorControlled, ErrorEstimator
 from fracflow.advance.events import EventLocated
 from fracflow.advance.incipient import search_incipient, utilisation
 from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
 from fracflow.advance.outcome import Advance, Log, Outcome
-from fracflow.advance.prescribed import Prescribed, prescribed
+from fracflow.advance.prescribed_times import PrescribedTimes, prescribed
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
-from fracflow.advance.substeps import Place, Rules, Substepped, most_halvings
+from fracflow.advance.substeps import Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.integrators import Stepper
 from fracflow.model.state import State, forgetful
 from fracflow.scene.boundary import Stage
@@ -55,7 +55,7 @@ class SplitAtJumps:
         return replace(found, state=new, foreseen=True)
 
 
-def first_part(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) -> float:
+def first_substep(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) -> float:
     """Length of a stage's first part, as it is foreseen: up to the first jump, where parts with inertia end there."""
     length, scene = stage.step_length(time), stepping.model.scene
     if stage.kind == "auto" or not stepper.inertia or not _splits(stepping, stepper, length):
@@ -81,7 +81,13 @@ def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
 
 
 def composed(
-    stepping: Stepping, stepper: Stepper, number: int, judge: Judge, given: Prescribed, place: Place, log: Log
+    stepping: Stepping,
+    stepper: Stepper,
+    number: int,
+    judge: ErrorEstimator,
+    given: PrescribedTimes,
+    place: SubstepCursor,
+    log: Log,
 ) -> Substepped:
     """The way to advance through the steps of a stage by a rule, from a place in one of them."""
     model, whole = stepping.model, stepping.model.scene.stage[number].time_step or 0.0
@@ -110,15 +116,15 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
     start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
     count, whole = stage.step_count(start), stage.time_step or 0.0
-    judge = Judge(model, stage, stepper, start, progress)
+    judge = ErrorEstimator(model, stage, stepper, start, progress)
     stepping.explicit.tell(stepper, whole)
     if judge.finest and not progress:
         log(f"stage {stage.title}: parts of steps by {judge.told}")
     splits = _splits(stepping, stepper, whole)
     given = prescribed(model.scene, stepper.inertia, splits, judge.tolerance if judge.finest else None)
-    parts = composed(stepping, stepper, number, judge, given, Place.of(progress), log)
+    parts = composed(stepping, stepper, number, judge, given, SubstepCursor.of(progress), log)
     method: Advance = parts if stepper.inertia else UpToLimitPoint(parts, model, parts.rules.most)
-    # what jumps while a film fills is there at once: spread over a halved step, it would come half a step late
+    # a jump while a fracture fills is applied at once: spread over a halved step, it would come half a step late
     fills = stepper.inertia or (stepper.storage and model.operators.flow is not None)
     ends = False
     while not ends and (count is None or n < count):
@@ -140,4 +146,4 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
         if not ends and (line := judge.outlook(state.time)):
             log(f"stage {stage.title}: {line}")
     if judge.finest:
-        log(f"stage {stage.title}: {judge.last_words}")
+        log(f"stage {stage.title}: {judge.summary}")

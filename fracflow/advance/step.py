@@ -1,4 +1,4 @@
-"""One step: its loads, its solver, what it adds to the energy books; and how a stage takes over a state."""
+"""One step: its loads, its solver, its terms of the energy balance; and the state at the beginning of a stage."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
-from fracflow.advance.network import Network
+from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.sampling import begins_anew, rule_of
 from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
@@ -16,12 +16,12 @@ from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.compressibility import narrowing, widening
-from fracflow.model.energy import book, dissipated
+from fracflow.model.energy import dissipated, update_balance
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
 from fracflow.model.softening import refuse_jumps
-from fracflow.model.state import Memory, State, StepReport
+from fracflow.model.state import PreviousStep, State, StepReport
 from fracflow.model.volume import brought, leaked, stored
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
@@ -78,7 +78,7 @@ class Stepping:
     def __init__(self, model: Model, log: Log = lambda line: None) -> None:
         """Make the solvers that the stages need when they first need them; ``log`` takes lines about them."""
         self.model, self.log = model, log
-        self.network = Network(model, log)
+        self.network = FlowNetwork(model, log)
         self.couplings = Couplings(model, log)
         self._network_version = 0
         self._at_rest: dict[Loads, Loads] = {}
@@ -147,8 +147,8 @@ class Stepping:
 class SingleStep:
     """One step by a rule, by the solvers of its model.
 
-    A rule of the film that remembers carries walls on as they moved, through a fracture that pinches shut, and leaves
-    them there, for nothing flows any more. Backward Euler stops them in time: it makes the steps in which one closes.
+    A multistep integrator of flow carries walls on as they moved, through a fracture that pinches shut. It leaves them
+    there, since nothing flows any more. Backward Euler stops them in time: it makes the steps in which one closes.
     """
 
     solvers: Stepping
@@ -164,7 +164,9 @@ class SingleStep:
         finally:
             if begun is not None:
                 begun.destroy()
-        if set(state.limited) - set(new.limited):  # the step was begun as if these wells stayed at their limits
+        if set(state.wells_at_limit) - set(
+            new.wells_at_limit
+        ):  # the step was begun as if these wells stayed at their limits
             begun = self._begun(rule, state, new, request)
             if begun is not None:
                 new.destroy()
@@ -198,7 +200,7 @@ class SingleStep:
             or request.length == 0.0
         ):
             return None
-        self.solvers.network.look_at(state)
+        self.solvers.network.update(state)
         limited = self.solvers.limited(request.loads, reached_before(request.loads, limits))
         return keep_pace(self.solvers.model, self.solvers.network, state, replace(request, loads=limited), rule)
 
@@ -215,7 +217,7 @@ class SingleStep:
         fluid, reached = solvers.model.scene.fluid, reached_before(loads, state)
         depth = fluid.flow_depth if fluid is not None else 1.0
         if ops.flow is not None:
-            solvers.network.look_at(state)
+            solvers.network.update(state)
         trial: tuple[Floats, Floats] | None = None
         failed, same, spent = None, False, 0
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
@@ -231,7 +233,7 @@ class SingleStep:
                     needed = solvers.model.scene.accuracy.digits
                     digits = check_digits(problem, new, needed, solvers.network.tell_digits)
                     same = self._is_closed(problem, limited, stepper.storage)
-                    trial = None if same else problem.hand_on()
+                    trial = None if same else problem.initial_guess()
                     full = solvers.network.overfull(limited, stepper.storage, problem) if same else frozenset()
                 except SolveError:
                     new.destroy()
@@ -244,15 +246,15 @@ class SingleStep:
                     if not full:
                         raise
                     reached |= full
-                trial = problem.hand_on()
+                trial = problem.initial_guess()
                 continue
             finally:
                 problem.destroy()
             now = reached_after(request, rule, reached, new, depth) | full
             if now == reached and same:
-                energy = book(ops, state, new, dt, scheme)
+                energy = update_balance(ops, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
-                memory = remember(ops, state, new, dt) if follows.memory else Memory()
+                memory = remember(ops, state, new, dt) if follows.memory else PreviousStep()
                 if follows.memory and loads.limits:
                     by_limits = through(replace(request, loads=limited), rule, now, state, new, depth)
                     memory = replace(memory, through=by_limits)
@@ -261,8 +263,8 @@ class SingleStep:
                     injected += brought(ops, limited, state, new, dt, scheme, depth)
                 lost = leaked(ops, state, new, dt, scheme, depth)
                 left = {name: state.left.get(name, 0.0) + value for name, value in lost.items()}
-                new = replace(new, energy=energy, limited=wells, friction=friction, injected=injected, left=left)
-                return replace(new, memory=memory, around=rule.adjacent), replace(report, digits=digits)
+                new = replace(new, energy=energy, wells_at_limit=wells, friction=friction, injected=injected, left=left)
+                return replace(new, previous_step=memory, adjacent_steps=rule.adjacent), replace(report, digits=digits)
             new.destroy()
             spent += report.newton
             reached, failed = now, None
@@ -278,5 +280,5 @@ class SingleStep:
         """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
         if problem.conduction is None:
             return True
-        self.solvers.network.look(problem.conduction)
+        self.solvers.network.check(problem.conduction)
         return self.solvers.network.close(loads, stores) is problem.loads

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from fracflow.advance.outcome import Advance, Log, Outcome
-from fracflow.advance.prescribed import Prescribed
+from fracflow.advance.prescribed_times import PrescribedTimes
 from fracflow.errors import NotConverged
 from fracflow.model.state import State, StepReport
 from fracflow.scene.scene import Scene
@@ -18,14 +18,14 @@ from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
 MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
-LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/2) in a film that a jump enters
+LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/2) in a fracture that a jump enters
 DEEPEST = 6  # halvings at once
 HOPELESS = 1e100  # times what is allowed: errors beyond are as large as each other
 
 
 @dataclass(frozen=True)
 class Rules:
-    """When a step is taken in parts.
+    """When a step is taken in substeps.
 
     most     times that it may be halved
     order    order of the local error in its length, 0 where nothing controls it
@@ -43,13 +43,13 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Place:
+class SubstepCursor:
     """Where in a step a run is, and how long its next part may be.
 
     base    fraction of the step at the last event in it
     part    of what was left there, a sum of powers of 1/2
     level   the next part is at most 2**-level of that
-    calm    parts in a row that could have been longer
+    calm    accepted substeps in a row that could have been longer
     events  of this step so far
     """
 
@@ -64,16 +64,16 @@ class Place:
         """Of the step."""
         return self.base + self.part * (1.0 - self.base) if self.part < 1.0 else 1.0
 
-    def next_step(self) -> Place:
+    def next_step(self) -> SubstepCursor:
         """At the start of the next step."""
-        return Place(level=self.level, calm=self.calm)
+        return SubstepCursor(level=self.level, calm=self.calm)
 
     def as_progress(self) -> dict[str, float]:
         """The numbers that a checkpoint keeps of it."""
         return {f"place_{name}": float(value) for name, value in vars(self).items()}
 
     @classmethod
-    def of(cls, progress: Mapping[str, float]) -> Place:
+    def of(cls, progress: Mapping[str, float]) -> SubstepCursor:
         """The place that a checkpoint kept."""
         base, part = progress.get("place_base", 0.0), progress.get("place_part", 0.0)
         return cls(base, part, *(int(progress.get(f"place_{name}", 0)) for name in ("level", "calm", "events")))
@@ -96,12 +96,12 @@ class Substepped:
         inner: Advance,
         rules: Rules,
         log: Log,
-        place: Place | None = None,
-        prescribed: Prescribed | None = None,
+        place: SubstepCursor | None = None,
+        prescribed: PrescribedTimes | None = None,
     ) -> None:
         """From a place in the first step."""
         self.inner, self.rules, self.log = inner, rules, log
-        self.place, self.prescribed = place or Place(), prescribed or Prescribed()
+        self.place, self.prescribed = place or SubstepCursor(), prescribed or PrescribedTimes()
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The next part of the step that a request asks for the rest of, from the place on.
@@ -156,16 +156,16 @@ def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:
     return max(1, min(DEEPEST, math.ceil(math.log2(error) / max(LEAST_ORDER, falls))))
 
 
-def _sizes(place: Place, most: int) -> Iterator[tuple[int, float]]:
+def _sizes(place: SubstepCursor, most: int) -> Iterator[tuple[int, float]]:
     """Lengths to try, with their levels: the longest that fits the place, and its halves."""
-    size = min(next_part(place.part), 0.5**place.level)
+    size = min(next_substep(place.part), 0.5**place.level)
     level = 0
     while 0.5**level > size:
         level += 1
     yield from ((n, 0.5**n) for n in range(level, max(most, level) + 1))
 
 
-def _after(place: Place, size: float, found: Outcome, end: float, rules: Rules) -> Place:
+def _after(place: SubstepCursor, size: float, found: Outcome, end: float, rules: Rules) -> SubstepCursor:
     """The place after a part: at an event the rest of the step is divided anew."""
     if found.reached < end:
         return replace(place, base=found.reached, part=0.0, events=place.events + (not found.foreseen))
@@ -179,7 +179,7 @@ def _after(place: Place, size: float, found: Outcome, end: float, rules: Rules) 
     return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)
 
 
-def next_part(start: float) -> float:
+def next_substep(start: float) -> float:
     """Size of the part that begins at ``start``: its last binary digit, 1 at 0."""
     if start == 0.0:
         return 1.0

@@ -1,4 +1,4 @@
-"""The vibration that the parts of a step are short for, and whether anything is gained by following it."""
+"""The vibration that limits the substeps, and whether anything is gained by following it."""
 
 from __future__ import annotations
 

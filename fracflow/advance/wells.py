@@ -19,7 +19,7 @@ def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
     found: dict[str, tuple[float, Limit]] = {}
     for limit in loads.limits:
         away = abs(at_node(limit, state.pressure) - limit.pressure)
-        if limit.well in state.limited and away <= found.get(limit.well, (math.inf, limit))[0]:
+        if limit.well in state.wells_at_limit and away <= found.get(limit.well, (math.inf, limit))[0]:
             found[limit.well] = (away, limit)
     return frozenset(limit for _, limit in found.values())
 
@@ -55,7 +55,7 @@ def through(
     wells there; else what it asks for.
     """
     loads, alphas = request.loads, rule.alphas
-    kept, before = {limit.well: limit for limit in reached}, old.memory.through
+    kept, before = {limit.well: limit for limit in reached}, old.previous_step.through
     found: dict[str, float] = {}
     for name in sorted({limit.well for limit in loads.limits}):
         if alphas.a6 > 0.0 and name not in before:

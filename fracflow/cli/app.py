@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 
 from fracflow.cli.exit import abort, stop
-from fracflow.cli.run import Terminal, run_levels, watched
+from fracflow.cli.run import Terminal, run_levels, run_with_progress
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def run_command(
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
-    from fracflow.cli.report import tell_card
+    from fracflow.cli.report import report_checks
     from fracflow.diagnostics import as_records
     from fracflow.model.setup import on_root
     from fracflow.output.folder import check_folder
@@ -83,12 +83,12 @@ def run_command(
         console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True, markup=False)
 
     def show_card(numbers: list[Number]) -> None:
-        tell_card(as_records(numbers), console)
+        report_checks(as_records(numbers), console)
 
     def say(line: str) -> None:
         console.print(f"note: {line}", soft_wrap=True, markup=False)
 
-    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
+    run_with_progress(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
 
 
 @app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -110,7 +110,9 @@ def resume_command(
     console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True, markup=False)
-    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust))
+    run_with_progress(
+        load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust)
+    )
 
 
 @app.command()
@@ -122,7 +124,7 @@ def check(
 ) -> None:
     """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
     from fracflow.cli.check import set_up
-    from fracflow.cli.report import tell_card, tell_plan
+    from fracflow.cli.report import report_checks, report_plan
     from fracflow.diagnostics import as_records as card_records
     from fracflow.output.folder import to_json
     from fracflow.reduction import as_records
@@ -138,8 +140,8 @@ def check(
         typer.echo(to_json(told, indent=1))
         return
     console = Console(highlight=False, width=WIDTH)
-    tell_card(card_records(numbers), console)
-    tell_plan(as_records(decisions), console)
+    report_checks(card_records(numbers), console)
+    report_plan(as_records(decisions), console)
     for key, value in found.items():
         typer.echo(f"{key}: {shown(value)}")
     for note in notes:

@@ -40,7 +40,7 @@ if last:
 """It keeps the last line of its input, and prints it when a rank or its input ends; an empty line ends it."""
 
 
-class LastWords:
+class ExitReport:
     """The line on the terminal where ranks are killed: MPI then ends the others before they could say a thing.
 
     Another process prints it, in a session of its own that mpirun does not end. The launcher leaves ranks a second, and
@@ -73,7 +73,7 @@ class LastWords:
             f" go on with: fracflow resume {self._folder}"
         )
 
-    def __enter__(self) -> LastWords:
+    def __enter__(self) -> ExitReport:
         return self
 
     def __exit__(self, *_: object) -> None:

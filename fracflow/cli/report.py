@@ -16,8 +16,8 @@ from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import LATEST, read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
-from fracflow.output.handed import told_handed
 from fracflow.output.history import read_attributes, read_history, read_units
+from fracflow.output.slip_at_crossings import told_handed
 from fracflow.storage.files import shown_plain
 
 BOOKS = (
@@ -77,7 +77,7 @@ def _told_books(left: float, closed: float, most: float, noise: float) -> Iterat
         )
 
 
-def tell(folder: Path, console: Console, failed: bool = False) -> None:
+def report(folder: Path, console: Console, failed: bool = False) -> None:
     """Print energy balance and events of a run folder; of a run that ``failed`` without advice on more steps."""
     history = read_history(folder / "history.h5")
     about = read_attributes(folder / "history.h5")
@@ -131,7 +131,7 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         )
 
 
-def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
+def report_checks(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
     """Print the records of the pre-run checks: ten lines, and a remedy for each number out of range."""
     table = Table(title="Scene card", title_style="bold", box=None, pad_edge=False)
     for head in ("", "number", "value", "limit", "where"):
@@ -148,7 +148,7 @@ def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
             console.print(f"! {number['name']}: {number['remedy']}", soft_wrap=True, markup=False)
 
 
-def tell_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
+def report_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
     """Print the records of a plan, what is left out first."""
     table = Table(title="Plan", title_style="bold", box=None, pad_edge=False)
     for head, share in (

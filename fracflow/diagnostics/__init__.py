@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from math import isfinite
 
-from fracflow.diagnostics import film, rock, slip
+from fracflow.diagnostics import fracture_flow as film
+from fracflow.diagnostics import rock, slip
 from fracflow.diagnostics.joints import gather
-from fracflow.diagnostics.number import Number, View
+from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.mesh.data import SplitMesh
 from fracflow.scene.scene import Scene
 
@@ -24,9 +25,9 @@ NUMBERS = (
 )  # fmt: skip
 
 
-def scene_card(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
+def pre_run_checks(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
     """The numbers of a scene on its mesh; ``wells`` name -> flow node. On one process."""
-    view = View(scene, gather(scene, mesh, wells))
+    view = CheckInput(scene, gather(scene, mesh, wells))
     return [number(view) for number in NUMBERS]
 
 

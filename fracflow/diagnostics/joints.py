@@ -20,7 +20,7 @@ Bools = np.ndarray
 
 
 @dataclass(frozen=True)
-class CardJoints:
+class CheckJoints:
     """Values of all joints (j,), or at their two ends (j, 2); NaN where the scene does not say.
 
     names, fracture  names of the fractures, and the one of each joint
@@ -69,7 +69,7 @@ class CardJoints:
     is_held: Bools
 
 
-def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoints:
+def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CheckJoints:
     """The joints of a mesh; ``wells`` name -> flow node."""
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=-1)
 
@@ -86,7 +86,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
     drop, distance = _weakening(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
-    return CardJoints(
+    return CheckJoints(
         mesh.fractures,
         mesh.joint_fracture,
         length,

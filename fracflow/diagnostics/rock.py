@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow.diagnostics.number import Number, View
+from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.scene.units import LENGTH, TIME
 
 STIFF = {"gauss2": 1.0, "one-point": 0.5}
 """Where tractions begin to oscillate, as measured (scripts/figures stability --only S5); nodal ones do not."""
 
 
-def stiffness(view: View) -> Number:
+def stiffness(view: CheckInput) -> Number:
     """k_n h/E': above a limit of the quadrature tractions oscillate from joint to joint."""
     name, formula, joints = "joint/rock stiffness", "k_n h/E'", view.joints
     value, joint, where = view.worst(joints.normal * (joints.length / joints.modulus)[:, None])
@@ -26,7 +26,7 @@ def stiffness(view: View) -> Number:
     return Number(name, formula, value, limit, True, where, remedy, rule)
 
 
-def joint_step(view: View) -> Number:
+def joint_step(view: CheckInput) -> Number:
     """Time step dt sqrt(k_n/m_rel), m_rel = rho h/4 of the walls: above 1 joints that open and close gain energy."""
     name, formula, joints = "joint time step", "dt omega = dt sqrt(k_n/m_rel)", view.joints
     if not view.dynamic:

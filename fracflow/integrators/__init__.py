@@ -27,7 +27,7 @@ EXPLICIT: dict[str, type[Stepper]] = {"explicit": Explicit}
 """Rules with a protocol of their own: see ``solve.explicit``."""
 
 WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
-OF_FILMS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
+FLOW_INTEGRATORS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
 
 
 def stepper_from(name: str, method: Any) -> Stepper:

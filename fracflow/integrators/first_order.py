@@ -1,6 +1,6 @@
-"""Rules for the film where there is no inertia: what the walls give to the flow at the end of a step, on arrays.
+"""Integrators of fracture flow without inertia: the storage rate by the walls at the end of a step, on arrays.
 
-A film mode that decays at the rate s is multiplied in a step by, with x = s dt,
+A flow mode that decays at the rate s is multiplied in a step by, with x = s dt,
 backward Euler  1/(1 + x)                        order 1, monotone at any dt
 trapezoid       (1 - x/2)/(1 + x/2)              order 2, dissipates nothing of its own, rings for x > 2
 BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; they are complex for x > 1/2
@@ -46,12 +46,13 @@ class FilmRule(Stepper, Protocol):
 
 
 def storage_error(rule: FilmRule, dt: float, rates: Rates) -> Any:
-    """About the error in what is stored that a step of a film rule adds, either sign, of its own order.
+    """About the error in storage by one step of fracture flow, either sign, of its own order.
 
     With divided differences for the derivatives: backward Euler leaves dt^2/2 of the second one, the trapezoid dt^3/12
     of the third, BDF2 dt^2 (dt + last)^2/(6 (2 dt + last)) of it (Hairer, Norsett and Wanner 1993, III.5). Rules with a
-    memory begin by backward Euler. Of a stage's first step, whose rate at its start nobody knows, it is about a third of
-    what is stored in it: a half where the rate rises evenly, 0.19 where a pressure jumps (erfc against its exponential).
+    memory begin by backward Euler. Of a stage's first step, whose rate at its start is unknown, it is about a third of
+    the storage in it. It is a half where the rate rises evenly, 0.19 where a pressure jumps (erfc against its
+    exponential).
     """
     return dt * (rates.new - rates.old) / 3.0 if rates.last == 0.0 else rule.storage_error(dt, rates)
 
@@ -82,7 +83,7 @@ class BackwardEuler:
 
 @dataclass(frozen=True)
 class Trapezoid:
-    """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for the film; rings for dt > 2 tau_d."""
+    """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for flow; rings for dt > 2 tau_d."""
 
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = False

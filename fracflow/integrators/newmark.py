@@ -115,7 +115,7 @@ def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion, mean_
 def first_rate(alphas: Alphas, new: Any, old: Any, rate_old: Any = 0.0, mean_old: Any = 0.0) -> Any:
     """p'_new = b1 (p_new - p) - b4 p' - a6 w of what has no second rate; w = ``mean_old`` is its mean in the last step.
 
-    Newmark's p_new = p + dt ((1 - gamma) p' + gamma p'_new); the film rules' own, as for the walls.
+    Newmark's p_new = p + dt ((1 - gamma) p' + gamma p'_new); the flow integrators' own, as for the walls.
     """
     return alphas.b1 * (new - old) - alphas.b4 * rate_old - alphas.a6 * mean_old
 

@@ -1,4 +1,4 @@
-"""What a joint law takes and gives."""
+"""The input and output of a joint law."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ INSTANT, HELD = LawStep(), LawStep(hold=True)
 
 @dataclass(frozen=True)
 class Key:
-    """What a scene must know of a parameter to read it: meaning, dimension ("1" without), range.
+    """A parameter as a scene reads it: meaning, dimension ("1" without), range.
 
     not_above  another parameter of the law that it may not exceed
     """

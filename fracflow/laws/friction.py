@@ -103,7 +103,7 @@ class Trial:
 
         Friction [stress]: sticking, ``strength`` (n,) less trial traction; sliding, k_s times the plastic slip of a step, the
         way it slides, with -d ``carried`` / d f_n (n,) of what it carries. Contact [1]: opening past that at which f_n
-        vanishes, over d0. What round-off does is no event.
+        vanishes, over d0. A change by round-off is no event.
         """
         slack = ROUND_OFF * (
             self.closure.stress_scale(len(change)) + self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)

@@ -1,8 +1,8 @@
 """From the split mesh on rank 0 to the blocks of every rank.
 
-Cells go where the partitioner sends them. A node belongs to the lowest rank that has a cell with it, a joint to the rank of
-its bottom cell, a flow node to the lowest rank that has a joint with it. PETSc numbers are contiguous on each rank and
-within a rank follow the original numbers.
+Cells go where the partitioner sends them. A node belongs to the lowest rank that has a cell with it, and a joint to the
+rank of its bottom cell. A flow node belongs to the lowest rank that has a joint with it. PETSc numbers are contiguous
+on each rank and within a rank follow the original numbers.
 """
 
 from __future__ import annotations

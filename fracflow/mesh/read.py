@@ -21,7 +21,7 @@ from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
 from fracflow.mesh.plane.snap import STRETCH, natural_snap
-from fracflow.mesh.plane.traces import Network, Trace, polygon_area, tidy
+from fracflow.mesh.plane.traces import Trace, TraceNetwork, polygon_area, tidy
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh")
@@ -30,7 +30,7 @@ SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
 MOST_CELLS = 1e8
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
-SMALL = 0.25  # of the size at fractures: smaller cells are told
+SMALL = 0.25  # of the size at fractures: smaller cells are reported
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     return replace(raw, notes=(*network.notes, *told(misses), *_told_small(between, misses, fine)))
 
 
-def network_of(geometry: GeometrySpec) -> tuple[Network, float, list[NearMiss]]:
+def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMiss]]:
     """The network of a geometry, its snap [length], and what all but meets in it; none of them depends on mesh sizes.
 
     Raises InputError for traces that cannot be made fit (``traces.tidy``).

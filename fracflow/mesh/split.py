@@ -59,11 +59,11 @@ def arc_length(points: Floats, facets: Ints, fracture_of: Ints) -> Floats:
 def split(raw: RawMesh) -> SplitMesh:
     """Give a fracture node one copy for each piece of rock around it, and a fracture facet two faces.
 
-    A corner (cell, node) on a fracture is joined to that of the neighbour across each facet that is not on a
-    fracture; the connected components are the copies. The first copy, that of the lowest cell, keeps the
-    node's number. A tip has one copy: its section has no jump. The top of a joint is on the cell left of its
-    facet, that to which the normal of a surface points, the bottom on the other. Raises InputError, naming fracture and
-    place, for facets that have no cell on one side or are not in the mesh.
+    A corner (cell, node) on a fracture is joined to that of the neighbour across each facet that is not on a fracture.
+    The connected components are the copies. The first copy, that of the lowest cell, keeps the node's number. A tip has
+    one copy: its section has no jump. The top of a joint is on the cell left of its facet, that to which the normal of
+    a surface points, the bottom on the other. Raises InputError, naming fracture and place, for facets that have no
+    cell on one side or are not in the mesh.
     """
     dim = raw.points.shape[1]
     facets = raw.fracture_facets
@@ -256,7 +256,7 @@ def parts(mesh: SplitMesh, ties: Ints) -> Ints:
     return components(first, second, len(mesh.points))
 
 
-def glued(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
+def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
     """The mesh as if there were none of the fractures chosen (f,), which share no node with the others.
 
     Cells keep their numbers, and nodes those of the raw mesh; copies, joints, flow nodes and fractures are numbered anew.

@@ -24,7 +24,7 @@ def static_balance(
     ops.joints.force(traction, result)
     if ops.flow is not None:
         term = result.duplicate()
-        ops.flow.push.mult(pressure, term)
+        ops.flow.pressure_load.mult(pressure, term)
         result.axpy(-1.0, term)
         term.destroy()
     for force in of_terms:

@@ -90,7 +90,9 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
     """Rates (n,) of what was ``taken`` (n,) since ``state``, by the rule of the walls; None in a step without storage."""
     if alphas.b1 == alphas.b4 == 0.0:
         return None
-    old, mean = (0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.memory.uptake))
+    old, mean = (
+        0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.previous_step.uptake)
+    )
     rate: Floats = first_rate(alphas, taken, 0.0, old, mean)
     return rate
 

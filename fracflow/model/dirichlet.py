@@ -16,12 +16,12 @@ from fracflow.scene.boundary import Support
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
 
 Values = Callable[..., "float | Floats"]
-"""(time, around = AT_ONCE) -> one value or one for each; ``around`` tells which side of a jump counts."""
+"""(time, around = AT_ONCE) -> one value or one for each; ``around`` selects the side of a jump that counts."""
 AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Prescribed:
+class PrescribedValues:
     """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each.
 
     well  whose pressure it is, if that is a well's
@@ -92,7 +92,7 @@ def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
 
 def prescribe(
     starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[..., Any]
-) -> tuple[Prescribed, Ints]:
+) -> tuple[PrescribedValues, Ints]:
     """Unknowns of this rank among numbers (n,) found anywhere, but for those taken before; and all taken now. Collective.
 
     value  of time, of what was found with each number (n, k), and of what is ``around`` that time
@@ -103,7 +103,9 @@ def prescribe(
     here = is_new & (owner_of(starts, everywhere) == comm.rank)
     with_it = data[first[here]]
     numbers = everywhere[here] - starts[comm.rank]
-    return Prescribed(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(taken, everywhere)
+    return PrescribedValues(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(
+        taken, everywhere
+    )
 
 
 def motion(support: Support, part: str) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""(2.24)-(2.27) The energy books: every term booked over each step with (2.33b), and what is left over.
+"""(2.24)-(2.27) The energy balance: every term of (2.33b) summed over each step, and the residual.
 
 Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
@@ -38,12 +38,12 @@ WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
 
-def empty_books(terms: Iterable[Term] = ()) -> dict[str, float]:
+def empty_balance(terms: Iterable[Term] = ()) -> dict[str, float]:
     """All entries at zero, those of terms beside the others."""
     return dict.fromkeys([*ENTRIES, *(name for term in terms for name in term.energy(0.0, 0.0))], 0.0)
 
 
-def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
+def update_balance(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
     """Totals after a step of length ``dt`` from ``old`` to ``new``.
 
     With ``scheme.storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
@@ -106,7 +106,7 @@ def compressed(ops: Operators, old: State, new: State) -> float:
     assert ops.flow is not None
     room, taken = new.pressure.duplicate(), taken_between(ops, old, new)
     change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
-    ops.flow.squeeze.multTranspose(change, room)
+    ops.flow.storage_coupling.multTranspose(change, room)
     mean, driving = _potential(ops, (old, new)), _sum(0.5, new.pressure, 0.5, old.pressure)
     driving.axpy(-1.0, ops.flow.resting)
     driving.aypx(-1.0, mean)
@@ -130,7 +130,7 @@ def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
     return balanced
 
 
-def put_in(totals: Mapping[str, float]) -> dict[str, float]:
+def close_initial_balance(totals: Mapping[str, float]) -> dict[str, float]:
     """Totals of a start away from rest: all that they do not account for was put in before the first step."""
     held = _with_residuals({**totals, "scheme": 0.0})
     return _with_residuals({**held, "work_initial": held["residual"]})
@@ -189,7 +189,7 @@ def _fluid_parts(
         matrix.multTranspose(motion, rate)
         return float(rate.dot(at))
 
-    pushed = volume(ops.flow.push, change, driving)
+    pushed = volume(ops.flow.pressure_load, change, driving)
     resting = float(rate.dot(ops.flow.resting))
     parts = {
         "viscous": share * sum(state.forces.conduction.dot(balanced) for state in instants),
@@ -204,12 +204,14 @@ def _fluid_parts(
         for each in rates:
             each.destroy()
     if scheme.storage:
-        swept = volume(ops.flow.squeeze, change, driving)
+        swept = volume(ops.flow.storage_coupling, change, driving)
         parts["spurious"] = swept - pushed
         if scheme.balance == "step":  # of what the walls move
-            stored = volume(ops.flow.squeeze, change, balanced)
+            stored = volume(ops.flow.storage_coupling, change, balanced)
         else:
-            stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity, balanced) for state in instants)
+            stored = share * sum(
+                volume(ops.flow.storage_coupling, state.motion.velocity, balanced) for state in instants
+            )
         stored += share * sum(state.uptake.dot(balanced) for state in instants if state.uptake is not None)
         parts["fluid_scheme"] = stored - swept
     else:

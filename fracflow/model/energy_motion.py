@@ -1,4 +1,4 @@
-"""Terms that motion adds to the energy books in a step: kinetic energy, what a scheme damps, what terms take."""
+"""Terms that motion adds to the energy balance in a step: kinetic energy, what a scheme damps, what terms take."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
 def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
     """Kinetic energy, what the scheme dissipates, work at supports beside half the sum of reactions; or what is dropped.
 
-    Over a step the rock moves by d, and half the sum of S before and after it does the work that the other entries book.
+    Over a step the rock moves by d, and half the sum of S before and after it does the work of the other entries.
     Where it is free, M w + (1 - f) S_new + f S = 0, w the acceleration that the mass meets; so the scheme dissipates
     d.(M w - M dv/dt) + e.M dv/dt + (1/2 - f) d.(S_new - S), with d = dt (v + v_new)/2 + e and e of the accelerations alone.
     Where it is held, its inertia takes up what its kinetic energy does. Without inertia the half of S that the last stage

@@ -89,8 +89,8 @@ class Flow:
 
     opening     displacement unknowns -> normal jump at the joint ends
     pick        pressures of the flow nodes -> joint ends
-    push        B of (2.38): pressures -> forces on the solid unknowns
-    squeeze     B_F of (3.20): its transpose makes volume rates of velocities; the same as B but for the report's pair
+    pressure_load  B of (2.38): pressures -> forces on the solid unknowns
+    storage_coupling  B_F of (3.20): its transpose makes volume rates of velocities; the same as B but for the report's pair
     aperture    (j, 2) initial aperture d0 at the ends [length]
     least       (j, 2) minimum hydraulic aperture, for conduction only [length]
     length      (j,) [length]
@@ -106,8 +106,8 @@ class Flow:
 
     opening: PETSc.Mat
     pick: PETSc.Mat
-    push: PETSc.Mat
-    squeeze: PETSc.Mat
+    pressure_load: PETSc.Mat
+    storage_coupling: PETSc.Mat
     pattern: PETSc.Mat
     aperture: Floats
     least: Floats

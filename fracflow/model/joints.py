@@ -22,7 +22,7 @@ from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import nodal_layout, node_unknowns
-from fracflow.model.state import Past, Sections
+from fracflow.model.state import SectionHistory, Sections
 from fracflow.scene.scene import Scene
 
 
@@ -134,7 +134,7 @@ class Joints:
         """Sections of a joint."""
         return len(self.natural)
 
-    def initial_history(self) -> Past:
+    def initial_history(self) -> SectionHistory:
         """Histories of all laws at the initial state."""
         return tuple(group.law.initial_history(len(group.sections), self.dim) for group in self.laws)
 
@@ -162,7 +162,7 @@ class Joints:
         return local
 
     def openings(self, strain: Floats) -> Floats | None:
-        """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None of the one-point rule, which does not tell."""
+        """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None for the one-point rule, which has none."""
         normal = strain[:, -1].reshape(-1, self.points)
         return None if self._to_nodes is None else np.asarray(normal @ self._to_nodes.T)
 
@@ -173,13 +173,13 @@ class Joints:
     def walls(self, sections: Sections, law: FlowLaw, step: LawStep = INSTANT) -> Walls:
         """The joint ends as a flow law sees them when ``step`` has led to those sections; slip of the section next to each."""
         slip = self._next_to_ends(sections.strain[:, :-1]) if law.knows_slip else np.zeros((0, 2, self.dim - 1))
-        history = {name: self._next_to_ends(self.history(sections.past, name)) for name in law.reads}
+        history = {name: self._next_to_ends(self.history(sections.history, name)) for name in law.reads}
         return Walls(self.openings(sections.strain), slip, history, step)
 
     def _next_to_ends(self, values: Floats) -> Floats:
         return values.reshape(-1, self.points, *values.shape[1:])[:, [0, -1]]
 
-    def evaluate(self, strain: Floats, history: Past, step: LawStep = INSTANT) -> Sections:
+    def evaluate(self, strain: Floats, history: SectionHistory, step: LawStep = INSTANT) -> Sections:
         """Response of the laws to strains (s, dim) after ``history``, which stays as it is."""
         count = len(strain)
         whole = {
@@ -203,16 +203,16 @@ class Joints:
                 if name not in ("strain", "blur", "record"):
                     values[group.sections] = getattr(response, name)
             new.append(response.history)
-        return Sections(past=tuple(new), **whole)
+        return Sections(history=tuple(new), **whole)
 
-    def with_status(self, history: Past, trial: Past) -> Past:
+    def with_status(self, history: SectionHistory, trial: SectionHistory) -> SectionHistory:
         """``history`` with the statuses of ``trial``: the histories from which the next iteration starts."""
         return tuple(
             {**start, **{name: reached[name] for name in group.law.status}}
             for group, start, reached in zip(self.laws, history, trial, strict=True)
         )
 
-    def history(self, past: Past, name: str) -> Floats:
+    def history(self, past: SectionHistory, name: str) -> Floats:
         """A history variable at all sections of this rank, (s,) or (s, dim-1); NaN where the law has none of that name."""
         shapes = {"shear": (len(self.weights), self.dim - 1), "scalar": (len(self.weights),)}
         kind = next((group.law.history[name].kind for group in self.laws if name in group.law.history), "scalar")
@@ -222,7 +222,7 @@ class Joints:
                 values[group.sections] = history[name]
         return values
 
-    def have_changed(self, old: Past, new: Past) -> Bools:
+    def have_changed(self, old: SectionHistory, new: SectionHistory) -> Bools:
         """Which (s,) of this rank's sections have another status in ``new`` than in ``old``."""
         changed = np.zeros(len(self.weights), dtype=bool)
         for group, before, after in zip(self.laws, old, new, strict=True):
@@ -240,7 +240,7 @@ class Joints:
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([np.inf, *(float(np.min(place)) for place in places)])
 
-    def approach(self, strain: Floats, change: Floats, history: Past, step: LawStep) -> Floats:
+    def approach(self, strain: Floats, change: Floats, history: SectionHistory, step: LawStep) -> Floats:
         """Distances (s, 2) of this rank's sections from their next event, of friction and of contact; see ``JointLaw``."""
         result = np.full((len(strain), 2), np.inf)
         for group, before in zip(self.laws, history, strict=True):
@@ -248,7 +248,7 @@ class Joints:
             result[g] = group.law.approach(strain[g], change[g], before, step.of(g))
         return result
 
-    def with_other_status(self, strain: Floats, history: Past, chosen: Bools) -> Past:
+    def with_other_status(self, strain: Floats, history: SectionHistory, chosen: Bools) -> SectionHistory:
         """``history`` with the other status of friction at the chosen sections (s,)."""
         return tuple(
             group.law.with_other_status(strain[group.sections], before, chosen[group.sections])

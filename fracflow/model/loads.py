@@ -13,7 +13,7 @@ from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.dirichlet import Prescribed, motion, own, prescribe, supported
+from fracflow.model.dirichlet import PrescribedValues, motion, own, prescribe, supported
 from fracflow.model.layout import Layout
 from fracflow.model.network_parts import Closure
 from fracflow.model.operators import Operators
@@ -65,9 +65,9 @@ class Loads:
     inertia, and ``at_rest``, whether there is none.
     """
 
-    supports: tuple[Prescribed, ...]
+    supports: tuple[PrescribedValues, ...]
     forces: tuple[Pattern, ...]
-    pressures: tuple[Prescribed, ...]
+    pressures: tuple[PrescribedValues, ...]
     wells: tuple[Pattern, ...]
     fixed_solid: Ints
     fixed_flow: Ints
@@ -95,7 +95,7 @@ class Loads:
     def at_limit(self, reached: Collection[Limit]) -> Loads:
         """The same with some wells kept at the pressure of a limit, in place of their flow rates."""
         names = {limit.well for limit in reached}
-        kept = [Prescribed(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in reached]
+        kept = [PrescribedValues(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in reached]
         return replace(
             self,
             pressures=(*self.pressures, *kept),
@@ -224,13 +224,13 @@ def _swapped(pressure: Pressures) -> Callable[..., Any]:
 
 def _well_pressure(
     blocks: Blocks, scene: Scene, layout: Layout, node: int, well: Well, held: Ints
-) -> tuple[Prescribed, Ints]:
+) -> tuple[PrescribedValues, Ints]:
     """The pressure kept at a well; "initial" is p0 there."""
     local = own(layout.flow_starts, blocks.comm.rank, np.array([node]))
     if isinstance(well.pressure, TimeTable):
-        return Prescribed(local, well.pressure, well.name), np.union1d(held, [node])
+        return PrescribedValues(local, well.pressure, well.name), np.union1d(held, [node])
     initial = initial_pressure(scene, blocks.flow.points[local])
-    return Prescribed(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, [node])
+    return PrescribedValues(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, [node])
 
 
 def assemble_loads(
@@ -248,7 +248,7 @@ def assemble_loads(
     """
     comm, starts, layout, expand = blocks.comm, blocks.solid.unknown_starts, operators.layout, operators.expand
     taken = blocks.solid.unused
-    supports = [Prescribed(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
+    supports = [PrescribedValues(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
     for support in scene.support:
         for name in support.on:
             for part, found in supported(blocks, support, name, points).items():

@@ -21,7 +21,7 @@ see it. Not of all elements: a thin fracture far from a wide one conducts what i
 FREE = 1e-10  # of what single nodes take up of a wall's motion: less is round-off
 
 
-def label_parts(links: Ints, conducts: np.ndarray, count: int) -> Ints:
+def label_components(links: Ints, conducts: np.ndarray, count: int) -> Ints:
     """The part (count,) that each node belongs to, by links (m, 2) of which those that conduct (m,) join."""
     joined = links[conducts]
     graph = sparse.coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(count, count))
@@ -29,7 +29,7 @@ def label_parts(links: Ints, conducts: np.ndarray, count: int) -> Ints:
 
 
 @dataclass(frozen=True)
-class Part:
+class NetworkComponent:
     """A part of the network, the same on every rank.
 
     nodes      (n,) numbers of its flow nodes
@@ -107,12 +107,12 @@ def leaving(operators: Operators) -> np.ndarray:
     return np.isin(np.arange(int(layout.flow_starts[-1])), np.concatenate(layout.comm.allgather(here)))
 
 
-def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
+def find_components(operators: Operators, conducts: np.ndarray) -> tuple[NetworkComponent, ...]:
     """All parts, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
     blocks = operators.blocks
     comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
     links = np.concatenate(comm.allgather(joints.flow))
-    label = label_parts(links, np.concatenate(comm.allgather(conducts)), count)
+    label = label_components(links, np.concatenate(comm.allgather(conducts)), count)
     points = np.concatenate(comm.allgather(blocks.flow.points))
     pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
     here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}
@@ -122,11 +122,12 @@ def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
     order = np.argsort(label, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if count else []
     return tuple(
-        Part(nodes, tuple(names.get(int(label[nodes[0]]), [])), points[nodes].mean(axis=0)) for nodes in groups
+        NetworkComponent(nodes, tuple(names.get(int(label[nodes[0]]), [])), points[nodes].mean(axis=0))
+        for nodes in groups
     )
 
 
-def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -> np.ndarray:
+def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fixed_solid: Ints) -> np.ndarray:
     """Whether the volume of each part (k,) changes when its walls move, with some displacements held. Collective.
 
     It does not, too, where walls move in such a way only that they make as much room as they take: a rigid block afloat.
@@ -137,7 +138,7 @@ def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -
     part_of[np.concatenate([part.nodes for part in parts])] = np.repeat(
         np.arange(len(parts)), [len(part.nodes) for part in parts]
     )
-    walls = local_rows(network.squeeze)
+    walls = local_rows(network.storage_coupling)
     joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
     free = ~np.isin(joined, fixed_solid)[walls.rows]
     keys, inverse = np.unique(walls.rows[free] * len(parts) + part_of[walls.cols[free]], return_inverse=True)
@@ -152,7 +153,7 @@ def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -
     return gives
 
 
-def close(operators: Operators, part: Part, gives: bool, holds: bool = False) -> Closure:
+def close(operators: Operators, part: NetworkComponent, gives: bool, holds: bool = False) -> Closure:
     """The closure of a part that nothing drains, by whether its walls give way. The caller owns its weights. Collective.
 
     holds  whether it holds a fluid that is compressible, in a step that stores nothing
@@ -169,11 +170,11 @@ def close(operators: Operators, part: Part, gives: bool, holds: bool = False) ->
         return Closure("level", row, inside, size, part.nodes, nothing)
     inside.getArray()[local] = 1.0
     weights = layout.solid_vector()
-    network.squeeze.mult(inside, weights)
+    network.storage_coupling.mult(inside, weights)
     inside.destroy()
     if not holds:
         return Closure("walls", row, weights, size, part.nodes, nothing)
-    walls, here = local_rows(network.squeeze), np.isin(operators.blocks.joints.flow, part.nodes)
+    walls, here = local_rows(network.storage_coupling), np.isin(operators.blocks.joints.flow, part.nodes)
     volume = float(np.sum(np.where(here, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
     soft = network.compressibility * scales.pressure * layout.comm.allreduce(volume)
     touched = np.unique(walls.rows[np.isin(walls.cols, part.nodes)])

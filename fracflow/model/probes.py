@@ -13,16 +13,16 @@ from fracflow.model import stress as rock
 from fracflow.scene.quantities import OutputQuantity, probed
 from fracflow.scene.scene import Scene
 
-Place = FracturePlace | RockPlace
+ProbePlace = FracturePlace | RockPlace
 
 
-def available(scene: Scene, mesh: SplitMesh, place: Place, default: bool = False) -> tuple[str, ...]:
+def available(scene: Scene, mesh: SplitMesh, place: ProbePlace, default: bool = False) -> tuple[str, ...]:
     """Names of the quantities that a place has; only those of a probe that names none, if ``default``."""
     rows = probed().values()
     return tuple(row.name for row in rows if (row.default or not default) and not _why_not(scene, mesh, place, row))
 
 
-def refuse_missing(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place]) -> None:
+def refuse_missing(scene: Scene, mesh: SplitMesh, places: Mapping[str, ProbePlace]) -> None:
     """Raise InputError for the first quantity that a probe asks for and its place does not have."""
     for probe in scene.probe:
         place = places[probe.name]
@@ -32,13 +32,13 @@ def refuse_missing(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place]) -
                 raise InputError(f"probe.{probe.name}.quantities: {name}: {why}; {_where(mesh, place)} has {has}")
 
 
-def _where(mesh: SplitMesh, place: Place) -> str:
+def _where(mesh: SplitMesh, place: ProbePlace) -> str:
     if isinstance(place, RockPlace):
         return f"the rock {mesh.rocks[mesh.cell_rock[place.cells[0]]]} there"
     return f"the fracture {mesh.fractures[mesh.joint_fracture[place.joints[0]]]} there"
 
 
-def _why_not(scene: Scene, mesh: SplitMesh, place: Place, row: OutputQuantity) -> str:
+def _why_not(scene: Scene, mesh: SplitMesh, place: ProbePlace, row: OutputQuantity) -> str:
     """Why a place has no such quantity; empty where it has."""
     where = _where(mesh, place)
     if isinstance(place, RockPlace):

@@ -21,12 +21,12 @@ from fracflow.mesh.split import split
 from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.loads import Loads, assemble_loads
-from fracflow.model.network_parts import label_parts
+from fracflow.model.network_parts import label_components
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
 from fracflow.scene.scene import Scene
-from fracflow.scene.values import FractureEnd, Place
+from fracflow.scene.values import FractureEnd, Position
 
 Result = TypeVar("Result")
 
@@ -39,7 +39,7 @@ class Placed:
     probes  name -> place
     points  name -> split nodes
     ties    (m, 2) pairs of node * dim + component that move alike
-    notes   what the log should tell
+    notes   lines for the log
     apart   parts of the network that have wells and never meet, where there is more than one; on rank 0
     """
 
@@ -183,13 +183,13 @@ def of_well(mesh: SplitMesh, name: str, node: int) -> str:
     return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
 
 
-def is_moved(mesh: SplitMesh, asked: Place, spot: Floats) -> bool:
+def is_moved(mesh: SplitMesh, asked: Position, spot: Floats) -> bool:
     """Whether a place given by coordinates is not at its node's ``spot`` (dim,)."""
     near = 1e-6 * float(np.ptp(mesh.points, axis=0).max())
     return isinstance(asked, tuple) and float(np.linalg.norm(np.asarray(asked) - spot)) > near
 
 
-def moved(name: str, asked: Place, spot: Floats) -> str:
+def moved(name: str, asked: Position, spot: Floats) -> str:
     """Say at which node's ``spot`` (dim,) a well or probe sits, and how far from the place asked for."""
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot))
     return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
@@ -214,7 +214,7 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
     count = len(mesh.flow_origin)
     if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
         return
-    label = label_parts(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
+    label = label_components(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
     drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
     held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())

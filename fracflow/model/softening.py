@@ -8,13 +8,13 @@ from fracflow.errors import InputError, SolveError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.model.joints import Joints
-from fracflow.model.state import Past, State
+from fracflow.model.state import SectionHistory, State
 
 REMEDY = "make shear_stiffness times {1} at least {0:.3g} times what it is"
 
 
 def steepest(
-    blocks: Blocks, joints: Joints, traction: Floats, past: Past, chosen: Floats | None = None
+    blocks: Blocks, joints: Joints, traction: Floats, past: SectionHistory, chosen: Floats | None = None
 ) -> tuple[float, str, str]:
     """Largest fall of strength with slip over shear stiffness, of the chosen sections, its fracture and key. Collective.
 
@@ -44,7 +44,7 @@ def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
 def refuse_jumps(blocks: Blocks, joints: Joints, old: State, new: State) -> None:
     """Raise SolveError, on every rank, for a fracture that slid in a step where its strength fell too fast. Collective."""
     slid = (new.sections.inelastic != old.sections.inelastic).any(axis=1)
-    worst, name, key = steepest(blocks, joints, new.sections.traction, old.sections.past, slid)
+    worst, name, key = steepest(blocks, joints, new.sections.traction, old.sections.history, slid)
     if worst >= 1.0:
         raise SolveError(
             f"time {new.time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fracflow._petsc import PETSc
 from fracflow.mesh.data import Floats
 
-Past = tuple[Mapping[str, Floats], ...]
+SectionHistory = tuple[Mapping[str, Floats], ...]
 """Histories of the joint sections, one mapping a law."""
 
 
@@ -62,12 +62,12 @@ class Sections:
     margin: Floats
     blur: Floats
     record: Floats
-    past: Past
+    history: SectionHistory
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Terms of the balances at one instant, kept for the energy books.
+    """Terms of the balances at one instant, kept for the energy balance.
 
     load        outer forces R on the solid unknowns [force per thickness]
     support     reactions at supported unknowns, zero elsewhere
@@ -103,7 +103,7 @@ class Forces:
 
 
 @dataclass(frozen=True)
-class Memory:
+class PreviousStep:
     """Memory that a rule without inertia has of the step before, in the same stage.
 
     time_step  its length, 0 where there was none [time]
@@ -129,15 +129,15 @@ class State:
     """Everything at the end of a step.
 
     controls  value of each load factor
-    energy    running totals of the energy books [energy per thickness]
-    limited   wells that are kept at a limit of their pressure
+    energy    running totals of the energy balance [energy per thickness]
+    wells_at_limit  wells that are kept at a limit of their pressure
     friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
     injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
     left      net volume that has left the network by each term since the start, by their names [length^3]
-    around    lengths of the step that led here and of the next one as foreseen, by which what jumps in time was sampled
+    adjacent_steps  lengths of the step that led here and of the next one as foreseen, by which what jumps in time was sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
-    drive     largest pressure, above that at rest, at the end of a step since the start [stress]
-    power     most that the flow has dissipated at the end of a step since the start [energy/time per thickness]
+    max_overpressure  largest pressure, above that at rest, at the end of a step since the start [stress]
+    max_dissipation  most that the flow has dissipated at the end of a step since the start [energy/time per thickness]
     """
 
     time: float
@@ -147,32 +147,32 @@ class State:
     forces: Forces
     controls: Mapping[str, float]
     energy: Mapping[str, float]
-    limited: tuple[str, ...] = ()
+    wells_at_limit: tuple[str, ...] = ()
     friction: Floats = field(default_factory=lambda: np.zeros(0))
-    memory: Memory = Memory()
+    previous_step: PreviousStep = PreviousStep()
     uptake: PETSc.Vec | None = None
-    drive: float = 0.0
-    power: float = 0.0
+    max_overpressure: float = 0.0
+    max_dissipation: float = 0.0
     injected: float = 0.0
     left: Mapping[str, float] = field(default_factory=dict)
-    around: tuple[float, float] = (0.0, 0.0)
+    adjacent_steps: tuple[float, float] = (0.0, 0.0)
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""
         self.motion.destroy()
         self.pressure.destroy()
         self.forces.destroy()
-        self.memory.destroy()
+        self.previous_step.destroy()
         if self.uptake is not None:
             self.uptake.destroy()
 
 
 def forgetful(state: State) -> State:
-    """A copy with vectors of its own, without what a rule remembers of the step before."""
+    """A copy with vectors of its own, without the previous step."""
     motion = Motion(*(v.copy() for v in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)))
     uptake = None if state.uptake is None else state.uptake.copy()
     forces, pressure = state.forces.copy(), state.pressure.copy()
-    return replace(state, motion=motion, pressure=pressure, forces=forces, memory=Memory(), uptake=uptake)
+    return replace(state, motion=motion, pressure=pressure, forces=forces, previous_step=PreviousStep(), uptake=uptake)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def _room(ops: Operators, old: State, new: State) -> Floats:
     room, moved = new.pressure.duplicate(), new.motion.displacement.duplicate()
     after, before = (state.motion.displacement.getArray(readonly=True) for state in (new, old))
     moved.setArray(after - before)
-    ops.flow.squeeze.multTranspose(moved, room)
+    ops.flow.storage_coupling.multTranspose(moved, room)
     if new.uptake is not None:
         taken = taken_between(ops, old, new)
         room.axpy(1.0, taken)

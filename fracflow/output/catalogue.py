@@ -18,7 +18,7 @@ from fracflow.scene.scene import Scene
 
 SLIPPED = 1e-9  # of the largest slip of an event: what is less is none
 RELEASED = ("friction", "radiated", "damping", "dropped", "scheme")
-"""Entries of the energy books in which the energy that an event sets free ends, but for what the fluid takes."""
+"""Entries of the energy balance in which the energy released by an event ends, except the share of the fluid."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from fracflow.laws.base import zero_history
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Memory, Motion, Past, Sections, State
+from fracflow.model.state import Forces, Motion, PreviousStep, SectionHistory, Sections, State
 from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 Arrays = dict[str, NDArray[Any]]
@@ -57,7 +57,7 @@ FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
 class Notes(TypedDict, total=False):
-    """What a checkpoint says beside its arrays; what NOTES names must be there.
+    """The notes of a checkpoint beside its arrays; those named in NOTES must be there.
 
     seals  digests of what it belongs to: the roots of "mesh", the last row of "history", the text of "scene"
     """
@@ -92,7 +92,7 @@ def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapp
 
 
 def read_notes(path: Path) -> dict[str, Any]:
-    """What a checkpoint says beside its arrays, ``seals`` empty where it has none. Raises InputError as ``read_arrays``."""
+    """The notes of a checkpoint beside its arrays, ``seals`` empty where it has none. Raises InputError as ``read_arrays``."""
     found = read_sealed(path, _NO_CHECKPOINT, names=())
     try:
         notes: dict[str, Any] = json.loads(str(found.notes["notes"]))
@@ -152,21 +152,23 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
     for name, part in FLOW.items() if operators.flow is not None else ():
         local = getattr(getattr(state, part) if part else state, name).getArray(readonly=True)
         arrays[name] = blocks.gather(blocks.flow.ids, local.copy(), blocks.sizes.flow_nodes)
-    if state.memory.velocity is not None:
-        local = state.memory.velocity.getArray(readonly=True)
+    if state.previous_step.velocity is not None:
+        local = state.previous_step.velocity.getArray(readonly=True)
         arrays[MEMORY] = blocks.gather(places[used], local[used], total)
     anchor = {} if state.forces.anchor is None else {ANCHOR: state.forces.anchor}
     for name, vector in {**state.forces.of_terms, **anchor}.items():
         arrays[name] = blocks.gather(places[used], vector.getArray(readonly=True)[used], total)
-    for name, rate in zip(RATES, (state.uptake, state.memory.uptake), strict=True):
+    for name, rate in zip(RATES, (state.uptake, state.previous_step.uptake), strict=True):
         if rate is not None:
             arrays[name] = blocks.gather(blocks.flow.ids, rate.getArray().copy(), blocks.sizes.flow_nodes)
     joints, points = blocks.joints.ids, operators.joints.points
-    at_sections = {f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "past"}
+    at_sections = {
+        f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "history"
+    }
     for name, values in {**at_sections, "friction": state.friction}.items():
         rows = values.reshape(len(joints), points, *values.shape[1:])
         arrays[name] = blocks.gather(joints, rows, blocks.sizes.joints)
-    for number, (group, past) in enumerate(zip(operators.joints.laws, state.sections.past, strict=True)):
+    for number, (group, past) in enumerate(zip(operators.joints.laws, state.sections.history, strict=True)):
         for name, values in past.items():
             whole = np.zeros((len(joints) * points, *values.shape[1:]))
             whole[group.sections] = values
@@ -201,16 +203,16 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         values = arrays[name][blocks.joints.ids]
         return values.reshape(-1, *values.shape[2:])
 
-    past: Past = tuple(
+    past: SectionHistory = tuple(
         {name: at_sections(f"past/{number}/{name}")[group.sections] for name in group.law.history}
         for number, group in enumerate(operators.joints.laws)
     )
-    parts = {f.name: at_sections(f"sections/{f.name}") for f in fields(Sections) if f.name != "past"}
+    parts = {f.name: at_sections(f"sections/{f.name}") for f in fields(Sections) if f.name != "history"}
     return State(
         time=notes["time"],
         motion=Motion(solid("displacement"), solid("velocity"), solid("acceleration")),
         pressure=flow("pressure"),
-        sections=Sections(past=past, **parts),
+        sections=Sections(history=past, **parts),
         forces=Forces(
             solid("load"),
             solid("support"),
@@ -222,17 +224,17 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         ),
         controls=notes["controls"],
         energy=notes["energy"],
-        limited=tuple(notes["limited"]),
+        wells_at_limit=tuple(notes["limited"]),
         friction=at_sections("friction"),
-        memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1]), notes.get("through", {}))
+        previous_step=PreviousStep(notes["last_step"], solid(MEMORY), saved(RATES[1]), notes.get("through", {}))
         if notes["last_step"]
-        else Memory(),
+        else PreviousStep(),
         uptake=saved(RATES[0]),
-        drive=notes["drive"],
-        power=notes["power"],
+        max_overpressure=notes["drive"],
+        max_dissipation=notes["power"],
         injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
         left=notes.get("left", {}),
-        around=tuple(notes.get("around", (0.0, 0.0))),
+        adjacent_steps=tuple(notes.get("around", (0.0, 0.0))),
     )
 
 
@@ -250,7 +252,9 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
     shapes |= {name: (sizes.flow_nodes,) for name in RATES if name in arrays}
     kept = (*_names_of_terms(operators, arrays), *([ANCHOR] if ANCHOR in arrays else []))
     shapes |= {name: (unknowns,) for name in kept}
-    parts = {f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "past"}
+    parts = {
+        f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "history"
+    }
     shapes |= {f"sections/{name}": shape for name, shape in parts.items()} | {"friction": joint}
     for number, group in enumerate(operators.joints.laws):
         past = zero_history(group.law.history, 1, sizes.dim)

@@ -1,4 +1,4 @@
-"""What levels of refinement tell about each other: observed orders, estimated errors, and where neither can be trusted.
+"""Comparison of levels of refinement: observed orders, estimated errors, and warnings where neither is reliable.
 
 Of quantities q_0, q_1, q_2, each of half the mesh size and step, p = log2(|q_0 - q_1|/|q_1 - q_2|) is the order that was
 observed, and |q_1 - q_2|/(2^p - 1) the error of the last (Richardson 1911; Roache 1998). That holds of an error c(t) h^p,
@@ -34,7 +34,7 @@ LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the h
 LOWEST = min(OF_TIPS, OF_SLOPES) - LATITUDE  # slower falls leave no order to estimate errors by
 JUMP = 0.6  # between successive orders
 ALIKE = 0.95  # cosine of successive differences, as vectors over times: below it estimates may be any factor off
-ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences tell nothing
+ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences are round-off
 SAME_TIME = 1e-9  # of the time span
 MOST_COMMON = 0.5  # of the coarsest level's times that must be everywhere, or all are interpolated
 NO_RESULTS = ("residual", "residual_closed", "scheme")  # errors themselves
@@ -113,9 +113,9 @@ def judged(row: Row, scale: float) -> Row:
     if order < LOWEST:
         return replace(row, warning=f"order below {LOWEST:g}: a jump, or not yet fine enough")
     if order > ORDER_OF_MESH + ABOVE:
-        return replace(row, warning=f"order above {ORDER_OF_MESH:g}: coarser levels are not fine enough to tell")
+        return replace(row, warning=f"order above {ORDER_OF_MESH:g}: coarser levels are not fine enough to show it")
     if earlier and not abs(order - earlier[0]) <= JUMP:
-        return replace(row, warning="orders jump from level to level: not yet fine enough to tell")
+        return replace(row, warning="orders jump from level to level: not yet fine enough to show it")
     if row.alike < ALIKE:
         return replace(row, warning="differences of levels change their course: errors of mesh and steps may cancel")
     return row

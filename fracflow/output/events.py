@@ -240,7 +240,7 @@ class Chatter:
         self._changes: deque[NDArray[np.bool_]] = deque(maxlen=STEPS)
 
     def update(self, stage: int, is_open: NDArray[np.bool_]) -> str:
-        """Count a step of a stage with the nodes (n,) that are open at its end; what is to be told, mostly nothing."""
+        """Count a step of a stage with the nodes (n,) that are open at its end; a line to report, mostly empty."""
         if stage != self._stage:
             self._stage, self._told = stage, False
             self._changes.clear()

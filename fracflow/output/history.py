@@ -243,7 +243,7 @@ def _read(
 
 
 def _check_start(path: str | Path, found: Found) -> bytes:
-    """What the chain begins from, empty where there are no seals. Raises InputError where attributes or names were changed."""
+    """The start of the chain, empty where there are no seals. Raises InputError where attributes or names were changed."""
     layout = {name: about for name, about in found.layout.items() if name != SEAL}
     notes = {name: value for name, value in found.attributes.items() if name != SEAL}
     if SEAL not in found.attributes and SEAL not in found.layout:

@@ -15,7 +15,7 @@ from fracflow.elements import solid
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model import stress as rock
-from fracflow.model.probes import Place, available
+from fracflow.model.probes import ProbePlace, available
 from fracflow.output.sampling import Columns, Snapshot
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
@@ -23,13 +23,17 @@ from fracflow.scene.scene import Scene
 Data = dict[str, NDArray[Any]]
 
 
-def measured(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place]) -> dict[str, Sequence[str]]:
+def measured(scene: Scene, mesh: SplitMesh, places: Mapping[str, ProbePlace]) -> dict[str, Sequence[str]]:
     """Names of the quantities of each probe: those that it names, else all there are by default at its place."""
     return {p.name: p.quantities or available(scene, mesh, places[p.name], default=True) for p in scene.probe}
 
 
 def probe_record(
-    scene: Scene, mesh: SplitMesh, places: Mapping[str, Place], names: Mapping[str, Sequence[str]], snapshot: Snapshot
+    scene: Scene,
+    mesh: SplitMesh,
+    places: Mapping[str, ProbePlace],
+    names: Mapping[str, Sequence[str]],
+    snapshot: Snapshot,
 ) -> dict[str, Any]:
     """History entries ``probe/NAME/QUANTITY`` of all probes, of the names of their quantities.
 

@@ -1,4 +1,4 @@
-"""What the pictures show, read from a run folder; every part may be missing but the history."""
+"""The data of the pictures, read from a run folder; every part may be missing but the history."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fracflow.scene.units import TIME, unit_text
 from fracflow.storage.files import steers
 
 Floats = NDArray[np.float64]
-Profile = tuple[Floats, Floats | None, Floats]
+FieldProfile = tuple[Floats, Floats | None, Floats]
 
 _DYNAMIC, _EQUILIBRATE = 2, 3
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins
@@ -82,9 +82,9 @@ class FractureFields:
                 places[name] = (float(x), float(y))
         return places
 
-    def profiles(self, key: str, most: int) -> dict[str, Profile]:
+    def profiles(self, key: str, most: int) -> dict[str, FieldProfile]:
         """Name -> (distance along the trace, field before or None, field after), longest fractures first."""
-        found: dict[str, Profile] = {}
+        found: dict[str, FieldProfile] = {}
         for i, name in enumerate(self.names):
             nodes = self._trace(self.cells[self.fracture == i])
             if len(nodes):

@@ -1,4 +1,4 @@
-"""What a step leaves on record: probes, fracture nodes and rock, gathered on rank 0 in original order."""
+"""The record of a step: probes, fracture nodes and rock, gathered on rank 0 in original order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fracflow.scene.quantities import OutputQuantity, quantities
 from fracflow.scene.scene import Scene
 
 EVERY_STEP = ("sliding", "open", "margin", "plastic_slip", "slip_rate", "shear_traction")
-"""What events and counts need of all joint ends at every step."""
+"""The values of all joint ends that events and counts need at every step."""
 
 
 class Columns:
@@ -50,7 +50,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Sampler:
-    """What of this rank goes on record.
+    """The recorded values of this rank.
 
     aperture  (j, 2) initial aperture at the joint ends, NaN where none is given [length]
     nodes     (n,) owned nodes whose motion probes need
@@ -141,7 +141,7 @@ class JointEnds:
 
     def history(self, name: str) -> Floats:
         """A history variable of joint laws, (j, 2) or (j, 2, dim-1); NaN where the law has none of that name."""
-        return self._ends(self._operators.joints.history(self._state.sections.past, name))
+        return self._ends(self._operators.joints.history(self._state.sections.history, name))
 
     @cached_property
     def _openings(self) -> Floats | None:

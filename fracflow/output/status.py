@@ -20,7 +20,7 @@ FILE = "status.json"
 class Status:
     """How a run stands, and the line that it was stopped or failed with.
 
-    word  running, ended, stopped, failed, or cut off: killed before it could tell; empty where the folder does not tell
+    word  running, ended, stopped, failed, or cut off: killed before it could write it; empty where the folder has none
     """
 
     word: str = ""

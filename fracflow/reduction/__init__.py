@@ -16,21 +16,21 @@ from collections.abc import Iterable
 from dataclasses import asdict, replace
 
 from fracflow.reduction import flow, outputs, solver
-from fracflow.reduction.decision import Decision, Facts
-from fracflow.reduction.idle_rock import decide_parts
+from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.inertia import decide_inertia
+from fracflow.reduction.locked_fractures import decide_tied
 from fracflow.reduction.solver import factorisations
-from fracflow.reduction.tied_fractures import decide_tied
+from fracflow.reduction.unloaded_blocks import decide_parts
 
 __all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations"]
 
 DECISIONS = (
-    flow.flow_block, flow.one_way, flow.film_storage, flow.compressibility, flow.fluid_inertia,
+    flow.flow_block, flow.one_way, flow.fracture_storage, flow.compressibility, flow.fluid_inertia,
     decide_inertia, decide_tied, decide_parts, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
 )  # fmt: skip
 
 
-def decide(facts: Facts) -> list[Decision]:
+def decide(facts: ReductionInput) -> list[Decision]:
     """All decisions, before the first step; not left out is what was put back in an earlier try."""
     found = [decision for find in DECISIONS for decision in find(facts)]
     keys = ((each, f"{each.part}, {each.stage}" if each.stage else each.part) for each in found)

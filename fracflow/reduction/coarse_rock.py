@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow.diagnostics import slip
-from fracflow.diagnostics.number import View
+from fracflow.diagnostics.number import CheckInput
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.scene import Scene
@@ -17,7 +17,7 @@ def may_run_away(scene: Scene) -> bool:
     return any(stage.kind != "dynamic" for stage in scene.stage)
 
 
-def coarse_beside(view: View, mesh: SplitMesh, edges: Floats) -> list[str]:
+def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]:
     """A line for each fracture whose joints may resolve where slip runs away, and the rock beside it, of ``edges`` (m,), not.
 
     Rock is too stiff by the square of the rate at which its cells grow away from a patch of the nucleation length.

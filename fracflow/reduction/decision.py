@@ -41,7 +41,7 @@ class Decision:
 
 
 @dataclass(frozen=True)
-class Shut:
+class LockedFractures:
     """The fractures that can neither slip, open nor conduct.
 
     names       of them; empty where the plan ties none
@@ -63,7 +63,7 @@ class Shut:
 
 
 @dataclass(frozen=True)
-class Parts:
+class UnloadedBlocks:
     """The parts of the rock that hang together with no other, and how many of them something loads; unknowns of the rest."""
 
     count: int = 1
@@ -72,7 +72,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Facts:
+class ReductionInput:
     """A scene as it is stated, and values from its model.
 
     period      longest period in which it vibrates while its joints stick; infinite where that was not asked [time]
@@ -81,7 +81,7 @@ class Facts:
     jumps       components of the jumps of all joint sections
     damps       terms have a C
     card        numbers of the pre-run checks by their names; on rank 0 only
-    shut        fractures that are tied, also where that was undone
+    locked      fractures that are tied, also where that was undone
     parts       parts of the rock, also where all of them are kept
     undone      what was taken back in an earlier try of the run: "part, stage" -> when and why
     """
@@ -95,11 +95,11 @@ class Facts:
     ranks: int = 1
     damps: bool = False
     card: Mapping[str, Number] = field(default_factory=dict)
-    shut: Shut = Shut()
-    parts: Parts = Parts()
+    locked: LockedFractures = LockedFractures()
+    parts: UnloadedBlocks = UnloadedBlocks()
     undone: Mapping[str, str] = field(default_factory=dict)
 
-    def with_card(self, numbers: Sequence[Number]) -> Facts:
+    def with_card(self, numbers: Sequence[Number]) -> ReductionInput:
         """The same with the pre-run checks."""
         return replace(self, card={number.name: number for number in numbers})
 

@@ -7,16 +7,16 @@ others use.
 
 from __future__ import annotations
 
-from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.scene.time_table import TimeTable
 
 
-def _nothing(facts: Facts) -> str:
+def _nothing(facts: ReductionInput) -> str:
     share = facts.pressures / max(facts.unknowns + facts.pressures, 1)
     return f"nothing: kept, one factorisation serves rock and fluid, and pressures are {share:.2g} of its unknowns"
 
 
-def flow_block(facts: Facts) -> list[Decision]:
+def flow_block(facts: ReductionInput) -> list[Decision]:
     """The pressures: left out where there is no fluid; where all of them stay as they are they are none the less solved for."""
     scene, fluid = facts.scene, facts.scene.fluid
     value = "no [fluid]" if fluid is None else f"viscosity {fluid.viscosity:g}, specific weight {fluid.specific_weight}"
@@ -34,7 +34,7 @@ def flow_block(facts: Facts) -> list[Decision]:
     return [Decision("flow", False, told, "met" if at_rest else "not met", "met", "none", saves)]
 
 
-def is_at_rest(facts: Facts) -> bool:
+def is_at_rest(facts: ReductionInput) -> bool:
     """Whether no pressure ever changes: no walls squeeze the fluid, and nothing drives it."""
     scene = facts.scene
     still = all(stage.kind in ("steady", "equilibrate") for stage in scene.stage)
@@ -42,7 +42,7 @@ def is_at_rest(facts: Facts) -> bool:
     return still and any(kept) and all(kept) and not scene.drained
 
 
-def one_way(facts: Facts) -> list[Decision]:
+def one_way(facts: ReductionInput) -> list[Decision]:
     """The effect of moving walls on the flow."""
     numbers = [facts.card.get(f"coupling, {name}") for name in ("transient", "steady")]
     known = [number.value for number in numbers if number is not None and number.value is not None]
@@ -54,7 +54,7 @@ def one_way(facts: Facts) -> list[Decision]:
     ]
 
 
-def film_storage(facts: Facts) -> list[Decision]:
+def fracture_storage(facts: ReductionInput) -> list[Decision]:
     """Storage of fractures while they fill, in stages without inertia: steady flow for dt > 50 tau_d."""
     ringing = facts.card.get("film ringing")
     slow = any(stage.kind in ("quasi-static", "auto") for stage in facts.scene.stage)
@@ -74,7 +74,7 @@ def film_storage(facts: Facts) -> list[Decision]:
     ]
 
 
-def compressibility(facts: Facts) -> list[Decision]:
+def compressibility(facts: ReductionInput) -> list[Decision]:
     """Storage of a fluid by its pressure, beside the storage of the walls."""
     number, fluid = facts.card.get("fluid compressibility"), facts.scene.fluid
     if not facts.scene.has_flow or number is None or number.value is None or fluid is None:
@@ -96,7 +96,7 @@ def compressibility(facts: Facts) -> list[Decision]:
     ]
 
 
-def fluid_inertia(facts: Facts) -> list[Decision]:
+def fluid_inertia(facts: ReductionInput) -> list[Decision]:
     """Never modelled; the pre-run checks warn of it."""
     number = facts.card.get("fluid inertia")
     if not facts.scene.has_flow or not facts.scene.has_dynamics or number is None or number.value is None:

@@ -13,7 +13,7 @@ from math import isfinite, pi
 import numpy as np
 
 from fracflow.integrators import EXPLICIT
-from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.scene.boundary import Stage
 from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
@@ -24,7 +24,7 @@ PART = "inertia"
 CRITERION = "T sum(changes of load rate)/(2 pi range), T the longest period, joints sticking"
 
 
-def kick(table: TimeTable, start: float, end: float, period: float) -> float:
+def kink_response(table: TimeTable, start: float, end: float, period: float) -> float:
     """Sum of all changes of rate, times the period over 2 pi times the range of the table [1].
 
     Nothing damps a mode, and no two changes are sure not to add up. Between two instants, before the first of which nothing
@@ -84,17 +84,17 @@ def asks_period(scene: Scene) -> bool:
     return any(stage.kind == "dynamic" and not why_not(scene, n, start, end) for n, stage, start, end in spans(scene))
 
 
-def _kicks(facts: Facts, start: float, end: float) -> float:
-    return max((kick(table, start, end, facts.period) for table in facts.scene.time_tables), default=0.0)
+def _kicks(facts: ReductionInput, start: float, end: float) -> float:
+    return max((kink_response(table, start, end, facts.period) for table in facts.scene.time_tables), default=0.0)
 
 
-def longest_step(facts: Facts, value: float, stage: Stage, start: float, end: float) -> float:
+def longest_step(facts: ReductionInput, value: float, stage: Stage, start: float, end: float) -> float:
     """Step without inertia: the tolerance's share of the shortest ramp, twice that without flow, which takes time."""
     ramp = facts.period / (pi * value) if value > 0.0 else end - start
     return min(ramp, end - start) * facts.tolerance * (1.0 if facts.scene.has_flow else 2.0)
 
 
-def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: float) -> Decision:
+def decide_stage(facts: ReductionInput, number: int, stage: Stage, start: float, end: float) -> Decision:
     """Whether a dynamic stage goes without inertia until something fails."""
     label = f"{number} ({stage.title})"
     limit, error = facts.tolerance, "the vibration that slow loads set off, relative to what they do"
@@ -123,7 +123,7 @@ def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: flo
     return Decision(PART, True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", label)
 
 
-def decide_inertia(facts: Facts) -> list[Decision]:
+def decide_inertia(facts: ReductionInput) -> list[Decision]:
     """One decision for each dynamic stage, or one for a scene that has none."""
     bounded = {number: (start, end) for number, _, start, end in spans(facts.scene)}
     found = []
@@ -147,7 +147,7 @@ def key_of(number: int, stage: Stage) -> str:
     return f"{PART}, {number} ({stage.title})"
 
 
-def slow_stages(facts: Facts) -> dict[int, Stage]:
+def slow_stages(facts: ReductionInput) -> dict[int, Stage]:
     """Number -> the stage auto that takes the place of a dynamic one, where that was not undone."""
     found = {}
     for number, stage, start, end in spans(facts.scene) if facts.leaves_out else ():
@@ -164,7 +164,7 @@ def slow_stages(facts: Facts) -> dict[int, Stage]:
     return found
 
 
-def reduced(facts: Facts) -> Scene:
+def reduced(facts: ReductionInput) -> Scene:
     """The scene that is run: what the plan leaves out is not in it."""
     slow = slow_stages(facts)
     if not slow:

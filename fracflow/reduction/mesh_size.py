@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow.diagnostics import slip
-from fracflow.diagnostics.film import EVENT_STEPS
+from fracflow.diagnostics.fracture_flow import EVENT_STEPS
 from fracflow.diagnostics.joints import cell_rocks, gather
-from fracflow.diagnostics.number import View, spans
+from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.plane.quality import cell_areas
@@ -72,7 +72,7 @@ class Need:
 
 def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
     """A line for each length that a mesh does not resolve, except those of the pre-run checks. On one process."""
-    view = View(scene, gather(scene, mesh, wells))
+    view = CheckInput(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)
     coarse = slip.coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
     return (
@@ -91,12 +91,12 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
     )
 
 
-def needs(view: View, mesh: SplitMesh) -> list[Need]:
+def needs(view: CheckInput, mesh: SplitMesh) -> list[Need]:
     """All lengths of a scene, each where its mesh is worst at it."""
     return [*_along_fractures(view, mesh), *_in_rock(view, mesh)]
 
 
-def _along_fractures(view: View, mesh: SplitMesh) -> Iterator[Need]:
+def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     joints = view.joints
     if not len(joints.length):
         return
@@ -128,7 +128,7 @@ def _along_fractures(view: View, mesh: SplitMesh) -> Iterator[Need]:
         yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
 
 
-def _in_rock(view: View, mesh: SplitMesh) -> Iterator[Need]:
+def _in_rock(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     edges = cell_sizes(mesh)
 
     def need(what: str, size: Floats, is_told: bool) -> Iterator[Need]:
@@ -146,7 +146,7 @@ def _in_rock(view: View, mesh: SplitMesh) -> Iterator[Need]:
         )
 
 
-def _periods(view: View, speed: float) -> Iterator[tuple[str, float, bool]]:
+def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]]:
     """Periods of waves in each stage with inertia, none under ten of its steps: of loads, of slip; of jumps if of neither.
 
     speed  the lowest shear speed
@@ -211,7 +211,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
         keys = snap | _keys(geometry, size, fine, at_tips, growth, traces)
         trial = scene.with_geometry({**keys, "refine": 0})
         mesh, wells = build(trial)
-        view = View(trial, gather(trial, mesh, wells))
+        view = CheckInput(trial, gather(trial, mesh, wells))
         found = [width, *needs(view, mesh)]
         crowding = len(mesh.cells) / cell_count(size, fine, area, total, growth)
         finer = _finer(size, found, along=False), _finer(fine, found, along=True)

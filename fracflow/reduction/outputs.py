@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from fracflow.elements import dashpot
-from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.decision import Decision, ReductionInput
 
 
-def fields(facts: Facts) -> list[Decision]:
+def fields(facts: ReductionInput) -> list[Decision]:
     """Stresses and energy densities of the rock, and files of whole fields."""
     every = facts.scene.output.fields_every
     value = "the first and the last state" if every == 0 else f"every {every} steps"
@@ -14,7 +14,7 @@ def fields(facts: Facts) -> list[Decision]:
     return [Decision("fields", every != 1, "output.fields_every", value, "asked for", "none", saves)]
 
 
-def far_field(facts: Facts) -> list[Decision]:
+def far_field(facts: ReductionInput) -> list[Decision]:
     """Rock beyond absorbing sides, which changes waves that meet them at an angle."""
     scene = facts.scene
     ratios = sorted({rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None})

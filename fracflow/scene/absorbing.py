@@ -7,13 +7,13 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from fracflow.scene.boundary import Names
-from fracflow.scene.method import Part
+from fracflow.scene.method import Table
 from fracflow.scene.terms import TermTable
 from fracflow.scene.units import VELOCITY, Quantity, fault
 from fracflow.scene.values import Tabled, TimeTable
 
 
-class Wave(Part):
+class Wave(Table):
     """[absorbing.wave] A plane wave that comes in through absorbing sides."""
 
     kind: Literal["p", "s"] = Field(

@@ -6,11 +6,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fracflow.scene.method import Count, Fraction, Part
+from fracflow.scene.method import Count, Fraction, Table
 from fracflow.scene.units import LINE_FORCE, Quantity
 
 
-class Accuracy(Part):
+class Accuracy(Table):
     """[accuracy] How accurate results are to be, when an iteration has converged, and when it is given up."""
 
     residual: Fraction = Field(

@@ -7,10 +7,10 @@ from typing import TypeVar
 
 from fracflow.integrators import stepper_from
 from fracflow.scene.boundary import Stage
-from fracflow.scene.method import Part
+from fracflow.scene.method import Table
 from fracflow.scene.scene import Scene
 
-Thing = TypeVar("Thing", bound=Part)
+Thing = TypeVar("Thing", bound=Table)
 Spot = tuple[tuple[float, float], str | None]
 """Where something is, and on which rock or fracture; None where the scene need not say."""
 

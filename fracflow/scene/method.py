@@ -16,7 +16,7 @@ from pydantic import (
     create_model,
 )
 
-from fracflow.integrators import OF_FILMS, WITH_INERTIA, keys_of
+from fracflow.integrators import FLOW_INTEGRATORS, WITH_INERTIA, keys_of
 from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
 from fracflow.scene.units import (
@@ -51,7 +51,7 @@ def _option(value: object) -> object:
 Option = Annotated[StrictBool | StrictInt | StrictFloat | StrictStr, BeforeValidator(_option)]
 
 
-class Part(BaseModel):
+class Table(BaseModel):
     """A table of a scene: frozen, and refuses keys it does not know."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -60,12 +60,12 @@ class Part(BaseModel):
 if TYPE_CHECKING:
     InertiaStepper: TypeAlias = str
     FilmStepper: TypeAlias = str
-    StepperKeys: Any = Part
+    StepperKeys: Any = Table
 else:
-    InertiaStepper, FilmStepper = Literal[tuple(WITH_INERTIA)], Literal[tuple(OF_FILMS)]
+    InertiaStepper, FilmStepper = Literal[tuple(WITH_INERTIA)], Literal[tuple(FLOW_INTEGRATORS)]
     StepperKeys = create_model(
         "StepperKeys",
-        __base__=Part,
+        __base__=Table,
         **{
             key: (Annotated[float, Quantity(**limits)], Field(default=default, description=meaning))
             for key, (default, meaning, limits) in keys_of(WITH_INERTIA).items()
@@ -184,7 +184,7 @@ class Method(StepperKeys):
     }
 
 
-class Output(Part):
+class Output(Table):
     """[output] What a run writes beside its histories."""
 
     fields_every: Annotated[int, Field(strict=True, ge=0)] = Field(
@@ -204,14 +204,14 @@ class Output(Part):
     pictures: StrictBool = Field(default=True, description="draw pictures for the report page")
 
 
-class Trace(Part):
+class Trace(Table):
     """[[geometry.fracture]] A fracture as a polyline."""
 
     name: Name = Field(description="name that [fracture.NAME] refers to")
     points: Annotated[Points, Polyline()] = Field(description="[[x, y], ...] from its start to its end [length]")
 
 
-class Geometry(Part):
+class Geometry(Table):
     """[geometry] A domain with fracture traces, meshed by the program; its rock is called "rock"."""
 
     domain: Annotated[Points, Domain()] = Field(
@@ -249,7 +249,7 @@ class Geometry(Part):
     refine: Refine = Field(default=0, description=REFINED)
 
 
-class Mesh(Part):
+class Mesh(Table):
     """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
 
     file: FileName = Field(description=".geo or .msh file, relative to the scene")

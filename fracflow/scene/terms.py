@@ -9,12 +9,12 @@ from pydantic import Field, create_model
 
 from fracflow.laws import TERM_LAWS, TermLaw, keys_of
 from fracflow.scene.boundary import Names
-from fracflow.scene.method import Part
+from fracflow.scene.method import Table
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import Quantity
 
 
-class TermTable(Part):
+class TermTable(Table):
     """A table that adds a term to the balances; what one does not say, its term does not do.
 
     places   that ``on`` names: "sides" or "fractures"
@@ -75,11 +75,11 @@ def _table(name: str, law: type[TermLaw]) -> type[LawTable]:
 
 
 if TYPE_CHECKING:
-    TablesOfLaws = Part
+    TablesOfLaws = Table
 else:
     TablesOfLaws = create_model(
         "TablesOfLaws",
-        __base__=Part,
+        __base__=Table,
         **{
             name: (tuple[_table(name, law), ...], Field(default=(), description=_meaning(law)))
             for name, law in TERM_LAWS.items()

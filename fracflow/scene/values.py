@@ -21,7 +21,7 @@ class FractureEnd:
     end: Literal["start", "end"]
 
 
-Place = tuple[float, float] | str | FractureEnd
+Position = tuple[float, float] | str | FractureEnd
 
 
 def plain(value: Any) -> Any:
@@ -193,7 +193,7 @@ class Displaced(_Annotation):
 class At(_Annotation):
     """Annotation of a place: coordinates, a point named in the mesh, or an end of a fracture."""
 
-    def read(self, value: object, info: ValidationInfo) -> Place:
+    def read(self, value: object, info: ValidationInfo) -> Position:
         """Read ``[x, y]``, ``"name"`` or ``{fracture = "name", end = "start"}``."""
         if isinstance(value, str) and value:
             return value

@@ -11,7 +11,7 @@ from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
 from fracflow.model.setup import Model
 from fracflow.scene.scene import Scene
-from fracflow.simulation.suction import told_suction
+from fracflow.simulation.suction import suction_line
 from fracflow.simulation.totals import Totals
 
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is reported again
@@ -84,7 +84,7 @@ class Notices:
     def _pressure(self, step: Step) -> None:
         """A line, once, where a pressure would strain the rock by over ``STRAINED``: a rate through next to nothing."""
         stiff = [rock.youngs_modulus for rock in self._scene.rock.values() if rock.youngs_modulus is not None]
-        drive, totals, wells = step.state.drive, self._totals, self._scene.well
+        drive, totals, wells = step.state.max_overpressure, self._totals, self._scene.well
         if totals.strained or not stiff or drive <= STRAINED * min(stiff):
             return
         totals.strained = 1
@@ -113,7 +113,7 @@ class Notices:
 
     def _suction(self, step: Step) -> None:
         """A line, once, where a pressure falls below zero: no fluid holds together there."""
-        if self._totals.sucked or not (line := told_suction(self._model, step.state)):
+        if self._totals.sucked or not (line := suction_line(self._model, step.state)):
             return
         self._totals.sucked = 1
         self._doubt(line)

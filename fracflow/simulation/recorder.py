@@ -1,4 +1,4 @@
-"""What a run puts on record: history, events, fields, plan, log and checkpoints."""
+"""The record of a run: history, events, fields, plan, log and checkpoints."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow._version import __version__
 from fracflow.advance.step import Step
-from fracflow.diagnostics import as_lines, scene_card
+from fracflow.diagnostics import as_lines, pre_run_checks
 from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
@@ -29,7 +29,7 @@ from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_ch
 from fracflow.output.events import Chatter
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
-from fracflow.reduction import Decision, Facts, as_records, decide, factorisations
+from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
 from fracflow.simulation.before import Before, scene_seal
@@ -43,7 +43,7 @@ class Recorder:
     """Writes the run folder on rank 0; its calls are collective, for they gather."""
 
     def __init__(
-        self, model: Model, facts: Facts, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None
+        self, model: Model, facts: ReductionInput, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None
     ) -> None:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
@@ -153,7 +153,7 @@ class Recorder:
 
     def finish(self, seconds: float, status: Status) -> None:
         """Write plan.json, the last lines of the log, and how the run ended."""
-        for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
+        for line in self.totals.summary(watches_spurious(self.model.scene), seconds):
             self.log(line)
         if (files := self.files) is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
@@ -186,7 +186,9 @@ class Recorder:
 class Files:
     """The open files of a run folder; rank 0 only."""
 
-    def __init__(self, model: Model, facts: Facts, folder: Path, notes: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, model: Model, facts: ReductionInput, folder: Path, notes: Mapping[str, Any] | None = None
+    ) -> None:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
@@ -203,14 +205,14 @@ class Files:
     def _open(
         self,
         model: Model,
-        facts: Facts,
+        facts: ReductionInput,
         folder: Path,
         notes: Mapping[str, Any] | None,
         scene: str,
         before: Before | None,
     ) -> None:
         write_status(self.folder, Status(RUNNING))
-        self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
+        self.card = pre_run_checks(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide(facts.with_card(self.card))
         if before is None or not before.mesh:
             self.mesh_seal = save_mesh(model.stated_mesh, self.folder / "mesh.h5")
@@ -277,7 +279,7 @@ class Files:
             warnings.warn(line, stacklevel=2)
 
     def write_plan(self, decisions: list[Decision]) -> None:
-        """Write plan.json: what is modelled and left out, and the scene card."""
+        """Write plan.json: the parts that are modelled or left out, and the pre-run checks."""
         self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
 
     def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
@@ -286,10 +288,10 @@ class Files:
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
-        notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
-        notes |= {"through": dict(state.memory.through)}
-        notes |= {"drive": state.drive, "power": state.power, "injected": state.injected}
-        notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.around)}
+        notes |= {"limited": list(state.wells_at_limit), "last_step": state.previous_step.time_step}
+        notes |= {"through": dict(state.previous_step.through)}
+        notes |= {"drive": state.max_overpressure, "power": state.max_dissipation, "injected": state.injected}
+        notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.adjacent_steps)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}

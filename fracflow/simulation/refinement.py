@@ -13,16 +13,16 @@ from fracflow.mesh.split import tip_count
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import on_root, place
 from fracflow.output.convergence import Row, compare, write
-from fracflow.output.convergence_look import draw
+from fracflow.output.convergence_plot import draw
 from fracflow.output.folder import MARKER, check_folder, holds
-from fracflow.reduction.decision import Facts
+from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.inertia import asks_period
+from fracflow.reduction.locked_fractures import LEAST, why_none
 from fracflow.reduction.prepare import with_sizes
-from fracflow.reduction.tied_fractures import LEAST, why_none
 from fracflow.scene.levels import Spot, at_level, order_in_time
 from fracflow.scene.method import MOST_REFINED
 from fracflow.scene.scene import Scene
-from fracflow.simulation.run import Progress, has_ended, resume, run
+from fracflow.simulation.run import OnStep, has_ended, resume, run
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import no_plain_file
 
@@ -40,7 +40,7 @@ class Level:
     found: str
     comm: MPI.Comm
 
-    def run(self, progress: Progress | None = None) -> Totals:
+    def run(self, progress: OnStep | None = None) -> Totals:
         """Run what is left of it. Raises InputError, SolveError and Interrupted, on every rank. Collective."""
         if self.found == "nothing":
             return run(self.scene, self.folder, self.comm, progress)
@@ -64,7 +64,7 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
         )
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
-    ties = not why_none(Facts(scene, unknowns=LEAST))
+    ties = not why_none(ReductionInput(scene, unknowns=LEAST))
     if ties or asks_period(scene):  # levels would differ by what is left out; without inertia steps are not halved
         scene = scene.model_copy(update={"model": "full"})
     spots: dict[str, Spot] = {}

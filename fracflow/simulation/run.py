@@ -11,12 +11,12 @@ from fracflow._petsc import MPI
 from fracflow._version import __version__
 from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.instability import LimitPoint
-from fracflow.advance.stage import first_part, run_stage
+from fracflow.advance.stage import first_substep, run_stage
 from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
-from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveError, is_alone
+from fracflow.errors import DiskError, InputError, Interrupted, ReductionInvalid, SolveError, is_alone
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
@@ -24,22 +24,22 @@ from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
-from fracflow.output.handed import told_handed
 from fracflow.output.history import read_history
+from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.reduction.apply import planned
+from fracflow.reduction.locked_mesh import watch_tied
 from fracflow.reduction.prepare import prepare
-from fracflow.reduction.tied_mesh import watch_tied
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.notices import watches_spurious
 from fracflow.simulation.recorder import Recorder
-from fracflow.simulation.signals import Watch, Wish
+from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 from fracflow.solve.options import is_large, set_defaults
 from fracflow.storage.sealed import AGAIN
 
-Progress = Callable[[Step], None]
+OnStep = Callable[[Step], None]
 Show = Callable[[list[Number]], None]
 Say = Callable[[str], None]
 
@@ -48,19 +48,20 @@ def run(
     scene: Scene,
     folder: str | Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
-    progress: Progress | None = None,
+    progress: OnStep | None = None,
     show: Show | None = None,
     say: Say | None = None,
 ) -> Totals:
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
-    show      is given the scene card before the first step, on rank 0
+    show      is given the pre-run checks before the first step, on rank 0
     say       is given lines that should be read before it: that wells are in parts that never meet, what nearly meets
     progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
               of a stage auto that was tried from a time and thrown away; a method ``saved(steps)`` of each checkpoint
 
-    Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
-    gone, and ``progress`` sees those of both. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
+    Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
+    gone, and ``progress`` is called for those of both. Raises InputError, SolveError, DiskError and Interrupted, on
+    every rank.
     """
     undone: dict[str, str] = {}
     while True:
@@ -68,7 +69,7 @@ def run(
         heard = (show, say) if not undone else (None, None)
         try:
             return _go(_begun(scene, folder, comm, undone, mesh, *heard), progress)
-        except PutBack as needed:
+        except ReductionInvalid as needed:
             undone = {**undone, **needed.undone}
 
 
@@ -94,9 +95,9 @@ def _begun(
     """A new run, without what an earlier try had to take back, on its ``mesh``. Raises PutBack besides. Collective."""
     began = clock.perf_counter()
     model = prepare(scene, comm, mesh)
-    settle(model)
+    refuse_imbalance(model)
     model, facts = planned(model, undone)
-    state = rest(model)
+    state = equilibrium_state(model)
     recorder = Recorder(model, facts, Path(folder), comm)
     for part, when in undone.items():
         recorder.totals.undone[part] = when
@@ -124,7 +125,7 @@ def _begun(
 
 
 def resume(
-    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None, trust: bool = False
+    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: OnStep | None = None, trust: bool = False
 ) -> Totals:
     """Go on with a run that was stopped, on any number of ranks. Collective.
 
@@ -145,7 +146,7 @@ def resume(
         cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
         mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
         model = prepare(scene, comm, mesh, cell_rank, begins=False)
-        settle(model)
+        refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], cell_rank)
         with restoring(saved):
             check_stage(notes, len(scene.stage))
@@ -163,7 +164,7 @@ def resume(
     while True:
         try:
             return _go(ready or _begun(scene, folder, comm, undone, mesh), progress)
-        except PutBack as needed:
+        except ReductionInvalid as needed:
             undone, ready = {**undone, **needed.undone}, None
 
 
@@ -203,7 +204,7 @@ def of_stage(stage: Stage, error: SolveError) -> SolveError:
     return found
 
 
-def _go(begun: _Begun, progress: Progress | None) -> Totals:
+def _go(begun: _Begun, progress: OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
@@ -248,20 +249,20 @@ def is_moving(scene: Scene, step: Step) -> bool:
 
 
 def _steps(
-    stepping: Stepping, recorder: Recorder, step: Step, progress: Progress | None
+    stepping: Stepping, recorder: Recorder, step: Step, progress: OnStep | None
 ) -> tuple[Step, SolveError | Interrupted | DiskError | None]:
     """All steps that are left, on record: the last of them, and what ended them before their time. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
     going_on, tell_trial = step.progress or {}, getattr(progress, "trial", None)
-    with Watch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
+    with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
                     moves = stage.kind == "auto" and is_moving(scene, step)
                     stepper = stepper_of(scene, stage, "dynamic" if moves else "")
-                    entered = stepping.enter(state, stepper, first_part(stepping, stage, stepper, state.time))
+                    entered = stepping.enter(state, stepper, first_substep(stepping, stage, stepper, state.time))
                     state.destroy()
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
@@ -278,13 +279,13 @@ def _steps(
                             progress(step)
                         state.destroy()
                         state = step.state
-                        wish = watch.wish(recorder.totals.steps, must_stop=recorder.lost is not None)
-                        if wish is Wish.STOP:
+                        wish = watch.request(recorder.totals.steps, must_stop=recorder.lost is not None)
+                        if wish is RunRequest.STOP:
                             recorder.check()
-                        if wish is not Wish.GO_ON:
+                        if wish is not RunRequest.GO_ON:
                             recorder.save(step)
-                            recorder.last(step, whole=wish is Wish.STOP)
-                        if wish is Wish.STOP:
+                            recorder.last(step, whole=wish is RunRequest.STOP)
+                        if wish is RunRequest.STOP:
                             failure = Interrupted(
                                 f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
                             )
@@ -297,7 +298,7 @@ def _steps(
                         f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
                     )
                 going_on = {}
-        except PutBack:
+        except ReductionInvalid:
             for each in {id(state): state, id(step.state): step.state}.values():
                 each.destroy()
             raise

@@ -12,7 +12,7 @@ from fracflow.scene.units import LENGTH, STRESS
 LEAST = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
 
 
-def told_suction(model: Model, state: State) -> str:
+def suction_line(model: Model, state: State) -> str:
     """A line on the lowest pressure where it is below zero; empty where none is, or pressures are above an unknown datum.
 
     A scene with an initial pressure means pressures of its fluid; one without (zero) means changes, which may have any sign.

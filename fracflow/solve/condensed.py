@@ -27,12 +27,12 @@ from fracflow.solve.condensed_cost import Condensing, Key, fits, key_of
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.monolithic import Auto, Monolithic
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.sections import FilmOnJoints, SectionSolver
+from fracflow.solve.sections import FlowOnJoints, SectionSolver
 
 BLOCK = 64  # right sides at once: with more of them each takes no less time
 
 
-class Rock:
+class CondensedRock:
     """Factors of A and the compliance G A^-1 G' of all sections, dense, on rank 0."""
 
     def __init__(self, matrix: JoinedMatrix, loads: Loads, alphas: Alphas, elastic: Floats) -> None:
@@ -135,8 +135,8 @@ MOST_CYCLES = 3  # each takes away what round-off of the one before has left
 NEARLY = 10.0  # times the accuracy that is asked for, where little runs: all unknowns know no more
 
 
-class CondensedFilm(FilmOnJoints):
-    """The film of an implicit step: its balance holds at the end of the step."""
+class CondensedFlow(FlowOnJoints):
+    """Fracture flow of an implicit step: its balance holds at the end of the step."""
 
     def given(self, problem: StepProblem) -> PETSc.Vec:
         """Sources less what walls squeeze out at the velocity they have without moving on, in a new vector. Collective."""
@@ -144,7 +144,7 @@ class CondensedFilm(FilmOnJoints):
         assert network is not None
         speed.axpy(-problem.alphas.a1, problem.increment)
         squeezed = result.duplicate()
-        network.squeeze.multTranspose(speed, squeezed)
+        network.storage_coupling.multTranspose(speed, squeezed)
         result.axpy(-1.0, squeezed)
         speed.destroy()
         squeezed.destroy()
@@ -154,7 +154,7 @@ class CondensedFilm(FilmOnJoints):
 class CondensedSections(SectionSolver):
     """All sections at once; those whose moduli are the elastic ones cost nothing."""
 
-    film_kind, most_changes = CondensedFilm, 10  # Newton's method on all unknowns has more means to leave circles
+    film_kind, most_changes = CondensedFlow, 10  # Newton's method on all unknowns has more means to leave circles
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats) -> None:
         """Keep what is constant. Collective."""
@@ -191,7 +191,7 @@ def _alike(operators: Operators, clusters: Clusters) -> Ints:
     return np.asarray(index[inverse.ravel()], np.int64)
 
 
-Kept = tuple[Rock, CondensedSections]
+Kept = tuple[CondensedRock, CondensedSections]
 
 
 class Condensed:
@@ -237,7 +237,7 @@ class Condensed:
         except NotConverged:
             given_up = "no balance to all digits on the fractures alone"
             problem.pressure.setArray(start[1])
-            problem.branch = problem.state.sections.past
+            problem.branch = problem.state.sections.history
             problem.move(start[0])
         report = self.full.solve(problem)
         newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)
@@ -259,7 +259,7 @@ class Condensed:
     def _condensed(self, key: Key, problem: StepProblem) -> Kept | None:
         """Factors for a step, made where it pays; None where all unknowns are better solved for. Collective.
 
-        A part of the network that nothing drains has a closure in place of a balance, which the film does not know.
+        A network component without drainage has a closure in place of a balance, which condensed flow does not have.
         """
         if problem.loads.closures or not self._jumps or not self._is_meant(key, problem):
             return None
@@ -267,12 +267,12 @@ class Condensed:
         if kept is None:
             if len(self._kept) == MOST_KEPT:
                 self._free(next(iter(self._kept)))
-            rock = Rock(self.full.matrix, self.loads, problem.alphas, self._elastic)
+            rock = CondensedRock(self.full.matrix, self.loads, problem.alphas, self._elastic)
             kept = rock, CondensedSections(self.scene, self.operators, rock.clusters, self._elastic)
         self._kept[key] = kept
         return kept
 
-    def _bring(self, problem: StepProblem, rock: Rock, sections: CondensedSections) -> tuple[int, int]:
+    def _bring(self, problem: StepProblem, rock: CondensedRock, sections: CondensedSections) -> tuple[int, int]:
         """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
         joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
         problem.evaluate()
@@ -283,15 +283,15 @@ class Condensed:
             for cycle in range(1, MOST_CYCLES + 1):
                 change = joints.strain(problem.increment)
                 problem.solid_balance.copy(force)
-                joints.force(-sections.pushed(problem, change), force)
+                joints.force(-sections.pressure_change(problem, change), force)
                 free.setArray(problem.increment.getArray(readonly=True) - rock.solve(force))
                 change, report = sections.solve(problem, joints.strain(free), 1.0, change, least=int(cycle > 1))
                 iterations += report.iterations
                 force.set(0.0)
-                joints.force(sections.pushed(problem, change), force)
+                joints.force(sections.pressure_change(problem, change), force)
                 problem.move(free.getArray() - rock.solve(force))
                 problem.evaluate()
-                # beside what runs, too, where that is little: the books hold what is left of it, times the pressure
+                # beside what runs, too, where that is little: the energy balance holds its residual, times the pressure
                 beside = problem.residual.carried
                 if max(_largest(problem), beside) <= least:
                     break

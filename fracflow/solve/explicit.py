@@ -1,4 +1,4 @@
-"""An explicit step: the rock by central differences, joints and film at its end by themselves (``stepping.explicit``)."""
+"""An explicit step: the rock by central differences, joints and flow at its end by themselves (``integrators.explicit``)."""
 
 from __future__ import annotations
 
@@ -84,13 +84,13 @@ class ExplicitCoupling:
         problem.move(predicted(old, dt) + joint_share(dt) * moved.getArray())
         free = joints.strain(problem.increment)
         _, report = self.sections.solve(problem, free, joint_share(dt))
-        pull = self.sections.pull(problem.sections.traction, problem.pressure)
-        pulled = self.sections.pull(state.sections.traction, state.pressure)
+        pull = self.sections.total_traction(problem.sections.traction, problem.pressure)
+        pulled = self.sections.total_traction(state.sections.traction, state.pressure)
         force.set(0.0)
         joints.force(pulled - pull, force)
         self.inverse.mult(force, moved)
         problem.move(problem.increment.getArray() + joint_share(dt) * moved.getArray())
-        problem.take(problem.sections)
+        problem.accept(problem.sections)
         force.destroy()
         moved.destroy()
         problem.end = self._end(problem, old, dt)
@@ -160,7 +160,7 @@ class ExplicitCoupling:
         assert problem.conduction is not None
         network.outflow(problem.conduction, conduction)
         drawn, given = self.operators.layout.flow_vector(), film.given(problem)
-        network.squeeze.multTranspose(problem.increment, drawn)
+        network.storage_coupling.multTranspose(problem.increment, drawn)
         drawn.scale(problem.alphas.a1)
         drawn.axpy(1.0, conduction)
         if (uptake := problem.uptake()) is not None:

@@ -182,7 +182,7 @@ def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, sl
     elif abs(push[worst, 2]) > slack:
         pushed = f"net moment {push[worst, 2] * floating.frames.size[worst]:.4g} {system.force or ''}".rstrip()
     else:
-        pushed = "no net force just now, and nothing that tells where it rests"
+        pushed = "no net force just now, and no support that fixes its position"
     more = f" (and {len(loose) - 1} more blocks with it)" if len(loose) > 1 else ""
     return (
         f"time {problem.time:.6g}: {_block(floating, worst)} has no support in {_free_ways(motions[3 * worst : 3 * worst + 3])}"

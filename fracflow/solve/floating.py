@@ -98,7 +98,7 @@ def _sparse_null(scaled: sparse.csc_matrix) -> Floats | None:
 
 
 class Floating:
-    """Finds what floats, for the sections that carry; remembers the last answer."""
+    """Finds floating blocks, for the sections that carry; keeps the last result."""
 
     def __init__(self, operators: Operators, loads: Loads) -> None:
         """Place the sections. Nothing to communicate yet."""
@@ -120,7 +120,7 @@ class Floating:
     def find(self, sections: Sections, is_filled: bool, without: np.ndarray | None = None) -> Floats:
         """Motions (3 p, k) of the blocks that float at these sections, orthonormal. Collective.
 
-        is_filled  an incompressible film keeps the walls of every joint apart, and together
+        is_filled  an incompressible fluid keeps the walls of every joint apart, and together
         without    (s, 2) what sections are taken not to carry, along and across, whatever their status
         """
         tangent = sections.tangent

@@ -22,7 +22,7 @@ from fracflow.solve.problem import StepProblem
 
 
 @dataclass(frozen=True)
-class Enclosed:
+class EnclosedComponent:
     """A part of the network that nothing drains.
 
     nodes  local numbers of its flow nodes on this rank
@@ -92,7 +92,7 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
 
 
 def first_levels(
-    operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[Enclosed]
+    operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[EnclosedComponent]
 ) -> Floats:
     """Changes (k,) of the pressures of parts, so that their walls take up the inflow from the start.
 
@@ -107,7 +107,9 @@ def first_levels(
     return added
 
 
-def levels(operators: Operators, loads: Loads, parts: Sequence[Enclosed], lacks: Floats) -> tuple[Floats, PETSc.Vec]:
+def levels(
+    operators: Operators, loads: Loads, parts: Sequence[EnclosedComponent], lacks: Floats
+) -> tuple[Floats, PETSc.Vec]:
     """Changes (k,) of the pressures of parts, and of accelerations, so that w a grows by ``lacks`` (k,).
 
     Levels c add sum c M^-1 w, in a new vector; zero where held. Collective.

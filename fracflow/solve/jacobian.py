@@ -1,6 +1,6 @@
 """The Jacobian of a step over all unknowns: one sparse matrix on a fixed pattern, refilled when a tangent has changed.
 
-Multigrid is told that the unknowns of a node belong together, and which motions cost no energy.
+Multigrid is given the unknowns of a node as a block, and the motions that cost no energy.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ class JoinedMatrix:
         if ops.damping is not None and not loads.at_rest:
             parts["damping"] = self._place(local_rows(ops.damping), "solid", "solid")
         if ops.flow is not None:
-            squeeze, pattern = ops.flow.squeeze.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
+            squeeze, pattern = ops.flow.storage_coupling.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
             network = self._network_pattern()
             parts |= {
-                "push": self._place(local_rows(ops.flow.push), "solid", "flow"),
-                "squeeze": self._place(local_rows(squeeze), "flow", "solid"),
+                "pressure_load": self._place(local_rows(ops.flow.pressure_load), "solid", "flow"),
+                "storage_coupling": self._place(local_rows(squeeze), "flow", "solid"),
                 "feedback": self._place(local_rows(pattern), "flow", "solid"),
                 "network": self._place(local_rows(network), "flow", "flow"),
             }
@@ -81,7 +81,7 @@ class JoinedMatrix:
         self._row, self._col = union // layout.total, union % layout.total
         self._diagonal = np.searchsorted(union, diagonal)
         self._constant = {}
-        for name in ("stiffness", "mass", "damping", "push", "squeeze"):
+        for name in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling"):
             if name in parts:
                 self._constant[name] = np.zeros(len(union))
                 self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
@@ -225,8 +225,8 @@ class JoinedMatrix:
         if "damping" in self._constant:
             data += solid_solid * alphas.a1 * self._constant["damping"]
         if ops.flow is not None:
-            data -= scales.pressure / scales.force * self._constant["push"]
-            data += scales.displacement / flow_scale * alphas.a1 * self._constant["squeeze"]
+            data -= scales.pressure / scales.force * self._constant["pressure_load"]
+            data += scales.displacement / flow_scale * alphas.a1 * self._constant["storage_coupling"]
         if only not in self._free_parts:
             self._free_parts[only] = self._find_free(only)
         free = self._free_parts[only]

@@ -19,7 +19,7 @@ ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is tak
 
 
 class KrylovTest:
-    """As PETSc's own test, but done too where the residual stands still: Newton's next iterate tells what it was worth.
+    """As PETSc's own test, but done too where the residual stands still: Newton's next iterate shows its value.
 
     A fluid that conducts far more than its walls store, in a fracture that nothing drains, leaves no more digits of its
     level than that.
@@ -59,7 +59,7 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
 
 
 def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:
-    """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and forgets its factors. Collective.
+    """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and drops its factors. Collective.
 
     MUMPS asked for a solution by factors that failed ends in an error of its own.
     """
@@ -80,7 +80,7 @@ LONGEST_PAUSE = 32  # changes of the matrix
 
 
 class NewFactors:
-    """Whatever solver the options name, set up anew for each matrix; ``factored`` is the matrix that it is set up for."""
+    """The solver that the options name, set up anew for each matrix; ``factored`` is the matrix that it is set up for."""
 
     def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
         """Change nothing."""

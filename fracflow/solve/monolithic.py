@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fracflow.errors import NotConverged, Restless, Unsolved
+from fracflow.errors import NotConverged, StatusCycling, Unsolved
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
@@ -45,7 +45,7 @@ class Monolithic:
         return step_report(report, problem.residual, 1)
 
     def _open(self, problem: StepProblem) -> bool:
-        """Start the step again as wide as it is without suction; tell whether that is another start. Collective.
+        """Start the step again as wide as it is without suction; return whether that is another start. Collective.
 
         Walls that part suck fluid through what is all but shut, at c d^3 (k (d_1 - d)) = d - d_0 in short. Once d_0 is too
         wide for a root beside it, the only one is near d_1: uphill from d_0, and downhill all the way from d_1.
@@ -104,4 +104,4 @@ class Auto(WholeLU):
 
 def _is_left(problem: StepProblem, failure: NotConverged) -> bool:
     """Whether a step that failed is not tried in other ways: it may be shorter, and its sections kept changing."""
-    return problem.request.expects_failure and isinstance(failure, Restless)
+    return problem.request.expects_failure and isinstance(failure, StatusCycling)

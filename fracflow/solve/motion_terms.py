@@ -18,14 +18,14 @@ from fracflow.solve.residual import CANCELLATION, largest
 
 
 @dataclass(frozen=True)
-class Lag:
+class Unapplied:
     """Part of the prescribed displacements and pressures (an array a support, or well) unapplied at the end of a step."""
 
     displacement: tuple[Floats, ...] = ()
     pressure: tuple[Floats, ...] = ()
 
     @staticmethod
-    def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Lag:
+    def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Unapplied:
         """A share of the values that ``state`` lacks, jumps there included. Collective.
 
         Forces that lack, and rates ``of_wells``, go into ``load`` and ``source``.
@@ -39,7 +39,7 @@ class Lag:
                 total.axpy(share, had)
                 total.axpy(-share, term)
             term.destroy()
-        return Lag(*(
+        return Unapplied(*(
             tuple(share * (vector.getArray(readonly=True)[part.numbers] - part.value(state.time, JUST_AFTER)) for part in parts)
             for vector, parts in ((state.motion.displacement, loads.supports), (state.pressure, loads.pressures))
         ))  # fmt: skip

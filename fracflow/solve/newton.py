@@ -12,13 +12,21 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.errors import NotConverged, Restless, SolveError
+from fracflow.errors import NotConverged, SolveError, StatusCycling
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
 from fracflow.scene.scene import Scene
 from fracflow.solve.failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
 from fracflow.solve.floating import Floating
-from fracflow.solve.globalisation import JUST_PAST, Circles, Rounds, all_changed, by_energy, by_residual, statuses
+from fracflow.solve.globalisation import (
+    JUST_PAST,
+    ActiveSetRounds,
+    StatusHistory,
+    all_changed,
+    by_energy,
+    by_residual,
+    statuses,
+)
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear import factors_of, set_up, solve_nonlinear
 from fracflow.solve.problem import StepProblem
@@ -64,8 +72,8 @@ class Newton:
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
-        self._inner, self._circles = Circles(layout.comm), False
-        self._rounds: Rounds | None = None
+        self._inner, self._circles = StatusHistory(layout.comm), False
+        self._rounds: ActiveSetRounds | None = None
         self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
 
@@ -74,7 +82,7 @@ class Newton:
         self.problem, self._krylov, self._step = problem, 0, np.inf
         self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
         made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm
-        self._rounds = Rounds(problem)
+        self._rounds = ActiveSetRounds(problem)
         self.factors.begin()
         most = BRIEF_CHANGES if problem.request.expects_failure else MOST_CHANGES
         for _ in range(most):
@@ -147,7 +155,7 @@ class Newton:
         self._is_filled = True
 
     def _floats(self, problem: StepProblem, without: Bools | None = None) -> bool:
-        """Whether blocks float at the present trial, without inertia and with the film as it takes part. Collective.
+        """Whether blocks float at the present trial, without inertia and with fracture flow as it takes part. Collective.
 
         without  (s, 2) what sections are taken not to carry, along and across
         """
@@ -257,7 +265,7 @@ class Newton:
         returns = self._inner.see(statuses(problem))
         self._circles |= self._searches() and (returns or iteration >= PATIENCE)
         if not (self.holds or self._is_start):
-            self._restless = problem.take_statuses(problem.sections.past)
+            self._restless = problem.take_statuses(problem.sections.history)
         self._is_start = False
         # one more where little runs beside what full pressure would drive: wells are to work by what runs
         more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
@@ -289,7 +297,7 @@ class Newton:
             return NotConverged(describe_floating(self.scene, problem, self.floating, self._round_off(problem)))
         loose = self.floating if is_loose else None
         changes = self.matrix.layout.comm.allreduce(bool((restless | flipped).any()), op=MPI.LOR)
-        failure = Restless if changes else NotConverged
+        failure = StatusCycling if changes else NotConverged
         return failure(describe_failure(self.scene, problem, restless, flipped, why, iterations, loose))
 
     def destroy(self) -> None:

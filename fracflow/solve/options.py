@@ -68,7 +68,7 @@ _given: set[str] = set()
 
 
 def forget() -> None:
-    """Take out what ``set_defaults`` put in: what is left and was not used, PETSc can tell of at its end."""
+    """Take out what ``set_defaults`` put in: PETSc can report the others that were not used at its end."""
     database = PETSc.Options()
     for key in _ours:
         database.delValue(key)

@@ -70,7 +70,7 @@ def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
 
 
 def _stuck(joints: Joints, sections: Sections) -> np.ndarray:
-    past = joints.with_other_status(sections.strain, sections.past, sections.is_sliding)
+    past = joints.with_other_status(sections.strain, sections.history, sections.is_sliding)
     return joints.evaluate(sections.strain, past, HELD).tangent
 
 

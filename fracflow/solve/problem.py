@@ -18,26 +18,26 @@ from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
-from fracflow.model.dirichlet import Prescribed
+from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Motion, MotionValues, Past, Sections, State
-from fracflow.solve.motion_terms import Lag, MovingTerms, TermsOfStep
+from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State
+from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
 from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
     TINY,
     Residual,
-    blur,
     flow_residual,
     flow_sizes,
     largest,
     largest_of,
-    noise_here,
-    noise_of_flow,
-    noise_of_rock,
     over_ranks,
+    round_off_here,
+    round_off_of_flow,
+    round_off_of_jumps,
+    round_off_of_rock,
 )
 
 
@@ -65,7 +65,7 @@ class StepProblem:
             self.load.axpy(1.0, request.restraint)
         loads.source(time, controls, self.source, rule.adjacent, rates)
         of_wells = rule.alphas.a1 == 0.0
-        self.lag = Lag.of(loads, state, unapplied, of_wells, self.load, self.source) if unapplied else Lag()
+        self.lag = Unapplied.of(loads, state, unapplied, of_wells, self.load, self.source) if unapplied else Unapplied()
         self.terms = TermsOfStep.of(operators, loads, state, time, rule.adjacent, self.load)
         self.moving = MovingTerms.of(operators, state, self.alphas, self.terms)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
@@ -73,7 +73,7 @@ class StepProblem:
         if start is not None:
             self.pressure.setArray(start[1])
         self.move(np.zeros(layout.solid_count) if start is None else start[0])
-        self.branch, self.sections = state.sections.past, state.sections
+        self.branch, self.sections = state.sections.history, state.sections
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
@@ -114,7 +114,7 @@ class StepProblem:
         ops, u, p = self.operators, self.displacement, self.pressure
         # jumps of this step on top of those of the last state: a motion that walls share costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
-        self.take(self.evaluate_joints(strain, hold))
+        self.accept(self.evaluate_joints(strain, hold))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -134,7 +134,7 @@ class StepProblem:
         add(1.0)
         flow_terms = [0.0]
         if ops.flow is not None:
-            ops.flow.push.mult(p, term)
+            ops.flow.pressure_load.mult(p, term)
             add(-1.0)
             flow_terms = self._flow_balance()
         solid.axpy(-1.0, self.load)
@@ -153,18 +153,18 @@ class StepProblem:
         """What laws are told of the step: how long it is, since the history of the sections was accepted."""
         return LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
 
-    def take(self, answer: Sections) -> None:
+    def accept(self, answer: Sections) -> None:
         """Take what the sections answer to the present motion."""
         before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
         record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
-        self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
+        self.sections = replace(answer, blur=round_off_of_jumps(before.blur, self._moved), record=record)
 
     def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them. Collective."""
         return balance_terms(self, motion)
 
-    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. What moved in this step
-    # stands for the trial, and nothing for the last state: both are known to more digits so.
+    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. Store the motion of
+    # this step as the trial, and zero as the last state: both have more digits so.
     def _start(self) -> MotionValues:
         old = self.state.motion.values()
         return old._replace(displacement=np.zeros_like(old.displacement))
@@ -179,14 +179,14 @@ class StepProblem:
 
     def velocity(self) -> PETSc.Vec:
         """(4.2f) Velocity of the trial, in a new vector. Collective."""
-        before, result = self.state.memory.velocity, self.displacement.duplicate()
+        before, result = self.state.previous_step.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
         for part in self._driven():
             result.getArray()[part.numbers] = part.speed(self.time, self.rule.adjacent)
         return result
 
-    def _driven(self) -> tuple[Prescribed, ...]:  # whose motion the scene gives, and no rule of stepping
+    def _driven(self) -> tuple[PrescribedValues, ...]:  # whose motion the scene gives, and no rule of stepping
         return self.loads.supports if self.alphas.a0 > 0.0 and max(self.rule.adjacent) > 0.0 else ()
 
     def uptake(self) -> PETSc.Vec | None:
@@ -201,10 +201,10 @@ class StepProblem:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
         speed = self.velocity()
-        network.squeeze.multTranspose(self.displacement, flow)
+        network.storage_coupling.multTranspose(self.displacement, flow)
         terms = [CANCELLATION * self.alphas.a1 * largest(flow), largest(self.source)]
         rows = CANCELLATION * self.alphas.a1 * np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
-        network.squeeze.multTranspose(speed, flow)
+        network.storage_coupling.multTranspose(speed, flow)
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
         walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
@@ -225,12 +225,12 @@ class StepProblem:
             leaving.destroy()
         speed.destroy()
         self._close()
-        through, runs = flow_sizes(self.conduction, self._before, self.state.drive, self.alphas.b1)
+        through, runs = flow_sizes(self.conduction, self._before, self.state.max_overpressure, self.alphas.b1)
         self._carried = max(*terms, runs)
         sized, noise = flow.duplicate(), flow.duplicate()
         network.taken_up(through, sized)
         moved = self.operators.joints.openings(self._moved)
-        network.taken_up(noise_of_flow(network, self.conduction, moved, self.alphas.a1), noise)
+        network.taken_up(round_off_of_flow(network, self.conduction, moved, self.alphas.a1), noise)
         self._flow_rows, self._flow_noise = rows + sized.getArray(), noise.getArray().copy()
         sized.destroy()
         noise.destroy()
@@ -247,13 +247,13 @@ class StepProblem:
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
         scales, comm = self.operators.scales, self.operators.layout.comm
-        blurred = noise_here(self.operators, self.sections, self._moved)
+        blurred = round_off_here(self.operators, self.sections, self._moved)
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
         here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
         solid, solid_terms, flow, flow_terms, blurred, moved, hidden, carried = over_ranks(here, comm)
-        noise = blurred + noise_of_rock(self.operators, moved)
+        noise = blurred + round_off_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
         solid, noise = max(solid - noise, 0.0) / size, noise / size
         least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
@@ -280,17 +280,17 @@ class StepProblem:
         return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
 
     def change_statuses(self) -> np.ndarray:
-        """Give every section that has left its status the next one; tell which (s,) of this rank did."""
-        return self.take_statuses(self.evaluate_joints(self.sections.strain, hold=False).past)
+        """Give every section that has left its status the next one; return which (s,) of this rank did."""
+        return self.take_statuses(self.evaluate_joints(self.sections.strain, hold=False).history)
 
-    def take_statuses(self, reached: Past) -> np.ndarray:
-        """Give every section the status it has reached; tell which (s,) of this rank had another before."""
+    def take_statuses(self, reached: SectionHistory) -> np.ndarray:
+        """Give every section the status it has reached; return which (s,) of this rank had another before."""
         joints = self.operators.joints
         changed = joints.have_changed(self.branch, reached)
-        self.branch = joints.with_status(self.state.sections.past, reached)
+        self.branch = joints.with_status(self.state.sections.history, reached)
         return changed
 
-    def hand_on(self) -> tuple[Floats, Floats] | None:
+    def initial_guess(self) -> tuple[Floats, Floats] | None:
         """This rank's motion (n,) and pressures (m,) for another problem to start from; None if not finite. Collective."""
         if not np.isfinite(self.increment.norm() + self.pressure.norm()):
             return None
@@ -317,7 +317,7 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
         assert problem.conduction is not None
         ops.flow.outflow(problem.conduction, conduction)
         drawn = ops.layout.flow_vector()
-        ops.flow.squeeze.multTranspose(motion.velocity, drawn)
+        ops.flow.storage_coupling.multTranspose(motion.velocity, drawn)
         drawn.axpy(1.0, conduction)
         if (uptake := problem.uptake()) is not None:
             drawn.axpy(1.0, uptake)

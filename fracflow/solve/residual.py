@@ -29,7 +29,7 @@ PRESSURE_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
-class Digits:
+class SignificantDigits:
     """Fewest digits of the tractions of a fracture: which, the largest it has carried [stress], and what takes them.
 
     stiffness  of the joints there, or of the rock beside them, E/h, if that takes more; 0 where nothing has moved
@@ -43,7 +43,7 @@ class Digits:
     by_rock: bool
 
 
-def blur(before: Floats, moved: Floats) -> Floats:
+def round_off_of_jumps(before: Floats, moved: Floats) -> Floats:
     """Round-off of the strains (s, dim) after a step [length]; ``moved`` is the sum of sizes of what a jump is made of.
 
     Steps round off independently of each other.
@@ -51,30 +51,30 @@ def blur(before: Floats, moved: Floats) -> Floats:
     return np.hypot(before, ROUND_OFF * moved)
 
 
-def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float:
+def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> float:
     """Round-off bound of a balance of forces, by this rank's jumps; no iteration can reduce it.
 
-    ``moved`` (s, dim) as for ``blur``, of this step. [force per thickness]
+    ``moved`` (s, dim) as for ``round_off_of_jumps``, of this step. [force per thickness]
     """
     force = np.einsum("sij,sj->si", np.abs(sections.tangent), ROUND_OFF * moved) * operators.joints.weights[:, None]
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
-def noise_of_pressure(network: Flow, conduction: Conduction) -> Floats:
+def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
     """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
     noise: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
     return noise
 
 
-def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
+def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
     """The same of the flow at the joint ends (j, 2), from what openings are the differences of [volume rate per thickness].
 
     Pressures in a wide fracture in a row with a narrow one differ by hardly more than they are rounded off. A fracture that
     is nearly closed knows its aperture to few digits, its cube to fewer, and what its walls squeeze out to those of the
     motion that they share. ``rate`` is alpha_1.
     """
-    driven = noise_of_pressure(network, conduction)
+    driven = round_off_of_pressure(network, conduction)
     if moved is None:
         return driven
     known = NOISE * ROUND_OFF * np.abs(moved)
@@ -84,12 +84,12 @@ def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, r
     return driven + squeezed
 
 
-def noise_of_rock(operators: Operators, displacement: float) -> float:
+def round_off_of_rock(operators: Operators, displacement: float) -> float:
     """The same of the rock [force per thickness], from the largest displacement."""
     return NOISE * ROUND_OFF * operators.scales.stiffness * displacement
 
 
-def digits_of(operators: Operators, state: State) -> Digits:
+def significant_digits(operators: Operators, state: State) -> SignificantDigits:
     """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
 
     Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
@@ -110,14 +110,14 @@ def digits_of(operators: Operators, state: State) -> Digits:
     error, rock, size, stiff, beside = largest
     forces = _largest_force(operators, state)
     least = LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length)
-    held = np.maximum(size, max(least, PRESSURE_SHARE * state.drive))
+    held = np.maximum(size, max(least, PRESSURE_SHARE * state.max_overpressure))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
     if not lost.any():
-        return Digits(MOST_DIGITS, "", 0.0, 0.0, False)
+        return SignificantDigits(MOST_DIGITS, "", 0.0, 0.0, False)
     worst = int(lost.argmax())
     left, by_rock = min(MOST_DIGITS, float(-np.log10(lost[worst]))), bool(rock[worst] > error[worst])
     stiffness = float(beside[worst] if by_rock else stiff[worst])
-    return Digits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
+    return SignificantDigits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
 
 
 def _largest_force(operators: Operators, state: State) -> float:
@@ -129,7 +129,7 @@ def _largest_force(operators: Operators, state: State) -> float:
     return float(largest)
 
 
-def refuse_few(found: Digits, limit: int, time: float) -> None:
+def refuse_few(found: SignificantDigits, limit: int, time: float) -> None:
     """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
     if limit == 0 or found.digits >= limit:
         return

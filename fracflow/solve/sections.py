@@ -27,7 +27,7 @@ from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY, largest, over_ranks
 
 
-class FilmOnJoints:
+class FlowOnJoints:
     """Balance, matrix and solver of the pressures; sections are joint ends, two a joint."""
 
     def __init__(self, operators: Operators, clusters: Clusters) -> None:
@@ -129,7 +129,7 @@ class FilmOnJoints:
         self.solver.setOperators(self.matrix)
         self.solver.solve(left, change)
         try:
-            check_solution(self.solver, change, left, f"time {problem.time:.6g}: pressures of the film on the joints")
+            check_solution(self.solver, change, left, f"time {problem.time:.6g}: pressures of the fluid on the joints")
             found = network.at_ends(change).ravel()
             problem.pressure.axpy(1.0, change)
         finally:
@@ -169,7 +169,7 @@ class _Rows:
 class SectionSolver:
     """Solves for what sections move in a step, and for the pressures."""
 
-    film_kind, most_changes = FilmOnJoints, MOST_CHANGES
+    film_kind, most_changes = FlowOnJoints, MOST_CHANGES
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
@@ -180,17 +180,17 @@ class SectionSolver:
         count, dim = len(operators.joints.weights), operators.joints.dim
         self.elastic = np.broadcast_to(np.asarray(elastic), (count, dim, dim))
 
-    def pull(self, traction: Floats, pressure: PETSc.Vec) -> Floats:
+    def total_traction(self, traction: Floats, pressure: PETSc.Vec) -> Floats:
         """Tractions t = f - n p (s, dim) of effective tractions, and of the pressures of the flow nodes. Collective."""
         network, result = self.operators.flow, traction.copy()
         if network is not None:
             result[:, -1] -= network.at_ends(pressure).ravel()
         return result
 
-    def pushed(self, problem: StepProblem, change: Floats) -> Floats:
+    def pressure_change(self, problem: StepProblem, change: Floats) -> Floats:
         """Change (s, dim) of total tractions, beyond elastic moduli, of sections moved by ``change`` [stress]. Collective."""
-        before = self.pull(problem.state.sections.traction, problem.state.pressure)
-        now = self.pull(problem.sections.traction, problem.pressure)
+        before = self.total_traction(problem.state.sections.traction, problem.state.pressure)
+        now = self.total_traction(problem.sections.traction, problem.pressure)
         return now - before - np.einsum("sij,sj->si", self.elastic, change)
 
     def solve(
@@ -203,7 +203,7 @@ class SectionSolver:
         Returns what they move. Raises NotConverged, on every rank. Collective.
         """
         total, change, comm = 0, np.zeros_like(free) if start is None else start, self.operators.layout.comm
-        pulled = self.pull(problem.state.sections.traction, problem.state.pressure)
+        pulled = self.total_traction(problem.state.sections.traction, problem.state.pressure)
         given = self.film.given(problem) if self.film is not None else None
         try:
             for _ in range(self.most_changes):
@@ -241,7 +241,7 @@ class SectionSolver:
             flow, slopes = 0.0, np.zeros((len(free), 2))
             if film is not None and given is not None:
                 flow, slopes = film.balance(problem, change, given)
-            pull, moduli = self.pull(answer.traction, problem.pressure), weights[:, :, None] * answer.tangent
+            pull, moduli = self.total_traction(answer.traction, problem.pressure), weights[:, :, None] * answer.tangent
             push = weights * (pull - pulled - np.einsum("sij,sj->si", self.elastic, change))
             known = np.einsum("sij,sj->si", np.abs(moduli), np.abs(answer.strain)) + weights * np.abs(answer.traction)
             moduli = moduli - weights[:, :, None] * self.elastic
@@ -260,7 +260,7 @@ class SectionSolver:
             change = change + allowed * step
         stuck = self.clusters.exchange.back((beyond > TIGHT * moved).astype(float)).any(axis=1)
         raise NotConverged(
-            f"time {problem.time:.6g}: {self._named(stuck)} found no balance of joints and film in {most} iterations of an"
+            f"time {problem.time:.6g}: {self._named(stuck)} found no balance of joints and flow in {most} iterations of an"
             f" explicit step (motion of sections out by {worst:.1e}, flow by {flow:.1e} of its largest term): take a smaller"
             " time_step"
         )
@@ -329,6 +329,6 @@ class SectionSolver:
         return ", ".join(sorted(set().union(*comm.allgather(here)))) or "the network"
 
     def destroy(self) -> None:
-        """Free the film's solver. Collective."""
+        """Free the flow's solver. Collective."""
         if self.film is not None:
             self.film.destroy()

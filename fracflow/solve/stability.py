@@ -17,7 +17,7 @@ from fracflow.errors import NotConverged, is_alone
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
-from fracflow.model.state import Past, Sections
+from fracflow.model.state import SectionHistory, Sections
 from fracflow.solve.period import sprung
 
 MOST_VECTORS = 40
@@ -50,7 +50,7 @@ def of_state(operators: Operators, sections: Sections, almost: float = 1.0) -> W
     size = np.linalg.norm(shear, axis=1)[:, None]
     starts = (sections.utilisation >= almost)[:, None] & ~way.any(axis=1, keepdims=True) & (size > 0.0)
     way = np.where(starts, shear / np.where(size > 0.0, size, 1.0), way)
-    return _weakening(operators, sections, sections.past, way)
+    return _weakening(operators, sections, sections.history, way)
 
 
 def of_step(operators: Operators, old: Sections, new: Sections) -> Weakening:
@@ -60,22 +60,22 @@ def of_step(operators: Operators, old: Sections, new: Sections) -> Weakening:
     way = np.where(
         (size > 0.0)[:, None], moved / np.where(size > 0.0, size, 1.0)[:, None], _sliding_way(operators, new)
     )
-    begins, ends = _weakening(operators, new, old.past, way), _weakening(operators, new, new.past, way)
-    before = _weakening(operators, old, old.past, way)
+    begins, ends = _weakening(operators, new, old.history, way), _weakening(operators, new, new.history, way)
+    before = _weakening(operators, old, old.history, way)
     most = [np.max([getattr(each, name) for each in (before, begins, ends)], axis=0) for name in ("rate", "fall")]
     return Weakening(most[0], most[1], way)
 
 
 def _sliding_way(operators: Operators, sections: Sections) -> Floats:
     way = np.zeros_like(sections.traction[:, :-1])
-    for group, past in zip(operators.joints.laws, sections.past, strict=True):
+    for group, past in zip(operators.joints.laws, sections.history, strict=True):
         for name in group.law.status:
             way[group.sections] = past[name].reshape(len(group.sections), way.shape[1])
     size = np.linalg.norm(way, axis=1)[:, None]
     return np.asarray(way / np.where(size > 0.0, size, 1.0))
 
 
-def _weakening(operators: Operators, sections: Sections, past: Past, way: Floats) -> Weakening:
+def _weakening(operators: Operators, sections: Sections, past: SectionHistory, way: Floats) -> Weakening:
     fall, steep = np.zeros(len(way)), np.zeros(len(way))
     for group, history in zip(operators.joints.laws, past, strict=True):
         here = group.sections

@@ -1,4 +1,4 @@
-"""HDF5 files that a full disk cannot break: HDF5 writes through objects of ours, which never tell it of an error.
+"""HDF5 files that a full disk cannot break: HDF5 writes through objects of ours, which never report an error to it.
 
 HDF5 cannot let go of a file that it could not write: it keeps what is left of it, and crashes when the program ends.
 """
@@ -29,7 +29,7 @@ _WRITING, _SHARED = 1, 4  # flags of a file that is written, and may be read mea
 
 
 class Backing:
-    """A file as HDF5 wants it. ``error`` is the first that there was; what comes after it is left out."""
+    """A file in the form that HDF5 needs. ``error`` is the first that there was; what comes after it is left out."""
 
     def __init__(self, path: Path) -> None:
         """Make the file, empty. Raises OSError."""
@@ -103,7 +103,7 @@ class Backing:
 
     def _put(self, offset: int, data: bytes) -> None:
         self._try(lambda: write_all(self.file, data, offset))
-        if self.error is not None and len(data) <= _SMALL:  # HDF5 may want to read it again
+        if self.error is not None and len(data) <= _SMALL:  # HDF5 may read it again
             self._writes.append((offset, data))
 
     def _try(self, action: Callable[[], None]) -> None:
@@ -157,7 +157,7 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
                 with h5py.File(backing, "w") as file:
                     yield file
             except (OSError, RuntimeError):
-                backing.check()  # what HDF5 says of it tells less
+                backing.check()  # the message of HDF5 is less specific
                 raise
             if is_synced:
                 backing.sync()
@@ -169,7 +169,7 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
 class Committed(Backing):
     """A file that changes from one whole state to the next: what is written counts when it is committed.
 
-    What changes is first put down in PATH.redo, whole, then in its place. After a kill, or half a write on a full disk,
+    Changes are first written to PATH.redo, whole, then in place. After a kill, or half a write on a full disk,
     ``writes_of`` has what is missing in PATH. Until ``protect`` PATH itself is written as it comes.
     """
 

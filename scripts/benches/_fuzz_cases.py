@@ -54,9 +54,9 @@ SHARES: dict[tuple[str, str], int] = {  # of ten thousand inputs
     ("run folder", FRESH): 4,
 }
 SMALL = (  # scenes whose first steps take little
-    "report_5_1", "report_5_2", "report_5_3", "report_5_4", "report_5_5", "f1_half_open", "f2a_film",
-    "f2b_no_outlet", "f4_impact",
-    "f5_slider", "f6a_closing", "f6b_lifted", "f6d_wedged", "f7_wedge", "f9_rigid_motion", "f12_all_dynamic",
+    "report_5_1", "report_5_2", "report_5_3", "report_5_4", "report_5_5", "half_open_joint", "long_fracture",
+    "no_outlet", "bar_impact",
+    "slider", "closing_joint", "lifted_layer", "wedged_block", "wedge_flow", "rigid_motion", "two_modes_dynamic",
     "r01_inclined_joint",
 )  # fmt: skip
 MESHED = 20  # one of so many geometries without harm in them is meshed too

@@ -31,7 +31,7 @@ NUMPY = re.compile(
 ENDS = tuple(
     each
     for each in vars(errors).values()
-    if isinstance(each, type) and issubclass(each, Exception) and each is not errors.PutBack
+    if isinstance(each, type) and issubclass(each, Exception) and each is not errors.ReductionInvalid
 )
 
 

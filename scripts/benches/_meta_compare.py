@@ -186,7 +186,7 @@ def _by_place(events: list[dict[str, Any]], back: Back, case: Case) -> dict[tupl
 
 
 def open_books(record: Record, case: Case, back: Back) -> float:
-    """The residual of the energy books over their largest entry."""
+    """The residual of the energy balance over their largest entry."""
     books = {key: values for key, values in read_back(record, back).items() if key.startswith("energy/")}
     largest = max(np.nanmax(np.abs(v), initial=0.0) for k, v in books.items() if not k.startswith("energy/residual"))
     return float(np.nanmax(np.abs(books["energy/residual"])) / max(largest, LEAST_BOOK * sizes(case)["energy"]))

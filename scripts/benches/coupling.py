@@ -59,13 +59,13 @@ def scene_of(unknowns: int, fault: str, drained: bool) -> dict[str, Any]:
 def worker(unknowns: str, fault: str, drained: str, result: str, apertures: str, blocks: str) -> None:
     """Measure all cases of a fault on this rank of several; rank 0 writes them."""
     from fracflow._petsc import MPI, PETSc
-    from fracflow.advance.initial_state import rest
+    from fracflow.advance.initial_state import equilibrium_state
     from fracflow.reduction.prepare import prepare
     from fracflow.scene.scene import Scene
 
     comm, case = MPI.COMM_WORLD, {"fault": fault, "drained": json.loads(drained)}
     model = prepare(Scene.from_data(scene_of(int(unknowns), **case)), comm)
-    state, found = rest(model), []
+    state, found = equilibrium_state(model), []
     for name in json.loads(blocks):
         found += measure_model(model, state, json.loads(apertures), name, case)
     versions = {"PETSc": ".".join(map(str, PETSc.Sys.getVersion())), "MPI": MPI.Get_library_version().split(",")[0]}

@@ -104,7 +104,7 @@ SCENES = {
     "block": Scene("report_5_2", ("stage.0.end=1.2", "output.checkpoint_every=4", "output.fields_every=3"), 0.3),
     "wells": Scene(WELLS, ("output.checkpoint_every=2", "output.fields_every=4"), 0.3),
     "auto": Scene(
-        "failures/f11_two_modes",
+        "failures/two_modes",
         (
             "stage.push.end=430", "stage.push.dynamic_time_step=0.5", "stage.push.at_rest=0.1",
             "output.checkpoint_every=8", "output.fields_every=20",

@@ -8,7 +8,7 @@ back and compared over sizes that follow from the scene. A difference above the 
 as it is, shaken in the thirteenth digit of its numbers, moves as much, which is its condition; or where an aperture
 more than doubled in one step, which the log tells, for such steps have several solutions.
 
-Exit code 1 if a difference is left unexplained, the energy books stay open, something is no number, or a run fails in
+Exit code 1 if a difference is left unexplained, the energy balance stay open, something is no number, or a run fails in
 one way only.
 """
 
@@ -35,7 +35,7 @@ from _meta_scenes import Case, copied, draw, twin
 from _meta_turns import SHAKEN, TURNS, Back, shaken
 
 SAME = 1e-8  # of natural size
-CLOSED = 1e-10  # energy books over their largest entry
+CLOSED = 1e-10  # energy balance over their largest entry
 LIKEWISE = 0.1  # of a difference: what a shaken scene must move by for it to be explained
 SHAKES = 3
 WIDENS = 2.0  # growth of an aperture in a step that the log tells of: there may be several solutions

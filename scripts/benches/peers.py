@@ -36,7 +36,7 @@ BARS = {"h1": ("slip", 0.016, 5.0), "h2": ("pressure", 0.002, 5.0)}
 """Case -> observable, error at which CPU times are compared, and how many times less fracflow's must be."""
 LARGE = 8385  # nodes at which H3 is stated
 ILUT = {"solver": "BiCGSTAB", "preconditioner": "ILUT"}
-FILM = {"film": "bdf2", "storage": "lumped", "conductance": "exact"}
+FILM = {"flow_integrator": "bdf2", "storage": "lumped", "conductance": "exact"}
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def step_scene(unknowns: int, normal: float, shear: float) -> dict[str, Any]:
 def one_step(unknowns: int, normal: float, shear: float, ways: list[str]) -> list[dict[str, Any]]:
     """Krylov iterations of one quasi-static step in several ways, on one rank."""
     from fracflow._petsc import MPI
-    from fracflow.advance.initial_state import rest
+    from fracflow.advance.initial_state import equilibrium_state
     from fracflow.errors import SolveError
     from fracflow.integrators import BackwardEuler
     from fracflow.reduction.prepare import prepare
@@ -139,7 +139,7 @@ def one_step(unknowns: int, normal: float, shear: float, ways: list[str]) -> lis
     from fracflow.solve.problem import StepProblem
 
     model = prepare(Scene.from_data(step_scene(unknowns, normal, shear)), MPI.COMM_SELF)
-    state, ops, found = rest(model), model.operators, []
+    state, ops, found = equilibrium_state(model), model.operators, []
     block, joints = ops.blocks.solid, ops.blocks.joints
     Strip.walls = np.unique(block.unknown[np.concatenate([joints.bottom.ravel(), joints.top.ravel()])])
     alphas, aperture = BackwardEuler().alphas(1.0), 1e-3

@@ -80,7 +80,7 @@ def held(run: Run) -> int:
 
 
 def energy(run: Run, *names: str) -> Floats:
-    """Sum of entries of the energy books."""
+    """Sum of entries of the energy balance."""
     return np.sum([run.history[f"energy/{name}"] for name in names], axis=0)
 
 

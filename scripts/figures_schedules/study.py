@@ -54,7 +54,7 @@ class Found(NamedTuple):
 
     moment    per unit thickness, G times slip times length [lbf]
     length    of fault that slipped [ft]
-    unclosed  what the energy books miss, of the energy released
+    unclosed  what the energy balance miss, of the energy released
     dropped   kinetic energy left out at the return to rest, of the same
     is_over   whether all came to rest
     """

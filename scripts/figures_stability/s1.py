@@ -17,7 +17,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from sheets import BLUE, HALO, INK, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.errors import SolveError
 from fracflow.integrators import Newmark, Steady
 from fracflow.model.setup import Model
@@ -81,7 +81,7 @@ class Film:
 
     def __init__(self) -> None:
         self.model: Model = prepare(scene({}), MPI.COMM_SELF)
-        self.start = rest(self.model)
+        self.start = equilibrium_state(self.model)
         self.steady = Monolithic(self.model.scene, self.model.operators, self.model.loads)
 
     def couplings(self) -> dict[str, Coupling]:

@@ -1,6 +1,6 @@
 """S7: what grows of itself: waves along a fault that slides between unlike rocks; graded films, by pair of matrices.
 
-Fault: the layers of meshes/failures/f8_dissimilar repeat themselves along x and their cells are alike, so that every wave
+Fault: the layers of meshes/failures/dissimilar_rocks repeat themselves along x and their cells are alike, so that every wave
 exp(i kappa x + p t) is an eigenvector of the program's own matrices, with the tangent of sections that slide:
 p^2 M + K(kappa) = 0. A wave is resolved on five cells or more; shorter ones are the mesh's own, and grow too.
 Films: seven nodes at random places, random apertures, a wall on springs: p^2 m + p B K_F^-1 B_F' + k = 0, with the
@@ -18,7 +18,7 @@ from scipy import sparse
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.diagnostics import scene_card
+from fracflow.diagnostics import pre_run_checks
 from fracflow.elements.flow import conductivity, storage_matrix
 from fracflow.laws.base import HELD
 from fracflow.model.flow import STORAGE as PAIRS
@@ -26,7 +26,7 @@ from fracflow.model.setup import Model, place
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import Scene, load
 
-SCENE = ROOT / "meshes" / "failures" / "f8_dissimilar" / "scene.toml"
+SCENE = ROOT / "meshes" / "failures" / "dissimilar_rocks" / "scene.toml"
 RESOLVED = 5.0  # cells a wave
 NOTHING = 1e-7  # of k_n c_s/mu: square roots of round-off
 SPREAD = 0.7  # of the logarithms of spacing and aperture of the films
@@ -106,7 +106,7 @@ def layers(contrast: float, friction: float, stiffness: float, mesh: str = "coar
 def warned(scene: Scene) -> bool:
     """Whether the card says so, of a run as long as one e-fold takes."""
     mesh = read_split(scene)
-    card = {number.name: number for number in scene_card(scene, mesh, place(scene, mesh).wells)}
+    card = {number.name: number for number in pre_run_checks(scene, mesh, place(scene, mesh).wells)}
     return card["dissimilar rock"].value is not None
 
 

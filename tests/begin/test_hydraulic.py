@@ -1,4 +1,4 @@
-"""Wells in parts of a network that never meet, and what all but meets, are told before a run."""
+"""Wells in parts of a network that never meet, and what all but meets, are reported before a run."""
 
 from __future__ import annotations
 

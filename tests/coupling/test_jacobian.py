@@ -8,11 +8,11 @@ import pytest
 from physics.test_flow_with_slip import OpensBySlip
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
-from fracflow.advance.network import Network
+from fracflow.advance.initial_state import equilibrium_state
+from fracflow.advance.network import FlowNetwork
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
 from fracflow.laws import FLOW_LAWS
-from fracflow.model.state import Memory
+from fracflow.model.state import PreviousStep
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.solve.jacobian import JoinedMatrix
@@ -27,7 +27,7 @@ def test_jacobian_is_the_derivative(stepper, model):
     overrides = [f"model={model}", "method.tangent=consistent"]
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state = rest(prepared)
+    state = equilibrium_state(prepared)
     problem = StepProblem(
         prepared.operators,
         state,
@@ -57,11 +57,11 @@ def test_jacobian_of_a_compressible_fluid(stepper):
     """C(u) p' with both its derivatives, of a fluid that gives far more than the walls, after rates of a step before."""
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state, random = rest(prepared), np.random.default_rng(11 + MPI.COMM_WORLD.rank)
+    state, random = equilibrium_state(prepared), np.random.default_rng(11 + MPI.COMM_WORLD.rank)
     rate, mean = state.pressure.duplicate(), state.pressure.duplicate()
     for vector in (rate, mean):
         vector.setArray(1e-5 * random.standard_normal(vector.getLocalSize()))
-    state = replace(state, uptake=rate, memory=Memory(2e-3, None, mean))
+    state = replace(state, uptake=rate, previous_step=PreviousStep(2e-3, None, mean))
     alphas = stepper.alphas(1e-3, 2e-3)
     problem = StepProblem(
         prepared.operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads), StepRule(alphas)
@@ -83,7 +83,7 @@ def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
     monkeypatch.setitem(FLOW_LAWS, "exact", OpensBySlip)
     scene = load("meshes/crossings/scene.toml", ["method.tangent=consistent", "method.conductance=exact"])
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state, random = rest(prepared), np.random.default_rng(5 + MPI.COMM_WORLD.rank)
+    state, random = equilibrium_state(prepared), np.random.default_rng(5 + MPI.COMM_WORLD.rank)
     problem = StepProblem(
         prepared.operators,
         state,
@@ -107,10 +107,17 @@ def test_jacobian_where_a_part_keeps_its_fluid():
     """A steady step of a compressible fluid that nothing drains: a row with the walls and the pressures of the whole part."""
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
     prepared = prepare(scene, MPI.COMM_WORLD)
-    operators, state, random = prepared.operators, rest(prepared), np.random.default_rng(12 + MPI.COMM_WORLD.rank)
-    network, sealed = Network(prepared), replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64))
+    operators, state, random = (
+        prepared.operators,
+        equilibrium_state(prepared),
+        np.random.default_rng(12 + MPI.COMM_WORLD.rank),
+    )
+    network, sealed = (
+        FlowNetwork(prepared),
+        replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64)),
+    )
     walls = operators.joints.walls(state.sections, operators.flow.law)
-    network.look(operators.flow.conduct(state.motion.displacement, state.pressure, walls))
+    network.check(operators.flow.conduct(state.motion.displacement, state.pressure, walls))
     closed = network.close(sealed, stores=False)
     assert {closure.by for closure in closed.closures} == {"fluid"}
     problem = StepProblem(
@@ -136,7 +143,7 @@ def test_jacobian_of_weighed_balances_between_absorbing_sides(stepper):
     overrides = ["support=[]", "absorbing=[{on = ['west', 'east', 'south', 'north']}]", "method.tangent=consistent"]
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state, random = rest(prepared), np.random.default_rng(13 + MPI.COMM_WORLD.rank)
+    state, random = equilibrium_state(prepared), np.random.default_rng(13 + MPI.COMM_WORLD.rank)
     for vector, size in ((state.motion.velocity, 0.1), (state.motion.acceleration, 1e2)):
         vector.setArray(size * random.standard_normal(vector.getLocalSize()))
     alphas, loads = stepper.alphas(5e-4), prepared.loads
@@ -190,7 +197,7 @@ def test_jacobian_where_joints_open_slide_and_pinch(stepper):
     overrides = [f"fracture.default.{key}" for key in stiff]
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state, comm = rest(prepared), prepared.operators.layout.comm
+    state, comm = equilibrium_state(prepared), prepared.operators.layout.comm
     problem = StepProblem(
         prepared.operators,
         state,
@@ -224,14 +231,16 @@ def test_flow_volume_balance():
     assert ops.flow is not None
     speed, rates = ops.layout.solid_vector(), ops.layout.flow_vector()
     speed.setArray(np.random.default_rng(3 + ops.layout.comm.rank).standard_normal(speed.getLocalSize()))
-    ops.flow.squeeze.multTranspose(speed, rates)
+    ops.flow.storage_coupling.multTranspose(speed, rates)
     ends = ops.flow.opening.createVecLeft()
     ops.flow.opening.mult(speed, ends)
     walls = (ends.getArray().reshape(-1, 2).sum(axis=1) * ops.flow.length / 2).sum()
     assert np.isclose(rates.sum(), ops.layout.comm.allreduce(walls), rtol=1e-12)
     pressure, out = ops.layout.flow_vector(), ops.layout.flow_vector()
     pressure.setArray(np.random.default_rng(4 + ops.layout.comm.rank).standard_normal(pressure.getLocalSize()))
-    conduction = ops.flow.conduct(speed * 0.0, pressure, ops.joints.walls(rest(prepared).sections, ops.flow.law))
+    conduction = ops.flow.conduct(
+        speed * 0.0, pressure, ops.joints.walls(equilibrium_state(prepared).sections, ops.flow.law)
+    )
     ops.flow.outflow(conduction, out)
     size = ops.layout.comm.allreduce(np.abs(out.getArray()).sum())
     assert abs(out.sum()) <= 1e-13 * size  # what leaves one node enters another
@@ -242,8 +251,8 @@ def test_default_pair_is_a_transpose_and_the_reports_is_not():
     for model, same in (("default", True), ("report", False)):
         ops = prepare(load("meshes/crossings/scene.toml", [f"model={model}"]), MPI.COMM_WORLD).operators
         assert ops.flow is not None
-        apart = ops.flow.push.copy()
-        apart.axpy(-1.0, ops.flow.squeeze, ops.flow.push.__class__.Structure.DIFFERENT)
+        apart = ops.flow.pressure_load.copy()
+        apart.axpy(-1.0, ops.flow.storage_coupling, ops.flow.pressure_load.__class__.Structure.DIFFERENT)
         assert (apart.norm() == 0.0) is same
 
 

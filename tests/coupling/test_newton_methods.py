@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping
 from fracflow.integrators import Steady
 from fracflow.reduction.prepare import prepare
@@ -27,7 +27,9 @@ def _steps(file, overshoot, controls, overrides):
         scene = load(f"meshes/{file}/scene.toml", settings)
         model = prepare(scene, MPI.COMM_WORLD) if model is None else replace(model, scene=scene)
         stepping = Stepping(model)
-        found[method] = stepping.step(rest(model), StepRequest(1.0, 1.0, controls, stepping.model.loads), Steady())
+        found[method] = stepping.step(
+            equilibrium_state(model), StepRequest(1.0, 1.0, controls, stepping.model.loads), Steady()
+        )
         stepping.destroy()
     return found
 

@@ -13,7 +13,7 @@ from meshing import areas, check, copies_at, grid
 
 from fracflow.errors import InputError
 from fracflow.mesh.facets import components, half_facets
-from fracflow.mesh.interpret import orient
+from fracflow.mesh.interpret import facet_order
 from fracflow.mesh.split import split, summary
 
 pytestmark = pytest.mark.serial
@@ -220,16 +220,16 @@ def test_orientation_of_chains_and_loops(turned, is_closed):
     nodes = np.arange(count + 1) % count if is_closed else np.arange(count + 1)
     straight = np.stack([nodes[:-1], nodes[1:]], axis=1)[order]
     mixed = np.where(np.array(turned)[:, None], straight[:, ::-1], straight)
-    found = orient(mixed, np.zeros(count, dtype=np.int64))
+    found = facet_order(mixed, np.zeros(count, dtype=np.int64))
     assert np.array_equal(found, straight[:, ::-1] if turned[0] else straight)
 
 
 def test_orientation_keeps_fractures_apart_and_stops_at_junctions():
     # Fractures that meet do not follow each other; where three facets of one meet, nothing is constrained.
     facets = np.array([[0, 1], [2, 1], [1, 3], [4, 3]])
-    assert np.array_equal(orient(facets, np.array([0, 1, 2, 2])), [[0, 1], [2, 1], [1, 3], [3, 4]])
-    assert np.array_equal(orient(facets, np.zeros(4, dtype=np.int64)), [[0, 1], [2, 1], [1, 3], [3, 4]])
-    assert orient(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)).shape == (0, 2)
+    assert np.array_equal(facet_order(facets, np.array([0, 1, 2, 2])), [[0, 1], [2, 1], [1, 3], [3, 4]])
+    assert np.array_equal(facet_order(facets, np.zeros(4, dtype=np.int64)), [[0, 1], [2, 1], [1, 3], [3, 4]])
+    assert facet_order(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)).shape == (0, 2)
 
 
 def test_components():

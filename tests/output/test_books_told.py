@@ -5,7 +5,7 @@ import pytest
 from rich.console import Console
 
 from fracflow._petsc import MPI
-from fracflow.cli.report import tell
+from fracflow.cli.report import report
 from fracflow.output import HistoryFile, read_history
 from fracflow.output.history import read_rows
 from fracflow.scene.scene import load
@@ -41,7 +41,7 @@ def still(tmp_path):
 
 def told(folder):
     console = Console(width=200, record=True, quiet=False, file=(folder / "told").open("w"))
-    tell(folder, console)
+    report(folder, console)
     return console.export_text()
 
 

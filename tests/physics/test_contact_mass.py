@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping
 from fracflow.errors import InputError
 from fracflow.integrators import STEPPERS
@@ -129,7 +129,7 @@ def test_every_block_falls_from_the_first_instant_and_walls_with_it(stepper):
     sides = ["west", "east", "south", "north"]
     pressed = {"initial_stress": {"xx": -10, "yy": -10}, "load": [{"on": sides, "traction": "initial-stress"}]}
     model = prepare(_scene(method={"stepper": stepper}, body_force={"x": 0.6, "y": -1.4}, **pressed), MPI.COMM_WORLD)
-    stepping, rule, state, ops = Stepping(model), STEPPERS[stepper](), rest(model), model.operators
+    stepping, rule, state, ops = Stepping(model), STEPPERS[stepper](), equilibrium_state(model), model.operators
     state = stepping.enter(state, rule, 0.1)
     one = np.ones((ops.blocks.solid.owned, 1))
     masses = _sums(ops, ops.mass, one * [1.0, 1.0])

@@ -31,10 +31,10 @@ TIED = ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"]
 STRAIGHT = ["well.in.pressure=[[0, 2e6], [2.7e-4, 2e6], [2.7e-4, 3e6]]"]
 # scene, overrides, what must have happened for the case to say anything
 CASES = {
-    "halved": ("failures/f6a_closing", ["accuracy.max_iterations=6"], "step/rejected"),
+    "halved": ("failures/closing_joint", ["accuracy.max_iterations=6"], "step/rejected"),
     "rejected by its error": (
         CRACK + QUASI + DYNAMIC,
-        ["method.film=bdf2", "accuracy.tolerance=0.05"],
+        ["method.flow_integrator=bdf2", "accuracy.tolerance=0.05"],
         "step/rejected",
     ),
     "cut at a jump": (CRACK + QUASI + DYNAMIC, STRAIGHT, "step/dt"),

@@ -8,12 +8,12 @@ import pytest
 
 from fracflow._petsc import MPI
 from fracflow.advance.explicit import ExplicitSubsteps
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.outcome import Outcome
 from fracflow.advance.step import Step
 from fracflow.model.state import StepReport
 from fracflow.output import read_history
-from fracflow.reduction.decision import Facts
+from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
@@ -65,9 +65,9 @@ def test_a_step_is_told_once_it_is_on_record(shared_tmp):
         file.write_text(NARROW + "time_step = 1\nsteps = 3\n", encoding="utf-8")
     comm.barrier()
     model = prepare(load(file), comm)
-    settle(model)
-    step = Step(rest(model), 0, 1.0, StepReport(widening=5.0, widest="crack at (1, 1)"), {"fresh": 1.0})
-    recorder = Recorder(model, Facts(model.scene), shared_tmp / "run", comm)
+    refuse_imbalance(model)
+    step = Step(equilibrium_state(model), 0, 1.0, StepReport(widening=5.0, widest="crack at (1, 1)"), {"fresh": 1.0})
+    recorder = Recorder(model, ReductionInput(model.scene), shared_tmp / "run", comm)
     for grown in (1.0, 5.0, 6.0, 11.0):
         recorder.record(replace(step, report=replace(step.report, widening=grown)))
     assert recorder.totals.widening == 11.0

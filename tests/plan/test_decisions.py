@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from fracflow.cli.app import app
 from fracflow.diagnostics.number import Number
-from fracflow.reduction import Facts, as_lines, decide
+from fracflow.reduction import ReductionInput, as_lines, decide
 
 pytestmark = pytest.mark.serial
 DRY = SLIDING.partition("[[stage]]")[0]
@@ -23,7 +23,7 @@ steps = 10
 
 
 def decisions(text, card=(), **facts):
-    return {each.part: each for each in decide(Facts(load_text(text), **facts).with_card(card))}
+    return {each.part: each for each in decide(ReductionInput(load_text(text), **facts).with_card(card))}
 
 
 def test_fluid_parts_that_hardly_matter_are_kept_where_that_costs_nothing():
@@ -49,7 +49,7 @@ def test_dry_scene_leaves_out_the_flow():
 
 
 def test_what_was_undone_is_told():
-    (stage,) = [each.stage for each in decide(Facts(load_text(SLIDING))) if each.part == "inertia"]
+    (stage,) = [each.stage for each in decide(ReductionInput(load_text(SLIDING))) if each.part == "inertia"]
     back = decisions(SLIDING, undone={f"inertia, {stage}": "time 2: 0.5"})["inertia"]
     assert not back.left_out and as_lines([back])[0].endswith("undone at time 2: 0.5")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping
 from fracflow.errors import InputError, SolveError
 from fracflow.integrators import Steady
@@ -53,7 +53,7 @@ def _figure_10(method, overshoot):
     settings = [f"method.newton={method}", f"method.overshoot={overshoot}", "accuracy.max_iterations=300"]
     model = prepare(load(SCENE, [*FIGURE_10, *settings]), MPI.COMM_WORLD)
     stepping = Stepping(model)
-    state, report = stepping.step(rest(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
+    state, report = stepping.step(equilibrium_state(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
     farthest = state.motion.displacement.norm(3)
     stepping.destroy()
     assert len(report.out_of_balance) == report.newton + 1

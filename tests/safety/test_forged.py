@@ -20,7 +20,7 @@ from resealed import changed_notes, resealed
 from rich.console import Console
 from stopped_run import flat, flip, refused, spoken
 
-from fracflow.cli.report import tell
+from fracflow.cli.report import report
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes
@@ -108,7 +108,7 @@ def test_books_need_numbers(folder):
     old, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
     HistoryFile.after(folder / "history.h5", old, attrs | {"energy_noise": "x"}).close()
     with pytest.raises(InputError, match="energy_noise is no number"):
-        tell(folder, Console(quiet=True))
+        report(folder, Console(quiet=True))
 
 
 def group_in_itself(file):

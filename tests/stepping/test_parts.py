@@ -5,7 +5,7 @@ from typing import ClassVar
 import pytest
 
 from fracflow.advance.outcome import Outcome
-from fracflow.advance.substeps import Place, Rules, Substepped
+from fracflow.advance.substeps import Rules, SubstepCursor, Substepped
 from fracflow.errors import NotConverged
 from fracflow.model.state import StepReport
 from fracflow.solve.request import LoadStep
@@ -118,7 +118,7 @@ def test_events_beyond_the_most_are_not_stopped_at():
 def test_goes_on_from_any_place():
     parts = taken(reaching(0.3, event=0.3), Rules(6, events=5))
     for n, (_, end, place) in enumerate(parts[:-1]):
-        again = Place.of(place.as_progress())
+        again = SubstepCursor.of(place.as_progress())
         assert again == place
         assert taken(reaching(0.3, event=0.3), Rules(6, events=5), again, end) == parts[n + 1 :]
 
@@ -133,7 +133,7 @@ def test_an_inaccurate_part_is_freed_and_halved_and_the_level_is_kept():
 
 
 def test_calm_parts_make_the_next_one_longer():
-    place, lengths = Place(level=3), []
+    place, lengths = SubstepCursor(level=3), []
     for _ in range(3):
         parts = taken(reaching(error=1e-3), Rules(6, order=2), place)
         lengths += [end - start for start, end, _ in parts]
@@ -163,7 +163,7 @@ def test_a_tolerance_halves_on_where_convergence_gives_up():
     sizes = [end - begin for begin, end, _ in taken(reaching(error=lambda size: (size / 0.04) ** 2), rules)]
     assert sizes == [1 / 32] * 32
     wrong = reaching(longest=1 / 128, error=lambda size: (size / 0.04) ** 2)
-    place = Place(level=5)
+    place = SubstepCursor(level=5)
     assert taken(wrong, rules, place)[0][:2] == (0.0, 1 / 128)
     with pytest.raises(NotConverged, match="after 2 halvings"):
         taken(reaching(longest=1 / 256), rules, place)
@@ -179,5 +179,5 @@ def test_a_tolerance_comes_at_once_to_where_errors_fall_to():
 def test_prompt_parts_double_as_their_errors_foretell():
     """A part of 1/2 is allowed, one of 1 is not; each length is left as soon as the next one fits the place."""
     rules = Rules(6, order=2, finest=24, prompt=True)
-    ends = [part[1] for part in taken(reaching(error=lambda size: (size / 0.6) ** 2), rules, Place(level=6))]
+    ends = [part[1] for part in taken(reaching(error=lambda size: (size / 0.6) ** 2), rules, SubstepCursor(level=6))]
     assert ends == [1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0]

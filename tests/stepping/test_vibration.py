@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fracflow.advance.error_control import Judge
+from fracflow.advance.error_control import ErrorEstimator
 from fracflow.advance.vibration import WATCHED, Vibration, swing_of
 from fracflow.errors import SolveError
 
@@ -41,7 +41,7 @@ def test_a_checkpoint_keeps_it():
 
 def judge(follows, of_film=False):
     """One of a stage from 0 to 1, parts of 1e-7, a tolerance of 0.01 and a largest displacement of 1."""
-    made = object.__new__(Judge)
+    made = object.__new__(ErrorEstimator)
     given = {
         "of_film": of_film,
         "tolerance": 1e-2,

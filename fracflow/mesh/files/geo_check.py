@@ -276,7 +276,7 @@ class _File:
         if self._matching(first + 1, "(") + 1 != last or self._token(first + 2).kind != "text":
             raise self._refusal(first, last)
 
-    # What every statement must be
+    # The form of every statement
 
     def _words(self, first: int, after: int) -> None:
         """Refuse words that are on no list, and marks that stand where only other statements have them."""

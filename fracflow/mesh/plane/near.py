@@ -9,14 +9,14 @@ import numpy as np
 
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.plane.planar_graph import near_edges
-from fracflow.mesh.plane.traces import Network
+from fracflow.mesh.plane.traces import TraceNetwork
 
 WITHIN = 5.0  # snaps
 AROUND = 12.0  # distances along the network: what meets by a shorter way has met, at over 10 degrees
-MOST = 20  # told one by one
+MOST = 20  # listed one by one
 HEAD = "near misses: "  # of the line that counts them
 LINE = "near miss: "  # of the line of each
-NEAREST = 3  # told before a run
+NEAREST = 3  # reported before a run
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class NearMiss:
         return asdict(self)
 
 
-def near_misses(network: Network, traces: Sequence[str], sides: Sequence[str], snap: float) -> list[NearMiss]:
+def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[str], snap: float) -> list[NearMiss]:
     """Each point of a trace that stays within five ``snap`` of another trace or a side, the nearest first.
 
     Two parts of a network count where the way between them along the network is over twelve times their distance; of a pair
@@ -122,7 +122,7 @@ class _Place:
 class _Points:
     """The points of a network with the traces that they are of, and the ways between them."""
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: TraceNetwork) -> None:
         from scipy import sparse  # imports much
 
         count = len(network.points)
@@ -156,7 +156,7 @@ class _Points:
         return float(min(away[end] + rest for end, rest in zip(place.ends, place.to_ends, strict=True)))
 
 
-def _apart(network: Network, points: _Points, reach: float) -> Iterator[tuple[float, int, int, _Place]]:
+def _apart(network: TraceNetwork, points: _Points, reach: float) -> Iterator[tuple[float, int, int, _Place]]:
     """Distance, point, owner and place of all that is within ``reach`` of a point of a trace, but for what ends in it."""
     from scipy.spatial import cKDTree
 
@@ -173,7 +173,7 @@ def _apart(network: Network, points: _Points, reach: float) -> Iterator[tuple[fl
             yield float(distance), int(point), owner, place
     pairs: Ints = chosen[cKDTree(network.points[chosen]).query_pairs(reach, output_type="ndarray")].reshape(-1, 2)
     for pair in pairs.tolist():
-        # An end is told of what it misses, not the other way round.
+        # An end is listed with the trace that it misses, not the other way round.
         one, other = sorted(pair, key=lambda each: (points.degree[each], each))
         distance = float(np.linalg.norm(network.points[one] - network.points[other]))
         place = _Place(network.points[other], (other, other), (0.0, 0.0))

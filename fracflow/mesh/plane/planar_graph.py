@@ -27,7 +27,7 @@ class Graph(Protocol):
 
 
 @dataclass(frozen=True)
-class Sketch:
+class PlanarGraph:
     """Points and the edges between them.
 
     points  (n, 2)  where they are now [length]; merged ones stay in the table, unused
@@ -50,7 +50,7 @@ class Sketch:
     given: int
 
 
-def sketch(domain: Floats, traces: list[Floats]) -> Sketch:
+def planar_graph_of(domain: Floats, traces: list[Floats]) -> PlanarGraph:
     """The sides of a polygon (k, 2) and the segments of the traces, each (m, 2), as they are given."""
     count = len(domain)
     around = np.arange(count)
@@ -62,12 +62,12 @@ def sketch(domain: Floats, traces: list[Floats]) -> Sketch:
     rank = np.repeat([CORNER, FREE], [count, len(points) - count])
     nothing = np.zeros(0, dtype=np.int64)
     bends = (nothing, nothing, np.zeros(0))
-    return Sketch(
+    return PlanarGraph(
         points, points.copy(), np.arange(len(points)), rank, edges, owner.astype(np.int64), bends, len(points)
     )
 
 
-def settle(lines: Sketch, snap: float, rounds: int) -> Sketch | None:
+def settle(lines: PlanarGraph, snap: float, rounds: int) -> PlanarGraph | None:
     """Merge, move and cut until nothing is left to do; None if that takes more than ``rounds``.
 
     Afterwards edges meet at common points only. No two points are within ``snap`` of each other, and no end or bend
@@ -83,7 +83,7 @@ def settle(lines: Sketch, snap: float, rounds: int) -> Sketch | None:
     return None
 
 
-def merge(lines: Sketch, snap: float) -> Sketch:
+def merge(lines: PlanarGraph, snap: float) -> PlanarGraph:
     """Merge points within ``snap``: into corners first, then points of a side, then those where most edges meet.
 
     Of others alike into those of longer lines, whichever line comes first.
@@ -110,7 +110,7 @@ def merge(lines: Sketch, snap: float) -> Sketch:
     return replace(lines, became=target[lines.became], edges=edges[is_left], owner=lines.owner[is_left])
 
 
-def _lengths_at(lines: Sketch) -> Floats:
+def _lengths_at(lines: PlanarGraph) -> Floats:
     """Of each point (n,) the length of the lines that it is of together, nine digits: equal ones stay equal."""
     line = np.unique(lines.owner, return_inverse=True)[1]
     whole = np.bincount(line, np.linalg.norm(np.diff(lines.points[lines.edges], axis=1)[:, 0], axis=1))
@@ -118,7 +118,7 @@ def _lengths_at(lines: Sketch) -> Floats:
     return np.asarray(np.round(found / whole.max(), 9))
 
 
-def attach(lines: Sketch, snap: float) -> Sketch:
+def attach(lines: PlanarGraph, snap: float) -> PlanarGraph:
     """Move points within ``snap`` of an edge onto it; a point of a side stays, and the edge bends to it."""
     point, edge, along, foot, distance = near_edges(lines, np.unique(lines.edges), snap)
     ends = lines.points[lines.edges[edge]]
@@ -140,7 +140,7 @@ def attach(lines: Sketch, snap: float) -> Sketch:
     return _cut(replace(lines, points=points, rank=rank, bends=bends), edge, along, point)  # type: ignore[arg-type]
 
 
-def cross(lines: Sketch, snap: float) -> Sketch:
+def cross(lines: PlanarGraph, snap: float) -> PlanarGraph:
     """Cut edges where they cross."""
     one, other = boxes_that_meet(lines.points[lines.edges], 0.0)
     apart = np.all(lines.edges[one][:, :, None] != lines.edges[other][:, None, :], axis=(1, 2))
@@ -189,7 +189,7 @@ def near_edges(lines: Graph, chosen: Ints, reach: float) -> tuple[Ints, Ints, Fl
     return point[hit], edge[hit], along[hit], foot[hit], distance[hit]
 
 
-def _cut(lines: Sketch, edge: Ints, along: Floats, point: Ints) -> Sketch:
+def _cut(lines: PlanarGraph, edge: Ints, along: Floats, point: Ints) -> PlanarGraph:
     """Lead ``edge`` (k,) through ``point`` (k,), in the order of ``along`` (k,)."""
     whole = np.arange(len(lines.edges))
     on = np.concatenate([whole, edge, whole])

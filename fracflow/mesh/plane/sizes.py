@@ -7,7 +7,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.plane.planar_graph import boxes_that_meet
-from fracflow.mesh.plane.traces import SHALLOW, Network
+from fracflow.mesh.plane.traces import SHALLOW, TraceNetwork
 
 STEP = 2**0.5  # ratio of sizes that follow each other
 MOST = 5_000_000  # points
@@ -16,7 +16,7 @@ Source = tuple[float, Floats]
 """A mesh size, and the points (k, 2) around which it is kept [length]."""
 
 
-def sources(network: Network, fine: float, at_tips: float, per_gap: float, least: float) -> list[Source]:
+def sources(network: TraceNetwork, fine: float, at_tips: float, per_gap: float, least: float) -> list[Source]:
     """Mesh sizes and the points that have them: ``fine`` along all fractures, ``at_tips`` at their tips.
 
     Cells are at most ``per_gap`` times as long as the gap between two edges, or an edge, but never under ``least``.
@@ -58,7 +58,7 @@ def sources(network: Network, fine: float, at_tips: float, per_gap: float, least
     return [*found, *([(at_tips, tips)] if len(tips) and at_tips < fine else [])]
 
 
-def _near_pairs(network: Network, reach: float) -> tuple[Ints, Ints]:
+def _near_pairs(network: TraceNetwork, reach: float) -> tuple[Ints, Ints]:
     """Edges of fractures and others that may be within ``reach``: without common end, or parting at a small angle."""
     ends = network.points[network.edges]
     one, other = boxes_that_meet(ends, reach / 2)
@@ -82,12 +82,12 @@ def _samples(edges: Ints, length: Floats, spacing: float) -> tuple[Ints, Floats]
     return edges[row], along
 
 
-def _places(network: Network, edge: Ints, along: Floats) -> Floats:
+def _places(network: TraceNetwork, edge: Ints, along: Floats) -> Floats:
     start, end = np.moveaxis(network.points[network.edges[edge]], 1, 0)
     return start + along[:, None] * (end - start)
 
 
-def _gaps(network: Network, edge: Ints, place: Floats, one: Ints, other: Ints) -> Floats:
+def _gaps(network: TraceNetwork, edge: Ints, place: Floats, one: Ints, other: Ints) -> Floats:
     """Distance of each sample from the nearest edge paired with its own; inf where there is none."""
     first = np.searchsorted(edge, one, side="left")  # samples come edge by edge, in ascending order
     count = np.searchsorted(edge, one, side="right") - first

@@ -17,8 +17,8 @@ STRETCH = 20.0  # snaps that two traces may share
 def natural_snap(domain: Floats, traces: Sequence[Trace]) -> tuple[float, str]:
     """The snap of traces that state none [length], and why: 0.4 % of their median length.
 
-    The median stays where one trace more is drawn far away. It counts at most as the width of the domain, the root of its
-    area, and no trace or side may be shorter than four snaps.
+    The median stays where one trace more is drawn far away. It counts at most as the width of the domain, the root of
+    its area. No trace or side may be shorter than four snaps.
 
     domain  (k, 2) corners of a polygon [length]
     """

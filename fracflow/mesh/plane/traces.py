@@ -9,7 +9,7 @@ import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.plane.planar_graph import Sketch, cross, near_edges, settle, sketch
+from fracflow.mesh.plane.planar_graph import PlanarGraph, cross, near_edges, planar_graph_of, settle
 
 ROUNDS = 30  # of merging, moving and cutting
 EXACT = 1e-9  # of the domain's extent: moves under this are round-off and go without saying
@@ -21,7 +21,7 @@ Trace = tuple[str, Floats]
 
 
 @dataclass(frozen=True)
-class Network:
+class TraceNetwork:
     """The sides of the domain and the fractures, cut where they meet.
 
     points  (n, 2)  coordinates [length]
@@ -50,7 +50,7 @@ class Network:
         return edges.tolist()
 
 
-def tidy(domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: float, stretch: float) -> Network:
+def tidy(domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: float, stretch: float) -> TraceNetwork:
     """Make traces meet where they all but meet, and cut off what is outside the domain.
 
     domain   (k, 2) corners of a polygon [length]; ``sides`` are the names of its sides
@@ -62,7 +62,7 @@ def tidy(domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: fl
     """
     names = [name for name, _ in traces]
     _check_domain(domain, snap)
-    given = sketch(domain, [points for _, points in traces])
+    given = planar_graph_of(domain, [points for _, points in traces])
     lines = settle(given, snap, ROUNDS)
     if lines is None:
         raise InputError(f"geometry: snap = {snap:.3g} leaves no end of points to move; lower geometry.snap")
@@ -75,14 +75,14 @@ def tidy(domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: fl
     lines, more = _without_repeats(lines, labels, stretch, _shallow_pairs(given))
     notes = [*_moves(lines, given, labels, EXACT * extent), *notes, *more]
     used, compact = np.unique(lines.edges, return_inverse=True)
-    network = Network(lines.points[used], compact.reshape(-1, 2), lines.owner, tuple(notes))
+    network = TraceNetwork(lines.points[used], compact.reshape(-1, 2), lines.owner, tuple(notes))
     _check_angles(network, labels)
     return network
 
 
 @dataclass(frozen=True)
 class _Labels:
-    """What owners are called in messages."""
+    """The names of owners in messages."""
 
     traces: list[str]
     sides: list[str]
@@ -111,7 +111,7 @@ def polygon_area(corners: Floats) -> float:
 
 
 def _check_domain(domain: Floats, snap: float) -> None:
-    alone = sketch(domain, [])
+    alone = planar_graph_of(domain, [])
     gaps = np.linalg.norm(domain - np.roll(domain, -1, axis=0), axis=1)
     if gaps.min() <= snap:
         where = _spot(domain[np.argmin(gaps)])
@@ -126,7 +126,7 @@ def _check_domain(domain: Floats, snap: float) -> None:
         )
 
 
-def _shallow_pairs(given: Sketch) -> set[tuple[int, int]]:
+def _shallow_pairs(given: PlanarGraph) -> set[tuple[int, int]]:
     """Pairs of traces of which two segments lie at under SHALLOW degrees and cross."""
     cut = cross(given, 0.0)
     new = np.arange(len(given.points), len(cut.points))
@@ -159,7 +159,7 @@ def _neighbours(at: Ints, owner: Ints, heading: Floats) -> list[tuple[int, int, 
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _inside(lines: Sketch, domain: Floats, labels: _Labels) -> tuple[Sketch, list[str]]:
+def _inside(lines: PlanarGraph, domain: Floats, labels: _Labels) -> tuple[PlanarGraph, list[str]]:
     """Only the edges in or on the domain, and what was cut; raises InputError for a trace of which nothing is left."""
     middle = lines.points[lines.edges].mean(axis=1)
     is_out = ~is_within(middle, domain) & ~_is_repeat_of_side(lines)
@@ -179,15 +179,15 @@ def _inside(lines: Sketch, domain: Floats, labels: _Labels) -> tuple[Sketch, lis
     return replace(lines, edges=lines.edges[~is_out], owner=lines.owner[~is_out]), notes
 
 
-def _is_repeat_of_side(lines: Sketch) -> np.ndarray:
+def _is_repeat_of_side(lines: PlanarGraph) -> np.ndarray:
     """Whether each edge joins the ends of an edge of a side: as all edges of sides do."""
     key = np.sort(lines.edges, axis=1) @ [len(lines.points), 1]
     return np.isin(key, key[lines.owner < 0])
 
 
 def _without_repeats(
-    lines: Sketch, labels: _Labels, stretch: float, shallow: set[tuple[int, int]]
-) -> tuple[Sketch, list[str]]:
+    lines: PlanarGraph, labels: _Labels, stretch: float, shallow: set[tuple[int, int]]
+) -> tuple[PlanarGraph, list[str]]:
     """Each edge once, a side's or that of the first trace, and what was shared; raises InputError for long stretches."""
     ends = np.sort(lines.edges, axis=1)
     order = np.lexsort([np.where(lines.owner < 0, -1, lines.owner), ends[:, 1], ends[:, 0]])
@@ -214,7 +214,7 @@ def _without_repeats(
     return replace(lines, edges=lines.edges[kept], owner=lines.owner[kept]), notes
 
 
-def _moves(lines: Sketch, given: Sketch, labels: _Labels, least: float) -> list[str]:
+def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float) -> list[str]:
     """Say which ends, bends and crossings moved, how far and onto what."""
     at, of = lines.edges.ravel(), np.repeat(lines.owner, 2)
     moved = np.linalg.norm(lines.points[lines.became] - lines.first, axis=1)
@@ -239,7 +239,7 @@ def _moves(lines: Sketch, given: Sketch, labels: _Labels, least: float) -> list[
     return notes
 
 
-def _check_angles(network: Network, labels: _Labels) -> None:
+def _check_angles(network: TraceNetwork, labels: _Labels) -> None:
     """Raise InputError for edges that meet at less than a cell can have."""
     found = _neighbours(*_ends_at(network.points, network.edges, network.owner))
     for one, other, angle, point in found:

@@ -80,7 +80,7 @@ def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
 
 
 def _leaves_by(blocks: Blocks, absorbing: Absorbing) -> list[str]:
-    """What the log should tell of sides by which the wave that they bring leaves. Collective."""
+    """Lines for the log on sides through which the wave that enters there also leaves. Collective."""
     if absorbing.wave is None or absorbing.wave.direction is None:
         return []
     lines = []
@@ -103,7 +103,7 @@ class AbsorbingSides(Term):
         """Raises InputError, on every rank. Collective."""
         blocks, expand = operators.blocks, operators.expand
         self.sides = [(absorbing, facets_of(blocks, scene, absorbing)) for absorbing in scene.absorbing]
-        self.blocks, self.waves, self._notes = blocks, tuple[Wave, ...](), tuple[str, ...]()
+        self.blocks, self.waves, self._notes = blocks, tuple[IncidentWave, ...](), tuple[str, ...]()
         if not scene.has_dynamics:
             return
         self.damping = self._impedance(expand)
@@ -154,7 +154,7 @@ def absorbing_sides(operators: Operators, scene: Scene) -> tuple[AbsorbingSides,
 
 
 @dataclass(frozen=True)
-class Wave:
+class IncidentWave:
     """A plane wave that comes in at the nodes (n, k) of facets: force (n, k, dim) and power (n, k) of a unit of velocity.
 
     velocity  particle velocity where the wave arrives first
@@ -183,7 +183,7 @@ class Wave:
         return float(self.blocks.comm.allreduce(float(np.sum(self.work * self._at(time, around) ** 2))))
 
 
-def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Mat | None) -> Wave:
+def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Mat | None) -> IncidentWave:
     """(Joyner and Chen 1975) In the rock without anything else the sides would carry C v + sigma n of the wave alone."""
     wave, comm = absorbing.wave, blocks.comm
     assert wave is not None
@@ -217,4 +217,4 @@ def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Ma
             " at an angle on one rock only; give each side its own, or leave wave.direction out"
         )
     work = facets.size * (traction @ motion)[:, None]
-    return Wave(blocks, expand, facets.nodes, force, work, delay, wave.velocity)
+    return IncidentWave(blocks, expand, facets.nodes, force, work, delay, wave.velocity)

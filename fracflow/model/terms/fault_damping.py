@@ -1,15 +1,15 @@
 """Damping of the cells at faults: of what slip sends out that the mesh cannot carry.
 
 Mechanism   Friction rectifies what shakes walls at the frequencies of a few cells, in two ways.
-            Across: where walls are not meshed as each other's mirror images, a rupture presses them together and apart too: the
-            normal traction rings. Nothing damps it, and cells that grow away from the fault keep it there. A section advances
-            while it is pressed less, and stays while it is pressed more. Slip creeps on behind the front; finer cells ring more
-            often, and make it worse.
-            Along: where a prescribed pressure takes strength away at once, each node let go comes too far, as a spring does, on
-            mirror images too. It sticks there, since friction does not push it back: sections then carry less than their
-            strength, and the stress falls by more than it should. Laws without a slip length do the same; there the motion of
-            single cells may be that of the scene's blocks, and how far slip runs is a choice of the mesh (the card says so):
-            these are damped by a number alone.
+            Across: where walls are not meshed as each other's mirror images, a rupture presses them together and apart
+            too: the normal traction rings. Nothing damps it, and cells that grow away from the fault keep it there. A
+            section advances while it is pressed less, and stays while it is pressed more. Slip creeps on behind the
+            front; finer cells ring more often, and make it worse. Along: where a prescribed pressure takes strength
+            away at once, each node let go comes too far, as a spring does, on mirror images too. It sticks there, since
+            friction does not push it back. Sections then carry less than their strength, and the stress falls by more
+            than it should. Laws without a slip length do the same; there the motion of single cells may be that of the
+            scene's blocks, and the extent of slip depends on the mesh (see the pre-run checks). These are damped by a
+            number alone.
 Predictor   Across: ``asymmetry`` of the walls, and the rms of the normal traction behind the front, which grows as its square:
             slip is too large by up to mu_d times that rms over the stress drop. k_n has no part in it, so that neither softer
             joints nor a dashpot in them help: the joint only passes on what the cells do.
@@ -91,7 +91,7 @@ def fault_damping(operators: Operators, scene: Scene) -> tuple[FaultDamping, ...
 
 
 def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
-    """Damping of the cells at joints that can slip; None where there are none, or the scene wants none. Collective.
+    """Damping of the cells at joints that can slip; None where there are none, or the scene has none. Collective.
 
     With "auto" at those alone that are not meshed as each other's mirror images, for the others' normal tractions do not
     ring; and at those that lose strength at once, which shakes any walls.

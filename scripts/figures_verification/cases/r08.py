@@ -94,7 +94,7 @@ def pushed(
         text += f"pressure = {{along = {(x + FAR).tolist()}, time = [0, 1], value = {value}}}\n"
         stage = "stage=[{kind = 'steady', time_step = 1, steps = 1}]"
     mesh = tensor(x, y, {"fault": (0.0, -FAR, FAR)}, triangles)
-    return solve(text, stage, "method.film=bdf2", "method.coupling=whole-lu", mesh=mesh)
+    return solve(text, stage, "method.flow_integrator=bdf2", "method.coupling=whole-lu", mesh=mesh)
 
 
 def errors(stress: float, coupled: bool, triangles: bool = False) -> Callable[[float], tuple[float, ...]]:
