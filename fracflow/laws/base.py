@@ -195,7 +195,7 @@ class JointLaw(Protocol):
 
 
 def zero_history(history: Mapping[str, HistoryVariable], sections: int, dim: int) -> dict[str, Floats]:
-    """Zero arrays of the shapes that ``history`` declares."""
+    """Zeros of the shapes that ``history`` declares: (sections, dim - 1) or (sections,)."""
     shapes: dict[Kind, tuple[int, ...]] = {"shear": (sections, dim - 1), "scalar": (sections,)}
     return {name: np.zeros(shapes[variable.kind]) for name, variable in history.items()}
 

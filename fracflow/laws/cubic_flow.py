@@ -32,7 +32,7 @@ def report_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floa
 
 
 def exact_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats, Floats]:
-    """(3.4) integrated: 1 / mean(1/d^3) = 2 d1^2 d2^2 / (d1 + d2), exact where d is linear.
+    """(3.4) integrated: 1 / mean(1/d^3) (n,) = 2 d1^2 d2^2 / (d1 + d2), exact where d is linear.
 
     Arguments and results as for ``report_mean_cube``; 0 with zero derivatives if either end is closed.
     """

@@ -56,7 +56,7 @@ class Trial:
 
     @staticmethod
     def of(law: FrictionLaw, strain: Floats, history: History) -> Trial:
-        """The trial of a law."""
+        """The elastic trial of a law at strain (n, dim)."""
         sections, dim = strain.shape
         closure = law.closure
         opening = strain[:, -1]
@@ -90,7 +90,7 @@ class Trial:
         return np.where(self.was_sliding, persists, fails) & ~self.free
 
     def margin(self, onset: Floats, kept: Floats) -> Floats:
-        """Distance of that choice from its threshold: shear excess over strength; if open, the gap."""
+        """Distance (n,) of that choice from its threshold: shear excess over strength; if open, the gap."""
         limited = np.isfinite(onset)
         tiny = TINY_STRENGTH * self.closure.stress_scale(len(onset))
         scale = np.maximum(np.where(limited, onset, 1.0), tiny)
@@ -197,17 +197,17 @@ class FrictionLaw(JointLaw):
         return NormalClosure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
 
     def has_changed(self, old: History, new: History) -> Bools:
-        """Whether a section began or ended to slide, or slides the other way; turning while it slides is no change."""
+        """Whether sections (n,) began or ended to slide, or slide the other way; turning while sliding is no change."""
         same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
         changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
         return changed
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction to the boundary -d0 of the closure."""
+        """Fraction (n,) of an increment (n, dim) to the boundary -d0 of the closure."""
         return self.closure.step_limit(strain, increment)
 
     def change_at(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction of the increment at which the walls part or meet."""
+        """Fraction (n,) of an increment (n, dim) at which the walls part or meet."""
         return self.closure.change_at(strain, increment)
 
     def with_other_status(self, strain: Floats, history: History, chosen: Bools) -> dict[str, Floats]:

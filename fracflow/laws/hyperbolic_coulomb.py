@@ -104,5 +104,5 @@ class HyperbolicCoulomb(FrictionLaw):
         return np.where(drops, np.where(drops, 1.0 - alpha, 1.0) * (cohesion + compression * tan_phi), 0.0)
 
     def slip_length(self, sections: int) -> Floats:
-        """0: the drop of alpha < 1 comes at once, at the onset of slip."""
+        """Slip (n,) over which strength falls: 0, since the drop of alpha < 1 comes at once; inf without a drop [length]."""
         return np.where(per_section(self.stick_slip_ratio, sections) < 1.0, 0.0, np.inf)

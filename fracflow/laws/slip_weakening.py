@@ -122,26 +122,26 @@ class SlipWeakening(FrictionLaw):
         return replace(response, history={**response.history, "slip_path": path + np.where(slid, slip, 0.0)})
 
     def steepness(self, traction: Floats, history: History) -> Floats:
-        """|f_n| (mu_p - mu_d)/(D_c k_s) while friction falls; 0 once it has."""
+        """|f_n| (mu_p - mu_d)/(D_c k_s) (n,) at traction (n, dim) while friction falls; 0 once it has."""
         result: Floats = self.softening(traction, history) / per_section(self.shear_stiffness, len(traction))
         return result
 
     def softening(self, traction: Floats, history: History) -> Floats:
-        """|f_n| (mu_p - mu_d)/D_c while friction falls; 0 once it has."""
+        """|f_n| (mu_p - mu_d)/D_c (n,) at traction (n, dim) while friction falls; 0 once it has [stress/length]."""
         _, falls = self.friction(history["slip_path"])
         compression = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
         result: Floats = compression * falls
         return result
 
     def strength_drop(self, compression: Floats) -> Floats:
-        """The compression times mu_p - mu_d."""
+        """Drop of strength (n,): the compression (n,) times mu_p - mu_d [stress]."""
         peak, dynamic = (
             per_section(v, len(compression)) for v in (self.friction_coefficient, self.dynamic_friction_coefficient)
         )
         return compression * (peak - dynamic)
 
     def slip_length(self, sections: int) -> Floats:
-        """D_c."""
+        """Slip (n,) over which strength falls, D_c [length]."""
         return per_section(self.slip_weakening_distance, sections)
 
     def approach(self, strain: Floats, change: Floats, history: History, step: LawStep = INSTANT) -> Floats:

@@ -1,4 +1,4 @@
-"""ContactNodes of fractures that may open and close: whose inertia along their normal is carried by nodes further in, and by which.
+"""Nodes of contact: walls of fractures that may open and close, whose inertia along their normal nodes further in carry.
 
 A wall node that bounces on its joint with a mass of its own makes energy in steps that are longer than the bounce. So the
 motion of that mass along the normal is taken to be the mean of the nodes inside the rock beside it (Khenous, Laborde and

@@ -143,7 +143,7 @@ class Catalogue:
 
 
 def catalogue_of(scene: Scene, mesh: SplitMesh, place: Ints, notes: Mapping[str, Any] | None) -> Catalogue | None:
-    """The catalogue of a scene with a stage auto, new or with what a checkpoint's ``notes`` kept; ``place`` as below."""
+    """The catalogue of a scene with a stage auto, new or from a checkpoint's ``notes``; ``place`` (joints * 2,) as below."""
     if all(stage.kind != "auto" for stage in scene.stage):
         return None
     catalogue = Catalogue(fault_ends(scene, mesh, place))

@@ -87,7 +87,7 @@ class Notes(TypedDict, total=False):
 
 
 def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
-    """Write a checkpoint and its seal aside, bring it to disk, and put it in the place of the last one. Rank 0 only."""
+    """Write arrays (...) and their seal aside, bring them to disk, and put them in place of the last. Rank 0 only."""
     write_sealed(path, arrays, {"notes": json.dumps(notes, ensure_ascii=False)})
 
 
@@ -117,7 +117,7 @@ def read_arrays(path: Path) -> Arrays:
 
 @contextmanager
 def restoring(path: Path) -> Iterator[None]:
-    """Let what does not fit in a checkpoint, with seal or without, be an InputError that names it."""
+    """Give faults of a checkpoint, with seal or without, as an InputError that names it. Raises InputError."""
     try:
         yield
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:

@@ -122,7 +122,7 @@ def judged(row: Row, scale: float) -> Row:
 
 
 def alike(steps: Sequence[Floats]) -> float:
-    """Cosine between the last two of the differences (times, components) of levels, nan where there are fewer."""
+    """Cosine between the last two of the differences (t, c) of levels, by time and component; nan where there are fewer."""
     if len(steps) < 2:
         return float("nan")
     before, last = (each.ravel() / (np.abs(each).max() or 1.0) for each in steps[-2:])

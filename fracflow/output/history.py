@@ -60,7 +60,7 @@ class HistoryFile:
     @classmethod
     @uninterrupted()
     def after(cls, path: str | Path, old: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> HistoryFile:
-        """Go on after these records, with these attributes."""
+        """Go on after records (steps, ...), with these attributes."""
         history = cls(path, attrs)
         if old:
             history._create(old)

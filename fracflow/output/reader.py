@@ -175,7 +175,7 @@ class RunData:
         return f"{word} [{unit}]" if unit else word
 
     def axis(self, span: slice) -> tuple[Floats, str]:
-        """Abscissa of histories: time, or the step's number if no time passes."""
+        """Abscissa (steps,) of histories: time, or the step's number if no time passes."""
         time = self.history["time"][span]
         if len(time) and np.ptp(time) > 0.0:
             return time, self.label("time", TIME)

@@ -43,7 +43,7 @@ class TimeTable:
 
     @property
     def jumps(self) -> tuple[Floats, Floats]:
-        """Times and sizes of its jumps."""
+        """Times (k,) and sizes (k,) of its jumps."""
         times, values = np.array(self.times), np.array(self.values)
         found = np.diff(values)
         at = found != 0.0 if self.interpolation == "step" else (np.diff(times) == 0.0) & (found != 0.0)
@@ -51,7 +51,7 @@ class TimeTable:
 
     @cached_property
     def kinks(self) -> tuple[Floats, Floats]:
-        """Times and sizes of the changes of its slope, jumps left out; two at one time add up."""
+        """Times (k,) and sizes (k,) of the changes of its slope, jumps left out; two at one time add up."""
         times, values = np.array(self.times), np.array(self.values)
         length = np.diff(times)
         moves = length > 0.0

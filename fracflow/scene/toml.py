@@ -82,7 +82,7 @@ def _at_key(text: str, error: str) -> str:
 
 
 def override(data: dict[str, Any], setting: str) -> None:
-    """Apply one ``path.to.key=value`` in place; entries of arrays are called by their name or their index."""
+    """Apply one ``path.to.key=value`` in place; entries of arrays have a name or an index. Raises InputError."""
     path, equals, text = setting.partition("=")
     keys = [key.strip().strip("\"'") for key in re.findall(r'"[^"]*"|\'[^\']*\'|[^.]+', path.strip())]
     if not equals or not keys or not all(keys) or len(keys) > DEEPEST:

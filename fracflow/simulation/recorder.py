@@ -350,7 +350,7 @@ class Files:
         self.extra = index
 
     def fields(self, index: int, state: State, values: Mapping[str, Any], motion: Floats | None) -> None:
-        """Fields of fractures and, where there is its ``motion``, of the rock for ParaView."""
+        """Fields of fractures at ends (joints, 2, k) and, with a ``motion`` (n, 2, k), of the rock for ParaView."""
         if motion is not None:
             point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
             self.rock.write(index, state.time, point_data, cell_data)

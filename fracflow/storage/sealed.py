@@ -73,7 +73,7 @@ def root_of(layout: Layout, notes: Mapping[str, Any], digests: Bytes) -> str:
 
 
 def layout_of(arrays: Mapping[str, NDArray[Any]]) -> Layout:
-    """Types and shapes of arrays."""
+    """Types and shapes of arrays (...)."""
     return {name: (values.dtype.str, tuple(values.shape)) for name, values in arrays.items()}
 
 
