@@ -34,7 +34,7 @@ def test_report_example_3_has_the_published_numbers():
     assert card["joint/rock stiffness"].value == pytest.approx(188, abs=0.5)
     assert card["joint length scale"].value == pytest.approx(188, abs=0.5)
     assert card["coupling, steady"].value == pytest.approx(0.09, abs=0.0005)
-    assert 0.005 < card["film ringing"].value < 0.02
+    assert 0.005 < card["pressure ringing"].value < 0.02
     assert card["fluid inertia"].value == pytest.approx(0.69, abs=0.005)
     assert card["fluid compressibility"].value == pytest.approx(0.022, abs=0.0005)
     assert card["nucleation length"].value == 0.0
@@ -110,8 +110,8 @@ def test_coupling_factor_of_the_card_is_that_of_the_matrices():
             "method.conductance=report",
             "fracture.fault.aperture={along = [0, 4000], value = [0.01, 0.002]}",
         ], "exact"),
-        ("film ringing", ["stage.failure.time_step=10"], "time_step below"),
-        ("film ringing", [
+        ("pressure ringing", ["stage.failure.time_step=10"], "time_step below"),
+        ("pressure ringing", [
             "stage.failure.kind=quasi-static", "stage.failure.time_step=10", "method.flow_integrator=trapezoid",
         ], "backward-euler"),
     ],
@@ -129,7 +129,7 @@ def test_what_takes_care_of_divergence_is_no_warning(setting):
 
 
 def test_backward_euler_does_not_ring():
-    found = card_of(REPORT_5_3, "stage.failure.kind=quasi-static", "stage.failure.time_step=10")["film ringing"]
+    found = card_of(REPORT_5_3, "stage.failure.kind=quasi-static", "stage.failure.time_step=10")["pressure ringing"]
     assert found.value > 1 and not found.out_of_range
 
 
@@ -150,10 +150,10 @@ def test_where_pressure_is_prescribed_no_film_rings_and_no_fluid_has_inertia(giv
     })  # fmt: skip
     mesh = read_split(scene)
     card = {number.name: number for number in pre_run_checks(scene, mesh, {})}
-    for name in ("film ringing", "fluid inertia"):
+    for name in ("pressure ringing", "fluid inertia"):
         assert card[name].out_of_range == (given != "both"), card[name]
         assert card[name].where.partition(",")[0] == {"neither": "wide", "wide": "narrow", "both": ""}[given]
-    assert (card["film ringing"].note == "pressure is prescribed everywhere") == (given == "both")
+    assert (card["pressure ringing"].note == "pressure is prescribed everywhere") == (given == "both")
 
 
 def test_without_a_drop_of_strength_slip_needs_no_length():
@@ -258,7 +258,7 @@ def test_the_card_is_printed_logged_and_stored(tmp_path):
     shown = CliRunner().invoke(app, ["run", REPORT_5_3, "-o", str(tmp_path / "run"), *asked])
     assert shown.exit_code == 0
     lines = shown.output.splitlines()
-    start = next(n for n, line in enumerate(lines) if "Scene card" in line)
+    start = next(n for n, line in enumerate(lines) if "Pre-run checks" in line)
     rows = lines[start + 2 : start + 14]
     assert sum(row.startswith("!") for row in rows) == 4
     assert "joint time step" in rows[5] and "1.98" in rows[5] and "fault, failure" in rows[5]
@@ -271,7 +271,7 @@ def test_the_card_is_printed_logged_and_stored(tmp_path):
     assert ran.card[0]["name"] == "joint/rock stiffness" and len(ran.card) == 12
     assert {decision["part"] for decision in ran.plan} >= {"flow", "inertia"}
     log = (tmp_path / "run" / "log.txt").read_text().splitlines()
-    assert sum(line.startswith("card: ") for line in log) == 12
+    assert sum(line.startswith("check: ") for line in log) == 12
 
 
 def _dense(matrix):

@@ -123,7 +123,7 @@ class ErrorEstimator:
         missed = (
             ""
             if reached <= self.tolerance
-            else (", more than asked: parts were judged against a motion that did not come, or could not be shorter")
+            else ", more than asked: substeps could not be shorter, or the motion stayed smaller than expected"
         )
         return (
             f"time steps made an error of {reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
@@ -178,7 +178,7 @@ class ErrorEstimator:
         amplitude, period = swing_of(self.follows.acceleration, self.follows.jerk)
         largest = max(self.largest, self.guess)
         asked = (
-            f"time {time:.6g}: {self.told} asks for parts as short as {self.last:.2g}, about"
+            f"time {time:.6g}: {self.told} needs substeps as short as {self.last:.2g}, about"
             f" {self._left(time, self.last):.1g} more of them"
         )
         if not math.isfinite(amplitude):

@@ -271,7 +271,7 @@ class SingleStep:
         if same and not failed:
             refuse_cycle(reached, request.time, spent)
         raise NotConverged(
-            f"time {request.time:.6g}: elements keep pinching shut and opening again, which changes what nothing drains: take a"
+            f"time {request.time:.6g}: elements keep pinching shut and opening again, which changes the outlets: take a"
             f" smaller time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
             spent,
         )

@@ -133,7 +133,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
 
 def report_checks(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
     """Print the records of the pre-run checks: ten lines, and a remedy for each number out of range."""
-    table = Table(title="Scene card", title_style="bold", box=None, pad_edge=False)
+    table = Table(title="Pre-run checks", title_style="bold", box=None, pad_edge=False)
     for head in ("", "number", "value", "limit", "where"):
         table.add_column(head, no_wrap=True)
     for number in numbers:

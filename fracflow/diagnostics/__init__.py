@@ -35,7 +35,7 @@ def as_lines(numbers: list[Number]) -> list[str]:
     """For the log."""
     lines = []
     for number in numbers:
-        text = f"card: {number.name}, {number.formula}: "
+        text = f"check: {number.name}, {number.formula}: "
         text += "none" if number.value is None else f"{number.value:.4g}"
         text += f", limit {number.limit:.4g}" if number.limit is not None else ""
         text += f" ({number.note})" if number.note else ""

@@ -151,7 +151,7 @@ def _largest_pressure(view: CheckInput) -> float:
 
 def ringing(view: CheckInput) -> Number:
     """dt/(2 tau_d) of the shortest mode on the mesh, the first to ring."""
-    name, formula, joints = "film ringing", "dt/(2 tau_d)", view.joints
+    name, formula, joints = "pressure ringing", "dt/(2 tau_d)", view.joints
     films = [film for film in view.stages if film.is_trapezoid] or view.stages
     if not view.flows or not films or joints.is_held.all():
         return Number(name, formula, note=HELD if view.flows and films else "no fracture flow that moves")

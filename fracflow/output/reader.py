@@ -188,13 +188,14 @@ class RunData:
         return [key[len("probe/") : -len(tail)] for key in keys]
 
     def probe(self, name: str, quantity: str) -> Floats:
-        """(steps,) a probe's quantity; of a vector, its length with the sign of the largest component."""
+        """(steps,) a probe's quantity; of a vector, its component along the largest of all steps."""
         values = self.history[f"probe/{name}/{quantity}"]
         if values.ndim == 1:
             return values
         flat = values.reshape(len(values), -1)
-        main = int(np.abs(flat).max(axis=0, initial=0.0).argmax())
-        return np.asarray(np.linalg.norm(flat, axis=1) * np.where(flat[:, main] < 0, -1.0, 1.0))
+        largest = flat[int(np.linalg.norm(flat, axis=1).argmax())] if len(flat) else np.zeros(flat.shape[1])
+        along = largest / (np.linalg.norm(largest) or 1.0)
+        return np.asarray(flat @ along * (-1.0 if along[np.abs(along).argmax()] < 0.0 else 1.0))
 
     def first_events(self) -> list[dict[str, Any]]:
         """The events of slip that started first."""

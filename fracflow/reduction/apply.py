@@ -14,7 +14,7 @@ from fracflow.model.setup import Model, SlowLoads
 from fracflow.model.state import State
 from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.inertia import asks_period, key_of, reduced, slow_stages
-from fracflow.reduction.locked_fractures import PART
+from fracflow.reduction.locked_fractures import EARLIER, PART
 from fracflow.reduction.locked_mesh import find_locked, tied
 from fracflow.reduction.unloaded_blocks import without_idle
 from fracflow.solve.period import longest_period
@@ -32,7 +32,7 @@ def planned(
     """
     shut, undone = (
         find_locked(model, ReductionInput(model.scene, unknowns=int(model.operators.layout.solid_starts[-1]))),
-        undone or {},
+        {PART if part == EARLIER else part: when for part, when in (undone or {}).items()},
     )
     if shut.names and PART not in undone:
         model = tied(model, shut.names, cell_rank)

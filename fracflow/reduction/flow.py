@@ -56,14 +56,14 @@ def one_way(facts: ReductionInput) -> list[Decision]:
 
 def fracture_storage(facts: ReductionInput) -> list[Decision]:
     """Storage of fractures while they fill, in stages without inertia: steady flow for dt > 50 tau_d."""
-    ringing = facts.card.get("film ringing")
+    ringing = facts.card.get("pressure ringing")
     slow = any(stage.kind in ("quasi-static", "auto") for stage in facts.scene.stage)
     if not facts.scene.has_flow or not slow or ringing is None or ringing.value is None:
         return []
     value, error = 2.0 * ringing.value, "of pressures, relative: exp(-dt/tau_d) a step"
     return [
         Decision(
-            "film storage",
+            "fracture storage",
             False,
             "tau_d/dt, of the fracture that drains first",
             1.0 / value if value else "unknown",

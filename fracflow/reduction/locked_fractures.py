@@ -30,7 +30,8 @@ from fracflow.reduction.decision import Decision, LockedFractures, ReductionInpu
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 
-PART = "tied fractures"
+PART = "locked fractures"
+EARLIER = "tied fractures"  # its name in the checkpoints of earlier versions
 SHARE = 0.2  # of all jumps: fewer would save little
 USE = 0.9  # of the strength, before a run and in every step of it
 NEARBY = 2.0  # what corners of the rock, ends of fractures and neighbours may make of a stress
@@ -210,7 +211,7 @@ def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float], u
 
 
 def decide_tied(facts: ReductionInput) -> list[Decision]:
-    """Whether fractures are tied, and which."""
+    """Whether fractures are locked, and which."""
     shut = facts.locked
     told = ", ".join(shut.names[:LISTED]) + (
         f" and {len(shut.names) - LISTED} more" if len(shut.names) > LISTED else ""

@@ -296,7 +296,9 @@ class Condensed:
                 if max(_largest(problem), beside) <= least:
                     break
                 if cycle == MOST_CYCLES and beside > NEARLY * least and not self._is_asked:
-                    raise NotConverged("of what little runs all unknowns know more digits")
+                    raise NotConverged(
+                        "the flow is too small for the digits of the fractures alone: all unknowns are solved for"
+                    )
         finally:
             force.destroy()
             free.destroy()

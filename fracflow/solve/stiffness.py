@@ -78,6 +78,6 @@ NEWTON_METHODS = {
     ),
     "secant": Stiffness(
         secant_moduli,
-        weakness="it knows no plastic slip, so it cannot follow joints that unload",
+        weakness="it has no plastic slip in it, so joints that unload do not converge",
     ),
 }

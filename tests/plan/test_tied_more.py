@@ -130,6 +130,14 @@ def test_loads_add_to_the_shear_that_there_is(comm, shear):
     assert shut.use == pytest.approx(4.5 / (0.6 * 9.5))
 
 
+def test_checkpoints_of_earlier_versions_keep_what_they_undid(comm, monkeypatch):
+    monkeypatch.setattr(tied, "LEAST", 0)
+    model = prepare(Scene.from_data(scene_of(1e-4)), comm)
+    whole, facts = planned(model, {"tied fractures": "time 5: why"})
+    assert whole.operators is model.operators and facts.undone == {PART: "time 5: why"}
+    assert planned(model)[0].operators is not model.operators
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
 def test_rock_on_either_side_is_watched(comm, monkeypatch, side):
     """Sheared on one side of seams at y = 15 alone, and less than 40 m from it, by 0.95 of the strength over G."""

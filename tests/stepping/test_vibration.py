@@ -60,9 +60,9 @@ def test_of_a_stage_that_needs_very_many_parts_it_says_how_many():
     w = 1e4
     large, small = (Vibration(WATCHED, a * w**2, a * w**3, "on joint at (1, 2)") for a in (1e-1, 4e-3))
     told = judge(large).outlook(0.5)
-    assert "parts as short as 1e-07, about 5e+06 more of them. They follow a vibration on joint at (1, 2)" in told
+    assert "substeps as short as 1e-07, about 5e+06 more of them. They follow a vibration on joint at (1, 2)" in told
     assert judge(large.followed_by(Vibration(1))).outlook(0.5) == ""
     with pytest.raises(SolveError, match=r"gain nothing.*amplitude 0.004, 0.004 of the largest displacement"):
         judge(small).outlook(0.5)
     film = judge(Vibration(WATCHED), of_film=True).outlook(0.5)
-    assert film.endswith("of volume stored in fractures asks for parts as short as 1e-07, about 5e+06 more of them")
+    assert film.endswith("of volume stored in fractures needs substeps as short as 1e-07, about 5e+06 more of them")
