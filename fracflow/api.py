@@ -88,7 +88,7 @@ class Run:
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
         way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there,
         else the beginning of the step in which it slips or opens, and start_latest the end of that step (nan in rows of kind
-        "event"); The The The end is that of the first step without it.
+        "event"); The end is that of the first step without it.
         Of a stage auto also kind "event", from the first section that slides to the last that sticks: place of the first,
         largest slip, and, nan in other rows, sections, length, mean_slip [length], mean stress_drop [stress], moment G slip
         length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides, dissipated by

@@ -27,7 +27,7 @@ ON_RANKS = {
     "multTransposeAdd", "on_root", "ptap", "transposeMatMult",
 }  # fmt: skip
 ON_RANKS_OF_PETSC = {"dot", "duplicate", "mult", "norm", "sum"}  # names that arrays have too
-OURS = re.compile(r"(Error|Interrupted|PutBack|Restless|LimitPoint|NotConverged|ReductionInvalid|StatusCycling)$")
+OURS = re.compile(r"(Error|Interrupted|LimitPoint|NotConverged|ReductionInvalid|StatusCycling)$")
 
 WHAT = re.compile(r"(?:^|[.:;]\s+)What\b")
 

@@ -58,8 +58,6 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
         else (begin(model, state, stage), SubstepCursor())
     )
     regimes = _Regimes(stepping, number, log, course, place)
-    method = model.scene.method
-    damps = method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
     if not goes_on:
         log(
             f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
@@ -91,7 +89,9 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
             state = found.state
             course = replace(course.moved_to(state, stage.at_rest), count=course.count + (found.reached == 1.0))
-            if told := course.is_unstable(before, state.time, any(term.absorbs for term in model.scene.terms), damps):
+            if told := course.is_unstable(
+                before, state.time, any(term.absorbs for term in model.scene.terms), regimes.moving.damps
+            ):
                 log(f"time {state.time:.9g}: {told}")
             report = regimes.counted(found.report)
             yield Step(state, number, found.length, report, course.as_progress(waves.place), WAVES)
@@ -213,7 +213,7 @@ class _Regimes:
         return next(now, "")
 
     def _must_not_matter(self, old: State, new: State) -> None:
-        """Raise PutBack, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
+        """Raise ReductionInvalid, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
         if self.most is None:
             return
         assert self.stage.end is not None

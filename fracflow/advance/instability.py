@@ -82,7 +82,7 @@ class Patch:
 
 
 def refuse_unstable_slip(model: Model, old: State, new: State, newton: int) -> None:
-    """Free ``new`` and raise Jumped, on every rank, where slip may not have come to it from ``old`` at rest. Collective.
+    """Free ``new`` and raise UnstableStep, on every rank, where slip may not have come to it from ``old`` at rest. Collective.
 
     ``newton`` is the number of iterations that led there
     """
@@ -176,7 +176,7 @@ class StableSlip:
     shortest: float
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
-        """The same, or Jumped is raised, on every rank. Collective."""
+        """The same, or UnstableStep is raised, on every rank. Collective."""
         halves = request.end - request.begin > self.shortest or is_near(self.model, state)
         found = self.inner.advance(state, replace(request, expects_failure=halves))
         refuse_unstable_slip(self.model, state, found.state, found.report.newton)

@@ -31,7 +31,7 @@ class EventState:
     least   step with inertia, and shortest without [time]
     period  longest period of vibration, as at the last onset [time]
     step    length of the next step without inertia [time]
-    calm    accepted accepted steps in a row that could have been longer
+    calm    accepted steps in a row that could have been longer
     begun   onset of the event under way; ``moves`` 1 during one
     count   whole steps with inertia since then
     creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]

@@ -11,6 +11,7 @@ from fracflow.integrators.implicit_euler import ImplicitEuler
 from fracflow.integrators.newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
 from fracflow.integrators.parameters import keys_of
 
+# a rule from outside the package is registered here, STEPPERS["name"] = Rule, before any scene is read
 STEPPERS: dict[str, type[Stepper]] = {
     "newmark": Newmark,
     "hht": HHT,
@@ -26,8 +27,15 @@ STEPPERS: dict[str, type[Stepper]] = {
 EXPLICIT: dict[str, type[Stepper]] = {"explicit": Explicit}
 """Rules with a protocol of their own: see ``solve.explicit``."""
 
-WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
-FLOW_INTEGRATORS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
+
+def with_inertia() -> dict[str, type[Stepper]]:
+    """The rules that ``method.stepper`` may name."""
+    return {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
+
+
+def flow_integrators() -> dict[str, type[Stepper]]:
+    """The rules that ``method.flow_integrator`` may name."""
+    return {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
 
 
 def stepper_from(name: str, method: Any) -> Stepper:
@@ -39,10 +47,9 @@ def stepper_from(name: str, method: Any) -> Stepper:
 
 __all__ = [
     "BDF2",
+    "EXPLICIT",
     "HHT",
-    "OF_FILMS",
     "STEPPERS",
-    "WITH_INERTIA",
     "Alphas",
     "BackwardEuler",
     "Explicit",
@@ -58,8 +65,10 @@ __all__ = [
     "acceleration",
     "first",
     "first_rate",
+    "flow_integrators",
     "keys_of",
     "stepper_from",
     "storage_error",
     "velocity",
+    "with_inertia",
 ]

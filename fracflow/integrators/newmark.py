@@ -70,7 +70,7 @@ class HasMotion(Protocol):
 
 
 class Stepper(Protocol):
-    """A rule for velocity and acceleration at the end of a step.
+    """A rule for velocity and acceleration at the end of a step; one that inherits it states what differs from here.
 
     order    order of accuracy in the time step; 0 where time does not enter
     inertia  the mass matrix takes part
@@ -81,15 +81,21 @@ class Stepper(Protocol):
     explicit the rock goes by central differences, in steps no longer than the critical one; see ``solve.explicit``
     """
 
-    inertia: ClassVar[bool]
-    storage: ClassVar[bool]
-    balance: ClassVar[Balance]
-    memory: ClassVar[bool]
-    explicit: ClassVar[bool]
+    inertia: ClassVar[bool] = True
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     @property
     def order(self) -> int:
         """Order of accuracy."""
+        ...
+
+    @property
+    def damps(self) -> bool:
+        """Whether motions that the time step does not resolve decay, so that waves die out by themselves."""
+        return False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """Coefficients of a step of that length, after one of length ``last`` in the same stage."""
@@ -160,7 +166,7 @@ def error_by_rate(time_step: float, old: HasMotion, new: HasMotion) -> Any:
 
 
 @dataclass(frozen=True)
-class Newmark:
+class Newmark(Stepper):
     """(4.1a) Newmark with beta, gamma: 1/4, 1/2 is the trapezoidal rule, without numerical dissipation.
 
     Second order if gamma = 1/2, else first. InputError for beta <= 0 (explicit) or gamma < 1/2 (unstable).
@@ -171,16 +177,15 @@ class Newmark:
     )
     gamma: float = parameter(0.5, "newmark_gamma", "gamma of (4.1) [1]; above 1/2 damps", at_least=0.5, at_most=1.0)
 
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
-    memory: ClassVar[bool] = False
-    explicit: ClassVar[bool] = False
-
     @property
     def order(self) -> int:
         """2 of gamma = 1/2, else 1."""
         return 2 if self.gamma == 0.5 else 1
+
+    @property
+    def damps(self) -> bool:
+        """Above gamma = 1/2."""
+        return self.gamma > 0.5
 
     def __post_init__(self) -> None:
         """Refuse what cannot be stepped implicitly."""
@@ -199,15 +204,13 @@ class Newmark:
 
 
 @dataclass(frozen=True)
-class Steady:
+class Steady(Stepper):
     """(4.3) with all alpha_k = 0: equilibrium and steady flow, neither inertia nor storage."""
 
     order: ClassVar[int] = 0
     inertia: ClassVar[bool] = False
     storage: ClassVar[bool] = False
     balance: ClassVar[Balance] = "end"
-    memory: ClassVar[bool] = False
-    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """All zero, whatever the time step."""

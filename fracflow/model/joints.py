@@ -198,7 +198,7 @@ class Joints:
         }
         new = []
         for group, before in zip(self.laws, history, strict=True):
-            response = group.law.evaluate(strain[group.sections], before, step)
+            response = group.law.evaluate(strain[group.sections], before, step.of(group.sections))
             for name, values in whole.items():
                 if name not in ("strain", "blur", "record"):
                     values[group.sections] = getattr(response, name)

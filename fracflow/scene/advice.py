@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from fracflow.integrators import stepper_from
 from fracflow.laws import JOINT_LAWS
 from fracflow.scene.petsc import SOLVERS, reaches_a_solver
 from fracflow.scene.profiles import Profile
@@ -78,10 +79,7 @@ def _reflecting(scene: Scene) -> Iterator[str]:
     absorbing = {side for each in scene.absorbing for side in each.on}
     for side in sorted(held & absorbing):
         yield f"{side} is held by a [[support]]: its [[absorbing]] dashpots never move, and all waves come back from there"
-    method, damps = scene.method, bool(absorbing - held)
-    damps |= method.stepper in ("implicit-euler", "hht") or (
-        method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
-    )
+    damps = bool(absorbing - held) or stepper_from(scene.method.stepper, scene.method).damps
     if not damps and any(stage.kind == "auto" for stage in scene.stage):
         yield (
             "nothing lets the waves of events leave or damps them, so that none may come to rest: give [[absorbing]] sides,"

@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Iterator, Sequence
 
 from fracflow.errors import InputError
-from fracflow.integrators import WITH_INERTIA, keys_of
+from fracflow.integrators import keys_of, with_inertia
 from fracflow.scene.laws import check_flow
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import LONGEST_NAME
@@ -80,8 +80,8 @@ def _method(scene: Tables) -> Iterator[Fault]:
             'is "redistributed" in a scene with a fluid: walls without mass have no first velocity to squeeze it by, and the'
             ' fluid damps them as it is; use "lumped"',
         )
-    keys = {name: keys_of({name: kind}) for name, kind in WITH_INERTIA.items()}
-    for key, (default, _, _) in keys_of(WITH_INERTIA).items():
+    keys = {name: keys_of({name: kind}) for name, kind in with_inertia().items()}
+    for key, (default, _, _) in keys_of(with_inertia()).items():
         if key not in keys[method.stepper] and getattr(method, key) != default:  # a scene written back has all defaults
             users = ", ".join(name for name, own in keys.items() if key in own)
             yield (

@@ -16,7 +16,7 @@ from pydantic import (
     create_model,
 )
 
-from fracflow.integrators import FLOW_INTEGRATORS, WITH_INERTIA, keys_of
+from fracflow.integrators import flow_integrators, keys_of, with_inertia
 from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
 from fracflow.scene.units import (
@@ -62,13 +62,13 @@ if TYPE_CHECKING:
     FilmStepper: TypeAlias = str
     StepperKeys: Any = Table
 else:
-    InertiaStepper, FilmStepper = Literal[tuple(WITH_INERTIA)], Literal[tuple(FLOW_INTEGRATORS)]
+    InertiaStepper, FilmStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
     StepperKeys = create_model(
         "StepperKeys",
         __base__=Table,
         **{
             key: (Annotated[float, Quantity(**limits)], Field(default=default, description=meaning))
-            for key, (default, meaning, limits) in keys_of(WITH_INERTIA).items()
+            for key, (default, meaning, limits) in keys_of(with_inertia()).items()
         },
     )
 

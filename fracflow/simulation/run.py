@@ -92,7 +92,7 @@ def _begun(
     show: Show | None = None,
     say: Say | None = None,
 ) -> _Begun:
-    """A new run, without what an earlier try had to take back, on its ``mesh``. Raises PutBack besides. Collective."""
+    """A new run, without what an earlier try had to take back, on its ``mesh``. Raises ReductionInvalid besides. Collective."""
     began = clock.perf_counter()
     model = prepare(scene, comm, mesh)
     refuse_imbalance(model)

@@ -154,7 +154,7 @@ class CondensedFlow(FlowOnJoints):
 class CondensedSections(SectionSolver):
     """All sections at once; those whose moduli are the elastic ones cost nothing."""
 
-    film_kind, most_changes = CondensedFlow, 10  # Newton's method on all unknowns has more means to leave circles
+    flow_kind, most_changes = CondensedFlow, 10  # Newton's method on all unknowns has more means to leave circles
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats) -> None:
         """Keep what is constant. Collective."""

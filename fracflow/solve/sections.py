@@ -169,12 +169,12 @@ class _Rows:
 class SectionSolver:
     """Solves for what sections move in a step, and for the pressures."""
 
-    film_kind, most_changes = FlowOnJoints, MOST_CHANGES
+    flow_kind, most_changes = FlowOnJoints, MOST_CHANGES
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
         self.scene, self.operators, self.clusters = scene, operators, clusters
-        self.film = self.film_kind(operators, clusters) if operators.flow is not None else None
+        self.film = self.flow_kind(operators, clusters) if operators.flow is not None else None
         self._sizes = [np.abs(batch.compliance) for batch in clusters.batches]
         self._weights = clusters.exchange.there(operators.joints.weights[:, None])[:, 0]
         count, dim = len(operators.joints.weights), operators.joints.dim

@@ -18,7 +18,7 @@ from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.stage import run_stage
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.errors import SolveError
-from fracflow.integrators import WITH_INERTIA
+from fracflow.integrators import with_inertia
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
@@ -73,7 +73,7 @@ def draw(folder: Path, small: bool = False) -> list[Check]:
     """Measure, draw ``s2`` and return the bars; ``small`` with few points and the first maps."""
     steps = np.array([1.0, 3.0]) if small else np.array([0.25, 0.5, 1.0, 1.8, 3.0, 5.0])
     stiffnesses = np.array([1.0, 30.0]) if small else np.array([1e-2, 0.1, 1.0, 5.0, 30.0, 300.0, 1e4])
-    known = {name: keys for name, keys in INTEGRATORS.items() if keys.get("stepper", "newmark") in WITH_INERTIA}
+    known = {name: keys for name, keys in INTEGRATORS.items() if keys.get("stepper", "newmark") in with_inertia()}
     if small:
         known = {name: known[name] for name in (DEFAULT, "lumped", "lumped without events")}
     found = {name: np.array([[impact(keys, s, k) for s in steps] for k in stiffnesses]) for name, keys in known.items()}

@@ -1,4 +1,4 @@
-"""R11: what the energy balance say exactly.
+"""R11: the energy balance to round-off.
 
 With the work of the joints by (2.33b) they close to round-off whatever happens; with the closed form of the energy stored in
 a joint they close to second order of the time step, the error of the trapezoid. A pulse V sin^2(pi t/T) brings 3/8 Z V^2 T,
