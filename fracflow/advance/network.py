@@ -78,12 +78,14 @@ class FlowNetwork:
         """
         found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
+        lost = self._lost_at(state) if found.parts else np.zeros(0)
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
+            rates.append(-depth * float(lost[part.nodes].sum()))
             taken, moved = self._taken(part, state)
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
                 raise SolveError(
-                    f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, sum(rates))} from the first instant in"
+                    f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, rates)} from the first instant in"
                     f" {part}, which no pressure drains, and its walls, as they move, take up {depth * taken:.6g}: let flow"
                     " rates start at what the stage before ends with, or at 0, or give a [[well]] with a pressure there"
                 )
@@ -131,18 +133,21 @@ class FlowNetwork:
         found: set[Limit] = set()
         parts = self._found(loads, stores).parts if self.model.operators.flow is not None else ()
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
-        numbers = self.model.operators.layout.flow_numbers
+        lost = self._lost(problem.conduction) if parts else np.zeros(0)
+        numbers, fluid = self.model.operators.layout.flow_numbers, self.model.scene.fluid
+        depth = fluid.flow_depth if fluid is not None else 1.0
         for part, wells, gives in parts:
             rates = [
                 loads.demanded(well, problem.time, problem.controls, problem.rule.adjacent, problem.rule.rates)
                 for well in wells
             ]
+            rates.append(-depth * float(lost[part.nodes].sum()))
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
                 inside = numbers(part.nodes)
                 limits = [each for each in loads.limits if each.node in inside and each.sign * total > 0.0]
                 if not limits:
-                    self._refuse(part, wells, total, gives, problem.time)
+                    self._refuse(part, wells, rates, gives, problem.time)
                 found.add(min(limits, key=lambda limit: limit.sign * limit.pressure))
             if self._holds[part.nodes].any():
                 continue
@@ -240,18 +245,40 @@ class FlowNetwork:
         here = np.flatnonzero(local) + vector.getOwnershipRange()[0]  # type: ignore[attr-defined]
         return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
 
-    def _refuse(self, part: NetworkComponent, wells: tuple[str, ...], total: float, moves: bool, time: float) -> None:
+    def _refuse(
+        self, part: NetworkComponent, wells: tuple[str, ...], rates: list[float], moves: bool, time: float
+    ) -> None:
         why = "in a steady stage its walls store nothing" if moves else "its walls cannot move"
         other = 'use kind = "quasi-static", whose walls store the fluid' if moves else "give fluid.compressibility"
         raise SolveError(
-            f"time {time:.6g}: {self._sum_of(wells, total)} in {part}, which no pressure drains, and {why}: give a [[well]]"
+            f"time {time:.6g}: {self._sum_of(wells, rates)} in {part}, which no pressure drains, and {why}: give a [[well]]"
             f" with a pressure there, let the flow rates add up to zero, or {other}"
         )
 
-    def _sum_of(self, wells: tuple[str, ...], total: float) -> str:
-        system = self.model.scene.unit_system
+    def _sum_of(self, wells: tuple[str, ...], rates: list[float]) -> str:
+        """Rates of wells and, last, of all terms, in words."""
+        system, flow = self.model.scene.unit_system, self.model.operators.flow
         unit = system.unit("length**3/time") if system.name != "none" else ""
-        return f"flow rates of {', '.join(wells)} add up to {total:.6g} {unit}".rstrip()
+        names = (*wells, *(term.name for term in flow.terms)) if flow is not None and rates[-1] else wells
+        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g} {unit}".rstrip()
+
+    def _lost_at(self, state: State) -> Floats:
+        """Rates by which fluid leaves by terms at a state at all flow nodes (n,) [volume rate per thickness]. Collective."""
+        ops = self.model.operators
+        assert ops.flow is not None
+        walls = ops.joints.walls(state.sections, ops.flow.law)
+        return self._lost(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
+
+    def _lost(self, conduction: Conduction | None) -> Floats:
+        """The same of a trial; zero where it conducts nothing yet. Collective."""
+        layout, network = self.model.operators.layout, self.model.operators.flow
+        assert network is not None
+        nodes = layout.flow_vector()
+        if conduction is not None and conduction.leaving is not None:
+            network.taken_up(conduction.leaving.rate, nodes)
+        found = np.concatenate(layout.comm.allgather(nodes.getArray().copy()))
+        nodes.destroy()
+        return found
 
     def destroy(self) -> None:
         """Forget the closed loads. Collective."""

@@ -12,7 +12,9 @@ from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.network import FlowNetwork
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
 from fracflow.laws import FLOW_LAWS
+from fracflow.model.compressibility import rate_by
 from fracflow.model.state import PreviousStep
+from fracflow.model.terms.term import Leaving, Term
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.solve.jacobian import JoinedMatrix
@@ -99,6 +101,54 @@ def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
     newton._unpack(unknowns)
     check_derivative(newton, random)
     assert problem.conduction.by_slip is not None
+    for thing in (newton, matrix, problem):
+        thing.destroy()
+
+
+class Seeps(Term):
+    """Fluid leaves with the square of its pressure over some size, and with the aperture, as fast as walls sweep it."""
+
+    name = entry = "seeps"
+    drains = True
+
+    def __init__(self, size, speed):
+        self.size, self.speed = size, speed
+
+    def leaving(self, pressure, aperture):
+        share = pressure / self.size
+        return Leaving(*(self.speed * np.array([share**2 * aperture, 2.0 * share / self.size * aperture, share**2])))
+
+
+def test_jacobian_of_what_leaves_by_pressure_and_aperture():
+    scene = load("meshes/crossings/scene.toml", ["method.tangent=consistent"])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = equilibrium_state(prepared), np.random.default_rng(3 + MPI.COMM_WORLD.rank)
+    before, flow = prepared.operators, prepared.operators.flow
+    pressure, seeps = before.scales.pressure, Seeps(before.scales.pressure, 1e3 * before.scales.length)
+    resting, resting_end = flow.resting.copy(), flow.resting_end + 0.3 * pressure  # as deep down
+    resting.shift(0.3 * pressure)
+    flow = replace(flow, terms=(seeps,), resting=resting, resting_end=resting_end)
+    operators = replace(before, flow=flow)
+    problem = StepProblem(
+        operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(BackwardEuler().alphas(1e-3)),
+    )
+    matrix = JoinedMatrix(operators, prepared.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    newton._pack(problem)
+    unknowns = newton.unknowns.copy()
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    rate, same = rate_by(operators, seeps, state), operators.layout.flow_vector()
+    aperture = flow.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
+    flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture).rate, same)
+    assert rate.norm() > 0.0 and (rate - same).norm() <= 1e-14 * rate.norm(), "counted as it is solved for"
+    sizes = [np.abs(values).max(initial=0.0) for values in problem.conduction.leaving]
+    assert min(MPI.COMM_WORLD.allreduce(np.array(sizes), op=MPI.MAX)) > 0.0
     for thing in (newton, matrix, problem):
         thing.destroy()
 

@@ -45,6 +45,20 @@ class LeakOff(TermLaw):
 
 
 @dataclass(frozen=True)
+class Seepage(TermLaw):
+    """Fluid that seeps into the rock beside a fracture at a given rate, whatever the pressure."""
+
+    rate: float = field(metadata=key("q, volume rate per area", "length/time"))
+
+    places: ClassVar[str] = "fractures"
+    entry: ClassVar[str] = "seepage"
+
+    def leakage(self, pressure, aperture):
+        none = np.zeros(len(pressure))
+        return Leakage(none + self.rate, none, none)
+
+
+@dataclass(frozen=True)
 class Dashpots(TermLaw):
     """Dashpots between sides and a ground that does not move."""
 
@@ -61,6 +75,7 @@ class Dashpots(TermLaw):
 TERM_LAWS["spring"] = Springs
 TERM_LAWS["dashpot"] = Dashpots
 TERM_LAWS["leak_off"] = LeakOff
+TERM_LAWS["seepage"] = Seepage
 
 
 def main(folder):

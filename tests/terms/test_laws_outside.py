@@ -81,6 +81,15 @@ def film(kind, method="", wells=None):
     return method + FILM + LEAK.format(kind=kind) + "".join(WELL.format(at=at, rate=q) for at, q in wells.items())
 
 
+def seeping(kind, rate, wells):
+    law = f'[[seepage]]\non = "film"\nrate = {rate}\n'
+    return (
+        film(kind, wells=wells)
+        .replace("[[leak_off]]", law + "[[leak_off]]")
+        .replace("coefficient = 0.25", "coefficient = 0")
+    )
+
+
 ABSORBING = '[[absorbing]]\non = ["west", "east"]\n'
 DASHPOTS = (
     f'[[dashpot]]\non = ["west", "east"]\nnormal = 10\nshear = {np.sqrt(2 * 25)}\n'  # rho c_p, rho c_s of the block
@@ -107,6 +116,9 @@ SCENES = {
     "shaken": film("dynamic"),
     "shaken explicit": film("dynamic", EXPLICIT),
     "along": film("steady", wells={0.0: 2.0}),
+    "seeps": seeping("steady", 0.5, {0.0: 2.0}),
+    "seeps more": seeping("steady", 0.5, {0.0: 1.0}),
+    "seeps from the start": seeping("dynamic", 0.5, {}),
 }
 
 
@@ -190,6 +202,8 @@ def test_dashpots_are_what_absorbing_sides_have(ran, rule):
         ("misspelt", 'spring.0.normal_stifness = 5: unknown key; did you mean "normal_stiffness"?'),
         ("elsewhere", 'spring.0.on = "below": not in the mesh; allowed: '),
         ("dry", "leak_off = [{on = "),
+        ("seeps more", "flow rates of at 0.0, leak_off, seepage add up to -1 in film"),
+        ("seeps from the start", "flow rates of leak_off, seepage add up to -2 from the first instant in film"),
     ],
 )
 def test_what_is_refused(ran, name, said):
@@ -235,6 +249,16 @@ def test_leak_off_alone_settles_a_pressure(ran):
     assert ran["along"]["probe/far/pressure"][-1] == pytest.approx(np.linalg.solve(matrix, source)[-1], rel=1e-10)
     assert ran["along"]["volume/leak_off"][-1] == pytest.approx(2.0 * 3.0, rel=1e-10)
     assert ran.closes("along")
+
+
+def test_a_given_rate_leaves_the_level_open(ran):
+    """As much seeps as is pumped: p' falls from 2 to 0 along the film, and what the springs let it hold stays."""
+    flows = 2.0 - 0.5 * (X[1:] + X[:-1]) / 2.0  # in the middle of each element
+    drops = np.concatenate([[0.0], np.cumsum(flows * np.diff(X))])
+    share = np.convolve(np.diff(X), [0.5, 0.5], "full") / X[-1]
+    assert ran["seeps"]["probe/far/pressure"][-1] == pytest.approx(share @ drops - drops[-1], rel=1e-10)
+    assert ran["seeps"]["volume/seepage"][-1] == pytest.approx(2.0 * 3.0, rel=1e-12)
+    assert ran.closes("seeps")
 
 
 def test_on_two_ranks(ran, tmp_path):

@@ -71,15 +71,19 @@ class OnFractures(Term):
 
     def __init__(self, name: str, operators: Operators, tables: Sequence[LawTable]) -> None:
         """Find the joints of each table."""
-        assert operators.flow is not None
-        self.name, self.entry, self._half = name, tables[0].law.entry, 0.5 * operators.flow.length
+        flow = operators.flow
+        assert flow is not None
+        self.name, self.entry, self._half = name, tables[0].law.entry, 0.5 * flow.length
         self._laws: list[tuple[np.ndarray, TermLaw]] = [
             (joints_of(operators.blocks, table.on), table.made()) for table in tables
         ]
+        sizes = (sign * operators.scales.pressure + flow.resting_end for sign in (-1.0, 1.0))
+        slopes = [self.leaving(pressure, flow.aperture).by_pressure.any(axis=1) for pressure in sizes]
+        self._settled = np.flatnonzero(slopes[0] | slopes[1])
 
     def joints(self) -> np.ndarray:
-        """Numbers (k,) of this rank's joints that it is on."""
-        return np.unique(np.concatenate([here for here, _ in self._laws]))
+        """Numbers (k,) of this rank's joints whose pressure it settles: what leaves at a given rate settles none."""
+        return self._settled
 
     def leaving(self, pressure: Floats, aperture: Floats) -> Leaving:
         """What leaves at the ends of this rank's joints (j, 2)."""

@@ -89,7 +89,7 @@ class Term:
         return {self.entry: taken}
 
     def joints(self) -> Ints:
-        """Numbers (k,) of this rank's joints that fluid leaves by it."""
+        """Numbers (k,) of this rank's joints whose pressure it settles, for what leaves depends on it."""
         return np.zeros(0, dtype=np.int64)
 
     def leaving(self, pressure: Floats, aperture: Floats) -> Leaving:
