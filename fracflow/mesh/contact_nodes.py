@@ -61,12 +61,12 @@ def contact_nodes_of(mesh: SplitMesh, opens: Bools, able: Bools, held: Bools) ->
         on_wall[faces[mesh.joint_bottom[opens] != mesh.joint_top[opens]]] = True
     row = np.full(len(mesh.points) + 1, -1, dtype=np.int64)
     row[nodes] = np.arange(len(nodes))
-    wall, inner = _links(mesh, row, able & ~on_wall, half_facets(mesh.cells, 2).nodes)
+    wall, inner = _links(row, able & ~on_wall, half_facets(mesh.cells, 2).nodes)
     lonely = np.bincount(wall, minlength=len(nodes)) == 0  # in a corner all that edges lead to may be walls
     row[nodes[~lonely]] = -1
     cell, corner = np.nonzero((row[mesh.cells] >= 0) & (mesh.cells >= 0))
     mates = np.stack([np.repeat(mesh.cells[cell, corner], mesh.cells.shape[1]), mesh.cells[cell].ravel()], axis=1)
-    more = _links(mesh, row, able & ~on_wall, mates[mates[:, 1] >= 0])
+    more = _links(row, able & ~on_wall, mates[mates[:, 1] >= 0])
     wall, inner = np.concatenate([wall, more[0]]), np.concatenate([inner, more[1]])
     count = np.bincount(wall, minlength=len(nodes))
     return ContactNodes(nodes, normal, wall, inner, 1.0 / count[wall]).only(count > 0)
@@ -102,7 +102,7 @@ def _free(normal: Floats, held: Bools) -> Floats:
     return result
 
 
-def _links(mesh: SplitMesh, row: Ints, inside: Bools, pairs: Ints) -> tuple[Ints, Ints]:
+def _links(row: Ints, inside: Bools, pairs: Ints) -> tuple[Ints, Ints]:
     """Rows and inner nodes of pairs (m, 2) of a wall node and one inside, each once."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = np.unique(both[(row[both[:, 0]] >= 0) & inside[both[:, 1]]], axis=0)

@@ -126,7 +126,9 @@ class JointEnds:
     def sections(self) -> Sections:
         """What the laws answered."""
         found = self._state.sections
-        ends: dict[str, Any] = {f.name: self._ends(getattr(found, f.name)) for f in fields(found) if f.name != "history"}
+        ends: dict[str, Any] = {
+            f.name: self._ends(getattr(found, f.name)) for f in fields(found) if f.name != "history"
+        }
         return replace(found, **ends)
 
     @cached_property
