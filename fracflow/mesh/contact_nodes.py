@@ -20,7 +20,7 @@ CORNER = (
 # its mass; without, corners kept opening and closing in Newton's iterations, and found no status that stays
 CLEAN = 1e-12  # of a projector: as good as 0 or 1
 MOST_MOVED = 0.5  # of a node's mass: a block that would need more to keep its centre of mass is too thin
-ROUND_OFF = 1e-9
+MOMENT_ROUND_OFF = 1e-9
 
 
 @dataclass(frozen=True)
@@ -137,14 +137,14 @@ def balanced(
     moved = np.zeros((count, 2, 2, 2))
     each = mass[walls.nodes][:, None, None, None] * shift[:, :, None, None] * walls.normal[:, None]
     np.add.at(moved, piece[walls.nodes], each)
-    slope = -np.einsum("pkl,plab->pkab", np.linalg.pinv(spread, rcond=ROUND_OFF, hermitian=True), moved)
+    slope = -np.einsum("pkl,plab->pkab", np.linalg.pinv(spread, rcond=MOMENT_ROUND_OFF, hermitian=True), moved)
     lost = np.abs(np.einsum("pkl,plab->pkab", spread, slope) + moved).max(axis=(1, 2, 3), initial=0.0)
     size = np.zeros(count)
     np.maximum.at(size, piece[walls.nodes], np.abs(each).max(axis=(1, 2, 3), initial=0.0))
     change = np.einsum("ik,ikab->iab", arm, slope[of])
     most = np.zeros(count)
     np.maximum.at(most, of, np.abs(np.linalg.eigvalsh(change)).max(axis=1, initial=0.0))
-    fits = (lost <= ROUND_OFF * size) & (most <= MOST_MOVED)
+    fits = (lost <= MOMENT_ROUND_OFF * size) & (most <= MOST_MOVED)
     added = np.zeros((len(mass), 2, 2))
     added[inside] = weight[:, None, None] * change * fits[of][:, None, None]
     return walls.only(fits[piece[walls.nodes]]), added
