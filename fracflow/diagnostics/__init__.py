@@ -16,7 +16,7 @@ from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.mesh.data import SplitMesh
 from fracflow.scene.scene import Scene
 
-__all__ = ["Number", "as_lines", "as_records", "scene_card"]
+__all__ = ["Number", "as_lines", "as_records", "pre_run_checks"]
 
 NUMBERS = (
     slip.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,

@@ -39,8 +39,8 @@ def stepper_from(name: str, method: Any) -> Stepper:
 
 __all__ = [
     "BDF2",
+    "FLOW_INTEGRATORS",
     "HHT",
-    "OF_FILMS",
     "STEPPERS",
     "WITH_INERTIA",
     "Alphas",

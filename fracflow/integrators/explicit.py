@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Newmark, checked, error_by_jerk
+from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Newmark, Stepper, checked, error_by_jerk
 
 STEP_ROUND_OFF = (
     2e-11  # of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
@@ -20,14 +20,11 @@ STEP_ROUND_OFF = (
 
 
 @dataclass(frozen=True)
-class Explicit:
+class Explicit(Stepper):
     """Velocity Verlet with a lumped mass; joints, flow and loads by Newmark's beta = 1/4, gamma = 1/2."""
 
     order: ClassVar[int] = 2
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "step"
-    memory: ClassVar[bool] = False
     explicit: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:

@@ -58,15 +58,12 @@ def storage_error(rule: FilmRule, dt: float, rates: Rates) -> Any:
 
 
 @dataclass(frozen=True)
-class BackwardEuler:
+class BackwardEuler(FilmRule):
     """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
 
     order: ClassVar[int] = 1
     inertia: ClassVar[bool] = False
-    storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "end"
-    memory: ClassVar[bool] = False
-    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
@@ -82,15 +79,12 @@ class BackwardEuler:
 
 
 @dataclass(frozen=True)
-class Trapezoid:
+class Trapezoid(FilmRule):
     """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for flow; rings for dt > 2 tau_d."""
 
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = False
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = True
-    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 2/dt, alpha_4 = 1, the rest zero; time_step [time], positive."""
@@ -107,7 +101,7 @@ class Trapezoid:
 
 
 @dataclass(frozen=True)
-class BDF2:
+class BDF2(FilmRule):
     """Second order from three instants: v_new = ((1 + 2r) w_new - r w)/(1 + r).
 
     w_new = (d_new - d)/dt and w are the mean velocities of this step and the last, r is the ratio of their lengths.
@@ -116,10 +110,7 @@ class BDF2:
 
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = False
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = True
-    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 and alpha_6; time_step [time], and ``last`` the length of the last one, None for as long; positive."""

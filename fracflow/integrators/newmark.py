@@ -81,11 +81,11 @@ class Stepper(Protocol):
     explicit the rock goes by central differences, in steps no longer than the critical one; see ``solve.explicit``
     """
 
-    inertia: ClassVar[bool]
-    storage: ClassVar[bool]
-    balance: ClassVar[Balance]
-    memory: ClassVar[bool]
-    explicit: ClassVar[bool]
+    inertia: ClassVar[bool] = True
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     @property
     def order(self) -> int:
@@ -160,7 +160,7 @@ def error_by_rate(time_step: float, old: HasMotion, new: HasMotion) -> Any:
 
 
 @dataclass(frozen=True)
-class Newmark:
+class Newmark(Stepper):
     """(4.1a) Newmark with beta, gamma: 1/4, 1/2 is the trapezoidal rule, without numerical dissipation.
 
     Second order if gamma = 1/2, else first. InputError for beta <= 0 (explicit) or gamma < 1/2 (unstable).
@@ -170,12 +170,6 @@ class Newmark:
         0.25, "newmark_beta", "beta of (4.1) [1]; 1/4 is the trapezoidal rule", above=0.0, at_most=0.5
     )
     gamma: float = parameter(0.5, "newmark_gamma", "gamma of (4.1) [1]; above 1/2 damps", at_least=0.5, at_most=1.0)
-
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
-    memory: ClassVar[bool] = False
-    explicit: ClassVar[bool] = False
 
     @property
     def order(self) -> int:
@@ -199,15 +193,13 @@ class Newmark:
 
 
 @dataclass(frozen=True)
-class Steady:
+class Steady(Stepper):
     """(4.3) with all alpha_k = 0: equilibrium and steady flow, neither inertia nor storage."""
 
     order: ClassVar[int] = 0
     inertia: ClassVar[bool] = False
     storage: ClassVar[bool] = False
     balance: ClassVar[Balance] = "end"
-    memory: ClassVar[bool] = False
-    explicit: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """All zero, whatever the time step."""

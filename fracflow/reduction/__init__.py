@@ -22,7 +22,7 @@ from fracflow.reduction.locked_fractures import decide_tied
 from fracflow.reduction.solver import factorisations
 from fracflow.reduction.unloaded_blocks import decide_parts
 
-__all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations"]
+__all__ = ["Decision", "ReductionInput", "as_lines", "as_records", "decide", "factorisations"]
 
 DECISIONS = (
     flow.flow_block, flow.one_way, flow.fracture_storage, flow.compressibility, flow.fluid_inertia,
