@@ -35,7 +35,7 @@ from fracflow.solve.period import longest_period
 from fracflow.solve.request import LoadStep, StepRequest
 
 NEAR = 1e-9  # of a step: times so near are one
-ROUND_OFF = 1e-14  # of a time
+TIME_ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
 TOLD = 4  # trials rejected on the way to one step from which on the log reports them
 REST, WAVES = "quasi-static", "dynamic"
@@ -76,7 +76,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
     assert stage.end is not None
     spent, waves = StepReport(), regimes.waves
-    while waves.place.fraction or stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
+    while waves.place.fraction or stage.end - state.time > max(NEAR * course.least, TIME_ROUND_OFF * abs(stage.end)):
         if course.moves:
             if not waves.place.fraction and course.is_quiet(state, stage) and not regimes.is_excited(state.time):
                 settled, course, trials = regimes.return_to_quasi_static(state, course)

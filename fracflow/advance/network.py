@@ -8,7 +8,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.advance.outcome import Log
-from fracflow.errors import SolveError
+from fracflow.errors import MOST_TOLD, SolveError
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
@@ -27,7 +27,6 @@ from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
-MOST_TOLD = 5  # parts that the log lists
 BALANCED = 1e-12  # of the sum of the flow rates' sizes
 AGREES = (
     1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has fewer digits

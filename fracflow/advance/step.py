@@ -15,14 +15,13 @@ from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, 
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools, Floats
-from fracflow.model.compressibility import narrowing, widening
+from fracflow.model.compressibility import brought, leaked, narrowing, stored, widening
 from fracflow.model.energy import dissipated, update_balance
 from fracflow.model.energy_motion import Scheme
+from fracflow.model.joints import refuse_jumps
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
-from fracflow.model.softening import refuse_jumps
 from fracflow.model.state import PreviousStep, State, StepReport
-from fracflow.model.volume import brought, leaked, stored
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember

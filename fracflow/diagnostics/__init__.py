@@ -10,7 +10,7 @@ from dataclasses import asdict
 from math import isfinite
 
 from fracflow.diagnostics import fracture_flow as film
-from fracflow.diagnostics import rock, slip
+from fracflow.diagnostics import slip
 from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.mesh.data import SplitMesh
@@ -19,8 +19,8 @@ from fracflow.scene.scene import Scene
 __all__ = ["Number", "as_lines", "as_records", "pre_run_checks"]
 
 NUMBERS = (
-    rock.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,
-    rock.joint_step, film.fluid_inertia, film.compressibility, slip.nucleation, film.contrast,
+    slip.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,
+    slip.joint_step, film.fluid_inertia, film.compressibility, slip.nucleation, film.contrast,
     slip.cohesive_zone, slip.dissimilar_rock,
 )  # fmt: skip
 

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow.elements.shape import Floats, Ints, Rule, listed, rule_at
+from fracflow.elements.shape import GAUSS2, Floats, Ints, Rule, listed, rule_at
 from fracflow.errors import InputError
 
 LEVEL = 1e-9  # sine of the dip below which a surface counts as level, and its strike as x
-_G = 1.0 / np.sqrt(3.0)
 _CORNERS = {2: np.array([-1.0, 1.0]), 3: np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
             4: np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])}  # fmt: skip
 _INNER = np.array([[1.0, 1.0], [4.0, 1.0], [1.0, 4.0]]) / 6.0
@@ -41,9 +40,9 @@ RULES: dict[str, dict[int, SectionRule]] = {
         4: SectionRule(_CORNERS[4], np.ones(4)),
     },
     "gauss2": {
-        2: SectionRule(np.array([-_G, _G]), np.array([1.0, 1.0])),
+        2: SectionRule(np.array([-GAUSS2, GAUSS2]), np.array([1.0, 1.0])),
         3: SectionRule(_INNER, np.full(3, 1.0 / 6.0)),
-        4: SectionRule(_G * _CORNERS[4], np.ones(4)),
+        4: SectionRule(GAUSS2 * _CORNERS[4], np.ones(4)),
     },
     "one-point": {
         2: SectionRule(np.array([0.0]), np.array([2.0])),

@@ -55,7 +55,7 @@ def rule_at(nodes: int, places: Floats, weights: Floats) -> Rule:
     return Rule(weights, np.stack([first, *places.T], axis=-1), np.tile(gradients, (len(weights), 1, 1)))
 
 
-_G = 1.0 / np.sqrt(3.0)
+GAUSS2 = 1.0 / np.sqrt(3.0)  # abscissa of the two-point Gauss rule
 _MOST, _MISS = 20, 1e-14  # iterations to a place in a cell, and how far from it they may end, over the cell's size
 _A, _B = (
     0.25 + 0.15 * np.sqrt(5.0),
@@ -68,7 +68,7 @@ _MIDDLES = {
 GAUSS: dict[tuple[int, int], Rule] = {
     (2, 3): rule_at(3, np.array([[1.0, 1.0], [4.0, 1.0], [1.0, 4.0]]) / 6.0, np.full(3, 1.0 / 6.0)),
     (3, 4): rule_at(4, np.full((4, 3), _B) + (_A - _B) * np.eye(4, 3, -1), np.full(4, 1.0 / 24.0)),
-} | {key: rule_at(key[1], _G * corner, np.ones(key[1])) for key, corner in _CORNERS.items() if key in NAMES}
+} | {key: rule_at(key[1], GAUSS2 * corner, np.ones(key[1])) for key, corner in _CORNERS.items() if key in NAMES}
 
 STIFFNESS_RULES = {**GAUSS, **_MIDDLES}
 MASS_RULES = GAUSS

@@ -14,7 +14,9 @@ from typing import Any, ClassVar
 
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Newmark, Stepper, checked, error_by_jerk
 
-ROUND_OFF = 2e-11  # of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
+STEP_ROUND_OFF = (
+    2e-11  # of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
+)
 
 
 @dataclass(frozen=True)
@@ -65,4 +67,4 @@ def damped_rate(ratio: float) -> float:
 
 def parts(time_step: float, critical: float) -> int:
     """Least number of equal parts of a time step that are no longer than the critical one."""
-    return max(1, math.ceil(checked(time_step) / critical * (1.0 - ROUND_OFF)))
+    return max(1, math.ceil(checked(time_step) / critical * (1.0 - STEP_ROUND_OFF)))

@@ -58,7 +58,7 @@ def storage_error(rule: FilmRule, dt: float, rates: Rates) -> Any:
 
 
 @dataclass(frozen=True)
-class BackwardEuler(Stepper):
+class BackwardEuler(FilmRule):
     """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
 
     order: ClassVar[int] = 1
@@ -79,7 +79,7 @@ class BackwardEuler(Stepper):
 
 
 @dataclass(frozen=True)
-class Trapezoid(Stepper):
+class Trapezoid(FilmRule):
     """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for flow; rings for dt > 2 tau_d."""
 
     order: ClassVar[int] = 2
@@ -101,7 +101,7 @@ class Trapezoid(Stepper):
 
 
 @dataclass(frozen=True)
-class BDF2(Stepper):
+class BDF2(FilmRule):
     """Second order from three instants: v_new = ((1 + 2r) w_new - r w)/(1 + r).
 
     w_new = (d_new - d)/dt and w are the mean velocities of this step and the last, r is the ratio of their lengths.

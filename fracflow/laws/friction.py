@@ -22,7 +22,7 @@ from fracflow.laws.closure import NormalClosure
 
 PLASTIC_SLIP = HistoryVariable("shear", "length", "plastic slip", published=False)  # output has it as plastic_slip
 SLIDING = HistoryVariable("shear", "1", "direction of the sliding traction, 0 while it sticks", published=False)
-ROUND_OFF = 1e-12
+ONSET_ROUND_OFF = 1e-12
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil
 
 
@@ -84,7 +84,7 @@ class Trial:
         # a section that rests while sliding must not re-stick by round-off: with alpha < 1 it would heal; one that rests at
         # its strength fails, whichever way round-off has it
         moved = self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
-        slack = ROUND_OFF * (np.where(np.isfinite(onset), onset, 0.0) + moved)
+        slack = ONSET_ROUND_OFF * (np.where(np.isfinite(onset), onset, 0.0) + moved)
         persists = np.where(self.crushed, self.was_sliding, self.along >= kept - slack)
         fails = (self.size >= onset - slack) & (self.size > 0.0) & ~self.crushed
         return np.where(self.was_sliding, persists, fails) & ~self.free
@@ -105,7 +105,7 @@ class Trial:
         way it slides, with -d ``carried`` / d f_n (n,) of what it carries. Contact [1]: opening past that at which f_n
         vanishes, over d0. A change by round-off is no event.
         """
-        slack = ROUND_OFF * (
+        slack = ONSET_ROUND_OFF * (
             self.closure.stress_scale(len(change)) + self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
         )
         along = np.einsum("ni,ni->n", change[:, :-1], self.history["sliding"])

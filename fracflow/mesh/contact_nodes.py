@@ -20,7 +20,7 @@ CORNER = (
 # its mass; without, corners kept opening and closing in Newton's iterations, and found no status that stays
 CLEAN = 1e-12  # of a projector: as good as 0 or 1
 MOST_MOVED = 0.5  # of a node's mass: a block that would need more to keep its centre of mass is too thin
-ROUND_OFF = 1e-9
+MOMENT_ROUND_OFF = 1e-9
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ def contact_nodes_of(mesh: SplitMesh, opens: Bools, able: Bools, held: Bools) ->
         on_wall[faces[mesh.joint_bottom[opens] != mesh.joint_top[opens]]] = True
     row = np.full(len(mesh.points) + 1, -1, dtype=np.int64)
     row[nodes] = np.arange(len(nodes))
-    wall, inner = _links(mesh, row, able & ~on_wall, half_facets(mesh.cells, 2).nodes)
+    wall, inner = _links(row, able & ~on_wall, half_facets(mesh.cells, 2).nodes)
     lonely = np.bincount(wall, minlength=len(nodes)) == 0  # in a corner all that edges lead to may be walls
     row[nodes[~lonely]] = -1
     cell, corner = np.nonzero((row[mesh.cells] >= 0) & (mesh.cells >= 0))
     mates = np.stack([np.repeat(mesh.cells[cell, corner], mesh.cells.shape[1]), mesh.cells[cell].ravel()], axis=1)
-    more = _links(mesh, row, able & ~on_wall, mates[mates[:, 1] >= 0])
+    more = _links(row, able & ~on_wall, mates[mates[:, 1] >= 0])
     wall, inner = np.concatenate([wall, more[0]]), np.concatenate([inner, more[1]])
     count = np.bincount(wall, minlength=len(nodes))
     return ContactNodes(nodes, normal, wall, inner, 1.0 / count[wall]).only(count > 0)
@@ -102,7 +102,7 @@ def _free(normal: Floats, held: Bools) -> Floats:
     return result
 
 
-def _links(mesh: SplitMesh, row: Ints, inside: Bools, pairs: Ints) -> tuple[Ints, Ints]:
+def _links(row: Ints, inside: Bools, pairs: Ints) -> tuple[Ints, Ints]:
     """Rows and inner nodes of pairs (m, 2) of a wall node and one inside, each once."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = np.unique(both[(row[both[:, 0]] >= 0) & inside[both[:, 1]]], axis=0)
@@ -137,14 +137,14 @@ def balanced(
     moved = np.zeros((count, 2, 2, 2))
     each = mass[walls.nodes][:, None, None, None] * shift[:, :, None, None] * walls.normal[:, None]
     np.add.at(moved, piece[walls.nodes], each)
-    slope = -np.einsum("pkl,plab->pkab", np.linalg.pinv(spread, rcond=ROUND_OFF, hermitian=True), moved)
+    slope = -np.einsum("pkl,plab->pkab", np.linalg.pinv(spread, rcond=MOMENT_ROUND_OFF, hermitian=True), moved)
     lost = np.abs(np.einsum("pkl,plab->pkab", spread, slope) + moved).max(axis=(1, 2, 3), initial=0.0)
     size = np.zeros(count)
     np.maximum.at(size, piece[walls.nodes], np.abs(each).max(axis=(1, 2, 3), initial=0.0))
     change = np.einsum("ik,ikab->iab", arm, slope[of])
     most = np.zeros(count)
     np.maximum.at(most, of, np.abs(np.linalg.eigvalsh(change)).max(axis=1, initial=0.0))
-    fits = (lost <= ROUND_OFF * size) & (most <= MOST_MOVED)
+    fits = (lost <= MOMENT_ROUND_OFF * size) & (most <= MOST_MOVED)
     added = np.zeros((len(mass), 2, 2))
     added[inside] = weight[:, None, None] * change * fits[of][:, None, None]
     return walls.only(fits[piece[walls.nodes]]), added

@@ -9,10 +9,9 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
 from fracflow.model.flow import Flow, assemble_flow
-from fracflow.model.joints import Joints, assemble_joints
+from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
 from fracflow.model.layout import Layout, layout_of
 from fracflow.model.properties import along_fractures, initial_stress
-from fracflow.model.softening import refuse_steep_start
 from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness
 from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Scene

@@ -34,7 +34,7 @@ LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the h
 LOWEST = min(OF_TIPS, OF_SLOPES) - LATITUDE  # slower falls leave no order to estimate errors by
 JUMP = 0.6  # between successive orders
 ALIKE = 0.95  # cosine of successive differences, as vectors over times: below it estimates may be any factor off
-ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences are round-off
+CHANGE_ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences are round-off
 SAME_TIME = 1e-9  # of the time span
 MOST_COMMON = 0.5  # of the coarsest level's times that must be everywhere, or all are interpolated
 NO_RESULTS = ("residual", "residual_closed", "scheme")  # errors themselves
@@ -99,8 +99,8 @@ def judged(row: Row, scale: float) -> Row:
 
     An order between that of tips and the method's is no fault of the estimate, which goes by the order observed.
     """
-    row, last = replace(row, change=row.change * (row.change > ROUND_OFF * scale)), row.differences[-1]
-    if max(row.differences) <= ROUND_OFF * scale:
+    row, last = replace(row, change=row.change * (row.change > CHANGE_ROUND_OFF * scale)), row.differences[-1]
+    if max(row.differences) <= CHANGE_ROUND_OFF * scale:
         return replace(row, error=last, is_seen=False)
     if len(row.differences) == 1:
         return replace(row, error=last / (2.0**row.least - 1.0))
@@ -174,7 +174,7 @@ def _sampled(histories: list[Histories], times: Floats, least: float, units: Map
     kinds = {key: (row.kind, row.name.rpartition(" ")[2] if row.kind == "probe" else "") for key, row in rows.items()}
     for key, row in rows.items():
         scale = max(size for name, size in sizes.items() if kinds[name] == kinds[key])
-        found, moves = judged(row, scale), np.array(changes[key]) > ROUND_OFF * scale
+        found, moves = judged(row, scale), np.array(changes[key]) > CHANGE_ROUND_OFF * scale
         if found.is_seen and not moves.all() and moves.any():
             found = replace(found, warning=f"no change at level {', '.join(map(str, np.flatnonzero(~moves)))}")
         yield found

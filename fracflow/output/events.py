@@ -32,7 +32,6 @@ LATEST = "start_latest"
 """Until when what slips or opens may have begun: ``start`` where that instant was found, else the end of its step."""
 COLUMNS = (*_BEFORE, LATEST)
 _KINDS = ("open", "slip")
-LARGEST = 64 << 20  # bytes of a file: some four hundred thousand events
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -203,7 +202,7 @@ def read_events(path: str | Path) -> list[dict[str, Any]]:
     A file of version 0.1.0 has no ``start_latest``: None. Raises InputError if the file is missing, has other columns, or a
     row that no run writes.
     """
-    table = csv.reader(io.StringIO(read_text(Path(path), "name an events.csv of a run", LARGEST), newline=""))
+    table = csv.reader(io.StringIO(read_text(Path(path), "name an events.csv of a run"), newline=""))
     rows: list[dict[str, Any]] = []
     try:
         heads = tuple(next(table, ()))

@@ -88,7 +88,7 @@ def _kicks(facts: ReductionInput, start: float, end: float) -> float:
     return max((kink_response(table, start, end, facts.period) for table in facts.scene.time_tables), default=0.0)
 
 
-def longest_step(facts: ReductionInput, value: float, stage: Stage, start: float, end: float) -> float:
+def longest_step(facts: ReductionInput, value: float, start: float, end: float) -> float:
     """Step without inertia: the tolerance's share of the shortest ramp, twice that without flow, which takes time."""
     ramp = facts.period / (pi * value) if value > 0.0 else end - start
     return min(ramp, end - start) * facts.tolerance * (1.0 if facts.scene.has_flow else 2.0)
@@ -117,7 +117,7 @@ def decide_stage(facts: ReductionInput, number: int, stage: Stage, start: float,
         return kept("no load changes, so that whatever moves was there at the start", value)
     if value >= limit:
         return kept("the loads are not slow", value)
-    fewer = longest_step(facts, value, stage, start, end) / (stage.time_step or 1.0)
+    fewer = longest_step(facts, value, start, end) / (stage.time_step or 1.0)
     if fewer < FEWER:
         return kept(f"steps without inertia would be only {fewer:.3g} times longer", value)
     return Decision(PART, True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", label)
@@ -158,7 +158,7 @@ def slow_stages(facts: ReductionInput) -> dict[int, Stage]:
         ):
             continue
         assert isinstance(decision.value, float)
-        step = longest_step(facts, decision.value, stage, start, end)
+        step = longest_step(facts, decision.value, start, end)
         change = {"kind": "auto", "steps": None, "end": end, "time_step": step, "dynamic_time_step": stage.time_step}
         found[number] = stage.model_copy(update={**change, "name": stage.title})
     return found

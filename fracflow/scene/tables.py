@@ -18,11 +18,11 @@ from typing_extensions import Self
 from fracflow._version import __version__
 from fracflow.errors import InputError
 from fracflow.scene.absorbing import Absorbing
-from fracflow.scene.accuracy import Accuracy
 from fracflow.scene.boundary import Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene.materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import (
+    Accuracy,
     Geometry,
     Line,
     Mesh,

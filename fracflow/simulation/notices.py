@@ -9,14 +9,16 @@ import numpy as np
 from fracflow.advance.step import Step
 from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
+from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
+from fracflow.model.state import State
 from fracflow.scene.scene import Scene
-from fracflow.simulation.suction import suction_line
+from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
 
+LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is reported again
 TOLD_FROM = 0.1  # smaller factors are all the same
-
 FOLD = 1.5
 """Growth of an aperture by what flows in through it, in a step of backward Euler, d - d0 = c d^3: none is greater. For
 more, c d0^2 > 4/27, walls are only stopped by their own stiffness, at a solution far away; for less there are both."""
@@ -122,3 +124,36 @@ class Notices:
         """A line of the log that the end of the run repeats."""
         self._log(line)
         self._totals.doubts.append(line)
+
+
+def suction_line(model: Model, state: State) -> str:
+    """A line on the lowest pressure where it is below zero; empty where none is, or pressures are above an unknown datum.
+
+    A scene with an initial pressure means pressures of its fluid; one without (zero) means changes, which may have any sign.
+    So, with a gradient, do its fractures above the level at which the initial pressure is zero. Collective.
+    """
+    scene, flow, blocks = model.scene, model.operators.flow, model.operators.blocks
+    if flow is None or scene.fluid is None or scene.fluid.initial_pressure <= 0.0:
+        return ""
+    limit = -LEAST_SUCTION * scene.fluid.initial_pressure
+    if state.pressure.min()[1] >= limit:
+        return ""
+    joints = blocks.joints
+    pressure, ends = flow.at_ends(state.pressure), blocks.solid.points[joints.bottom]
+    pressure = np.where(initial_pressure(scene, ends) > 0.0, pressure, np.inf)
+    here = (np.inf, "", 0.0, 0.0)
+    if pressure.size and pressure.min() < limit:
+        joint, end = np.unravel_index(int(pressure.argmin()), pressure.shape)
+        x, y = ends[joint, end]
+        here = (float(pressure.min()), joints.fractures[joints.fracture[joint]], float(x), float(y))
+    lowest, name, x, y = min(blocks.comm.allgather(here))
+    if not name:
+        return ""
+    system = scene.unit_system
+    pressures, lengths = (f" {system.unit(kind)}" if scene.units != "none" else "" for kind in (STRESS, LENGTH))
+    time = f"time {state.time:.6g} {system.time}".rstrip()
+    return (
+        f"{time}: the pressure in {name} at ({x:.6g}, {y:.6g}){lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
+        " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"
+        " minimum_pressure to the wells that draw, or a higher fluid.initial_pressure if pressures are above another datum"
+    )

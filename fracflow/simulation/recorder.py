@@ -20,21 +20,50 @@ from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
-from fracflow.mesh.store import save_mesh
+from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
 from fracflow.output.events import Chatter
+from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
-from fracflow.simulation.before import Before, scene_seal
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
+from fracflow.storage.files import read_bytes
+from fracflow.storage.sealed import AGAIN, digest
+
+UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
+EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
+
+
+class Before:
+    """The files beside a checkpoint with ``notes``.
+
+    rows, attrs  of history.h5, up to the checkpoint
+    mesh         root of the seal of mesh.h5, empty without one
+    told         lines for the user
+    """
+
+    def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:
+        """Read them. Raises InputError for one that is not as it was."""
+        seals = notes["seals"]
+        self.rows, self.attrs = read_rows(folder / "history.h5", notes["totals"]["steps"], seals.get("history", ""))
+        self.mesh = mesh_root(folder / "mesh.h5")
+        self.told = [] if seals else [f"{folder}: {UNSEALED}"]
+        if seals.get("scene", "") not in ("", scene_seal(folder)):
+            self.told.append(f"{folder}: {EDITED}")
+
+
+def scene_seal(folder: Path) -> str:
+    """Digest of the scene of a run folder, in hexadecimal digits. Raises InputError where there is none."""
+    return digest(read_bytes(folder / "scene.toml", AGAIN)).hex()
+
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
 

@@ -15,7 +15,7 @@ from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
 BROKEN = 76  # PETSC_ERR_LIB: an external library told of an error
-ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is taken for round-off
+SOLVE_ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is taken for round-off
 
 
 class KrylovTest:
@@ -40,7 +40,9 @@ class KrylovTest:
             return reasons.DIVERGED_NANORINF if norm != norm else reasons.DIVERGED_DTOL
         if norm <= absolute:
             return reasons.CONVERGED_ATOL
-        stands = iteration >= STANDS and norm <= ROUND_OFF * first and norm > 0.5 * self._norms[iteration - STANDS]
+        stands = (
+            iteration >= STANDS and norm <= SOLVE_ROUND_OFF * first and norm > 0.5 * self._norms[iteration - STANDS]
+        )
         if norm <= relative * first or stands:
             return reasons.CONVERGED_RTOL
         return reasons.DIVERGED_MAX_IT if iteration >= most else None

@@ -18,7 +18,7 @@ from fracflow.model.flow import Conduction, Flow
 from fracflow.model.operators import Operators
 from fracflow.model.state import Sections, State
 
-ROUND_OFF = 0.5 * float(np.finfo(float).eps)
+UNIT_ROUND_OFF = 0.5 * float(np.finfo(float).eps)
 NOISE = 2.0  # round-offs of single displacements that meet in the balance of a node
 MOST_DIGITS = 15.65  # -log10 of the spacing of doubles
 LEAST_SHARE = 1e-6
@@ -48,7 +48,7 @@ def round_off_of_jumps(before: Floats, moved: Floats) -> Floats:
 
     Steps round off independently of each other.
     """
-    return np.hypot(before, ROUND_OFF * moved)
+    return np.hypot(before, UNIT_ROUND_OFF * moved)
 
 
 def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> float:
@@ -56,14 +56,16 @@ def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> f
 
     ``moved`` (s, dim) as for ``round_off_of_jumps``, of this step. [force per thickness]
     """
-    force = np.einsum("sij,sj->si", np.abs(sections.tangent), ROUND_OFF * moved) * operators.joints.weights[:, None]
+    force = (
+        np.einsum("sij,sj->si", np.abs(sections.tangent), UNIT_ROUND_OFF * moved) * operators.joints.weights[:, None]
+    )
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
 def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
     """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
-    noise: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
+    noise: Floats = NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
     return noise
 
 
@@ -77,7 +79,7 @@ def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | Non
     driven = round_off_of_pressure(network, conduction)
     if moved is None:
         return driven
-    known = NOISE * ROUND_OFF * np.abs(moved)
+    known = NOISE * UNIT_ROUND_OFF * np.abs(moved)
     drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
     through = (np.abs(conduction.slope) * known).sum(axis=1) * drop
     squeezed: Floats = 0.5 * rate * network.length[:, None] * known + through[:, None]
@@ -86,7 +88,7 @@ def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | Non
 
 def round_off_of_rock(operators: Operators, displacement: float) -> float:
     """The same of the rock [force per thickness], from the largest displacement."""
-    return NOISE * ROUND_OFF * operators.scales.stiffness * displacement
+    return NOISE * UNIT_ROUND_OFF * operators.scales.stiffness * displacement
 
 
 def significant_digits(operators: Operators, state: State) -> SignificantDigits:
@@ -100,7 +102,7 @@ def significant_digits(operators: Operators, state: State) -> SignificantDigits:
     fracture = np.repeat(blocks.joints.fracture, joints.points)
     error = np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur).max(axis=1, initial=0.0)
     beside = operators.scales.stiffness / (joints.points * joints.weights)
-    rock = ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
+    rock = UNIT_ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
     is_closed = stiff > 0.0
     largest = np.zeros((5, count))
@@ -206,7 +208,7 @@ def flow_residual(
     largest  the largest single term of the network, to whose round-off no node is held
     closed   nodes whose row stands for something else, on that scale
     """
-    own = np.full(len(balance), largest) if terms is None else np.maximum(terms, ROUND_OFF * largest)
+    own = np.full(len(balance), largest) if terms is None else np.maximum(terms, UNIT_ROUND_OFF * largest)
     for rows in closed:
         own[rows] = largest
     return over_ranks([largest_of(balance / np.maximum(own, TINY))], comm)[0]

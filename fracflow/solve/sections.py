@@ -144,7 +144,7 @@ class FlowOnJoints:
 
 
 TIGHT = 1e-12  # of the largest motion of a section in the step
-ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of what the motion of a section is the difference of
+MOTION_ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of what the motion of a section is the difference of
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ class SectionSolver:
             known = np.einsum("sij,sj->si", np.abs(moduli), np.abs(answer.strain)) + weights * np.abs(answer.traction)
             moduli = moduli - weights[:, :, None] * self.elastic
             rows = self._gather(free, change, push, known + weights * np.abs(pull), moduli, slopes, share)
-            beyond = np.abs(rows.left) - ROUND_OFF * rows.size
+            beyond = np.abs(rows.left) - MOTION_ROUND_OFF * rows.size
             here = [float(np.abs(change).max(initial=0.0)), float(beyond.max(initial=0.0))]
             moved, beyond_all, worst, bad = over_ranks(
                 [*here, float(np.abs(rows.left).max(initial=0.0)), float(not np.isfinite(push).all())], comm

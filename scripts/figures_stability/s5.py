@@ -11,7 +11,7 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, sa
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.step import Stepping
-from fracflow.diagnostics.rock import STIFF
+from fracflow.diagnostics.slip import STIFF
 from fracflow.integrators import Steady
 from fracflow.model.joints import jump_matrix
 from fracflow.reduction.prepare import prepare

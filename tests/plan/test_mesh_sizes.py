@@ -12,7 +12,7 @@ from fracflow.diagnostics import pre_run_checks
 from fracflow.mesh.read import GeometrySpec, build_mesh
 from fracflow.output import read_history
 from fracflow.reduction import mesh_size as mesh_sizes
-from fracflow.reduction.lengths import (
+from fracflow.reduction.mesh_size import (
     affordable,
     cell_count,
     corner_period,

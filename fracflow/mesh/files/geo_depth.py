@@ -9,10 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fracflow.errors import InputError
+from fracflow.errors import MOST_TOLD, InputError
 
 DEEPEST = 40  # Gmsh has room for 100
-MOST_TOLD = 5  # names in a line
 REMEDY = "remove it, or give --trust (trust=True in Python) if you trust whoever wrote the file"
 
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fracflow.errors import InputError
+from fracflow.errors import MOST_TOLD, InputError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.files.geo_depth import MOST_TOLD, Checked
+from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fracflow.errors import NotConverged
+from fracflow.errors import MOST_TOLD, NotConverged
 from fracflow.model.network_parts import conducting, find_components
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import Cycle, Prediction, limits_of_time_step, scaled
@@ -15,7 +15,6 @@ from fracflow.solve.fixed_point.relaxation import RELAXATIONS
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.problem import StepProblem
 
-MOST_TOLD = 5  # parts of the network that are listed
 LOOK_BACK = 5  # ratios of changes whose mean is the rate of relaxed cycles
 
 

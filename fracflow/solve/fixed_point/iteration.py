@@ -39,7 +39,7 @@ from fracflow.solve.residual import TINY
 
 CHANGED = 0.1  # relative change of a conductance or stiffness from which on an earlier prediction is too old
 MEASURED = 3  # cycles of a step that is refused, so that the prediction can be held against something
-ROUND_OFF = 1e-13  # of the largest pressure: smaller changes say nothing
+PRESSURE_ROUND_OFF = 1e-13  # of the largest pressure: smaller changes say nothing
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class FixedPoint:
                 factorisations=cycle.factorisations + 1,
                 out_of_balance=(),
             ).after(total)
-            still = max(accuracy.pressure * self._driven(problem), ROUND_OFF * self._size(problem))
+            still = max(accuracy.pressure * self._driven(problem), PRESSURE_ROUND_OFF * self._size(problem))
             if most is None and changes[-1] <= still and residual.flow <= accuracy.residual:
                 return total
             left = max(changes[-1] / max(still, TINY), residual.flow / accuracy.residual)
