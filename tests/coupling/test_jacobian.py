@@ -148,7 +148,7 @@ def test_jacobian_of_what_leaves_by_pressure_and_aperture():
     flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture).rate, same)
     assert rate.norm() > 0.0 and (rate - same).norm() <= 1e-14 * rate.norm(), "counted as it is solved for"
     sizes = [np.abs(values).max(initial=0.0) for values in problem.conduction.leaving]
-    assert min(MPI.COMM_WORLD.allreduce(np.array(sizes), op=MPI.MAX)) > 0.0
+    assert all(MPI.COMM_WORLD.allreduce(float(size), op=MPI.MAX) > 0.0 for size in sizes)
     for thing in (newton, matrix, problem):
         thing.destroy()
 
