@@ -66,7 +66,7 @@ def rule_of(natural: Floats, nodes: int) -> Rule:
 
 
 def to_nodes(natural: Floats) -> Floats | None:
-    """Matrix (k, k) that extends values at a rule's k sections to the nodes; None of one section, which does not tell.
+    """Matrix (k, k) that extends values at a rule's k sections to the nodes; None for a rule of one section.
 
     natural (k,) or (k, 2): sections that lie as the nodes do, drawn together towards the middle.
     """

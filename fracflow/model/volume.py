@@ -17,8 +17,8 @@ def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, sch
     """Net volume that wells bring in a step of length ``dt`` into fractures of a ``depth`` [length^3]. Collective.
 
     Fractures end closed, so that it is what the network stores, and what leaves by terms; a steady stage stores nothing.
-    Where fractures have prescribed pressures, wells are counted one by one: given rates by their integral; at a pressure that
-    is kept, (3.20) over the step, with what flows off as at the instants where the balance holds.
+    Where fractures have prescribed pressures, wells are counted one by one. Given rates count by their integral. At a kept
+    pressure (3.20) is integrated over the step, with outflow at the instants where the balance holds.
     """
     if ops.flow is None or dt <= 0.0:
         return 0.0

@@ -177,7 +177,7 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
 
 
 def watch_tied(model: Model, state: State) -> None:
-    """Raise PutBack, on every rank, where rock beside locked fractures carries more than USE of their strength. Collective."""
+    """Raise ReductionInvalid, on every rank, where locked fractures carry over USE of their strength. Collective."""
     whole = model.whole
     if whole is None:
         return

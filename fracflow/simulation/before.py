@@ -24,7 +24,7 @@ class Before:
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:
-        """Read them. Raises InputError for one that is not as it was."""
+        """Read them. Raises InputError for a changed file."""
         seals = notes["seals"]
         self.rows, self.attrs = read_rows(folder / "history.h5", notes["totals"]["steps"], seals.get("history", ""))
         self.mesh = mesh_root(folder / "mesh.h5")
