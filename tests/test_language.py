@@ -111,9 +111,7 @@ def counted() -> dict[str, dict[str, int]]:
 
 
 def test_a_fault_is_found():
-    source = (
-        '''"""What it does. It tells of the film, for """\n# in circles\nx = f"the {1} energy balance are open"\n'''
-    )
+    source = '''"""What it does. It tells of the film, for """\n# in circles\nx = f"the {1} books are open"\n'''
     source += f'y = "{"word " * (MOST_WORDS + 1)}"\n'
     once = {"what", "long", "no personification", "fracture flow", "active-set cycling", "energy balance"}
     assert +faults(source) == Counter(once)

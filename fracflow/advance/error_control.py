@@ -36,7 +36,7 @@ def step_error(
 
     dt       length of the step, or of the equal parts that it is taken in, whose errors add up [time]
     largest  that of earlier states [length]; by default that of the end of the step
-    Both are lengths of nodal vectors, also of rigid bodies, so they depend on neither axes nor units. Collective.
+    Both are lengths of nodal vectors, and depend on neither axes nor units. Collective.
     """
     wrong = new.motion.displacement.duplicate()
     wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))

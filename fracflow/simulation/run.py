@@ -55,7 +55,7 @@ def run(
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
     show      is given the pre-run checks before the first step, on rank 0
-    say       is given lines to be read before it: on wells in separate components of the network, and on near misses
+    say       is given lines to be read before it: on wells in separate network components, and near misses
     progress is given each step. Its method ``trial(time, length, why)``, if any, is called for each rejected step without
               inertia of a stage auto, and ``saved(steps)`` for each checkpoint
 

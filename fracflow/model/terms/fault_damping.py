@@ -8,7 +8,7 @@ Mechanism   Friction rectifies what shakes walls at the frequencies of a few cel
             away at once, each node let go comes too far, as a spring does, on mirror images too. It sticks there, since
             friction does not push it back. Sections then carry less than their strength, and the stress falls by more
             than it should. Laws without a slip length do the same. There the motion of single cells may be that of the
-            scene's blocks, and the extent of slip depends on the mesh (see the pre-run checks). These are damped by a
+            scene's blocks, and slip depends on the mesh (see the pre-run checks). These are damped by a
             number alone.
 Predictor   Across: ``asymmetry`` of the walls, and the rms of the normal traction behind the front, which grows as its square:
             slip is too large by up to mu_d times that rms over the stress drop. k_n has no part in it, so that neither softer
@@ -93,8 +93,8 @@ def fault_damping(operators: Operators, scene: Scene) -> tuple[FaultDamping, ...
 def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     """Damping of the cells at joints that can slip; None where there are none, or the scene has none. Collective.
 
-    With "auto" only at those that are not meshed as mirror images of each other: normal tractions of the others do not
-    ring; and at those that lose strength at once, which shakes any walls.
+    With "auto" only at walls that are not mirror images of each other, as normal tractions of the others do not ring. Also at
+    those that lose strength at once, which excites any walls.
     """
     blocks, wanted = operators.blocks, scene.method.fault_damping
     if not wanted:
