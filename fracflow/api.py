@@ -70,11 +70,12 @@ class Run:
         )
 
     def probe(self, name: str) -> Arrays:
-        """Histories of a probe by quantity; raises InputError for a name that is none.
+        """Histories of a probe by quantity. Raises InputError for an unknown name.
 
-        What there is, with dimension and meaning, ``fracflow schema`` prints at probe[].quantities, from the rows of
-        ``fracflow.scene.quantities``. Scalars are (n,); vectors (n, 2), x and y; of slip and shear traction (n,), in space
-        (n, 2) along the fracture; strain and stress (n, 4), xx, yy, zz, xy. Tension is positive, tractions are effective.
+        The command ``fracflow schema`` prints all
+        quantities with dimension and meaning at probe[].quantities. Scalars are (n,); vectors (n, 2), x and y; of slip and
+        shear traction (n,), in space (n, 2) along the fracture; strain and stress (n, 4), xx, yy, zz, xy. Tension is positive,
+        tractions are effective.
         """
         found = self._part(f"probe/{name}/")
         if not found:
@@ -86,16 +87,15 @@ class Run:
         """The events of slip and opening: a structured array (events,).
 
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
-        way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there,
-        else the beginning of the step in which it slips or opens, and start_latest the end of that step (nan in rows of kind
-        "event"); The end is that of the first step without it.
-        Of a stage auto also kind "event", from the first section that slides to the last that sticks: place of the first,
-        largest slip, and, nan in other rows, sections, length, mean_slip [length], mean stress_drop [stress], moment G slip
-        length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides, dissipated by
-        friction, dropped at the return to rest [force length / length], share of them by which the books do not close
-        (unclosed); injected, the net volume that wells brought before it [length**3]. One under way when
-        the run ended or was stopped has what it came to until then.
-        Raises InputError if there is no events.csv.
+        way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there, else
+        the beginning of the step in which it slips or opens. start_latest is the end of that step (nan in rows of kind
+        "event"); end is that of the first step without it. A stage auto has kind "event" too, from the first section that
+        slides to the last that sticks. It has place of the first, largest slip, and, nan in other rows, sections, length,
+        mean_slip [length], mean stress_drop [stress], moment G slip length [stress length**2], magnitude (with
+        output.event_length); energies radiated by absorbing sides, dissipated by friction, dropped at the return to rest
+        [force length / length]. unclosed is the share of them that the energy balance lacks; injected is the net volume that
+        wells brought before it [length**3]. An event under way at the end has its values so far. Raises InputError if there is
+        no events.csv.
         """
         rows = read_events(self.folder / "events.csv")
         longest = {key: max([1, *(len(row[key]) for row in rows)]) for key in _TEXTS}

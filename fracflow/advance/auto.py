@@ -119,7 +119,7 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
 
 
 def in_words(spent: StepReport) -> str:
-    """How many trials were thrown away, and at what cost, in words."""
+    """Number of rejected trials and their cost, in words."""
     return f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
 
 
@@ -150,7 +150,7 @@ class _Regimes:
         self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
 
     def slow_step(self, state: State, course: EventState) -> Tried:
-        """A step without inertia as long as it is foreseen, or why it may not be taken. Collective."""
+        """A step without inertia of the planned length, or the reason why it may not be taken. Collective."""
         assert self.stage.end is not None
         time, jumps = self._target(state.time, course.step)
         ends = jumps or time >= self.stage.end
@@ -178,7 +178,7 @@ class _Regimes:
             self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
 
     def _where(self, slip: Slipped) -> str:
-        """Fracture and place of the section that slips the most, so far as anyone resists it. Collective."""
+        """Fracture and place of the section that slips the most against its strength. Collective."""
         return places_of(self.model.operators.blocks, slip.worst, self.model.operators.joints.natural)
 
     def _coarse(self, state: State) -> str:
@@ -199,12 +199,12 @@ class _Regimes:
         return f"; of what slides the mesh does not resolve {', '.join(said)}" if said else ""
 
     def counted(self, report: StepReport) -> StepReport:
-        """The report of a step that is recorded, with the trials at rest that were thrown away since the one before."""
+        """The report of a recorded step, with the trials without inertia that were rejected since the one before."""
         vain, self.vain = self.vain, StepReport()
         return report.after_trials(vain)
 
     def is_excited(self, time: float) -> str:
-        """The cause that shakes the rock from a time on, or has not ended; empty if none does."""
+        """The excitation that begins at a time or has not ended; empty if there is none."""
         assert self.stage.time_step is not None
         slack = max(3.0 * NEAR * self.stage.time_step, 3e-11 * abs(time))  # steps end just before a jump
         now = (
@@ -290,7 +290,7 @@ class _Regimes:
         return LoadStep(start, 1, whole, whole, whole, state.controls, self.model.loads, in_halves=False)
 
     def return_to_quasi_static(self, state: State, course: EventState) -> tuple[State | None, EventState, list[Trial]]:
-        """The state as it is taken over without inertia, if a step without it keeps what slips as it is; and what was tried.
+        """The state taken over without inertia, if a step without inertia keeps the sliding sections; and the step tried.
 
         Collective.
         """
@@ -298,7 +298,7 @@ class _Regimes:
         if not may_rest(self.model, state):
             return None, course, trials
         entered, still, lasted = self.stepping.enter(state, self.still), course.at_rest(), state.time - course.begun
-        # of what has come to rest long ago Newton's method may find no balance for the length of the step alone
+        # long after motion has stopped, Newton's method may fail only because the step is so long
         for length in (still.step, course.least) if lasted > LONG * course.period else (still.step,):
             time = self._target(entered.time, length)[0]
             tried = self._attempt(entered, time, SETTLED * RADIATED, self.scene.accuracy.max_iterations)

@@ -55,7 +55,7 @@ class Couplings:
         return coupling
 
     def forget_closures(self) -> None:
-        """Free solvers for parts of the network that are no more. Collective."""
+        """Free solvers for network components that exist no longer. Collective."""
         for loads in [each for each in self._kept if each.closures]:
             self._kept.pop(loads).destroy()
 
@@ -69,7 +69,7 @@ class Couplings:
         return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
 
     def _as_line(self) -> str:
-        """Which stages are condensed, from what to what, and from how many steps on that pays."""
+        """Stages that are condensed, the numbers of unknowns, and the number of steps from which on condensing pays."""
         scene, plan = self.model.scene, self._planned
         is_asked = scene.method.coupling == "condensed"
         stages = [

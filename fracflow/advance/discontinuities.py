@@ -1,4 +1,4 @@
-"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status, a pump its pace."""
+"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status, a well its rate."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
     """A new state, as a stage takes it over. Collective.
 
     With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
-    Pressures of a compressible fluid stay as they are, and the balance gives what it takes up; those prescribed jump, and
-    go on at their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is prescribed
-    arrives during the first step.
+    Pressures of a compressible fluid stay as they are, and the balance gives its rate of uptake. Prescribed pressures jump.
+    They then follow their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is
+    prescribed arrives during the first step.
     """
     ops, old = model.operators, state.motion
     motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
@@ -62,14 +62,14 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
 def change(model: Model, network: FlowNetwork, loads: Loads, state: State, leaving: Bools) -> State:
     """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective.
 
-    Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
+    Displacements and velocities stay, tractions drop, and accelerations follow. The energy that the drop frees is dissipated.
     """
     ops = model.operators
     branch = ops.joints.with_other_status(state.sections.strain, state.sections.history, leaving)
     old = state.motion
     motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
     new = _first_instant(model, network, loads, replace(state, motion=motion), branch)
-    # they stand at their threshold because they were brought there, not by chance
+    # they were brought to their threshold on purpose
     settled = replace(new.sections, margin=np.where(leaving, np.inf, state.sections.margin))
     new = replace(new, sections=settled, energy=update_balance(ops, state, new, 0.0, Scheme()))
     new = replace(new, friction=dissipated(state, new))
@@ -77,11 +77,11 @@ def change(model: Model, network: FlowNetwork, loads: Loads, state: State, leavi
 
 
 def keep_pace(model: Model, network: FlowNetwork, state: State, request: StepRequest, stepper: Stepper) -> State | None:
-    """The state as the walls of parts that nothing drains take up what wells pump in a step by a rule. Collective.
+    """The state in which the walls of undrained components take up the volume that wells pump in a step. Collective.
 
     The sum of (3.20) over such a part, w v = sum Q, has a rate, w a = sum Q', that jumps where Q bends; the level of its
-    pressures jumps with it. A rule that looks back on a would swing about both for ever, as nothing else settles them.
-    Motions are as they were; None where all have the pace of the step.
+    pressures jumps with it. A rule that uses the previous acceleration would oscillate about both for ever, as nothing else
+    damps them. Motions are as they were; None where all walls already move at the rate of the step.
     """
     ops, loads, dt = model.operators, request.loads, request.length
     around = sides_of(stepper, dt, request.next_length)

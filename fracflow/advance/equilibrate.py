@@ -1,4 +1,4 @@
-"""The stage that finds equilibrium: fractures past their strength slip, what nothing holds gives way."""
+"""The stage that finds equilibrium: fractures past their strength slip, and blocks without support move."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fracflow.solve.request import LoadStep, StepRequest
 
 @dataclass(frozen=True)
 class Restrained:
-    """Advances under what is left of a ``force`` that is taken away over so many steps."""
+    """Advances under the remainder of a ``force`` that is removed in equal increments."""
 
     inner: Advance
     force: PETSc.Vec
@@ -39,7 +39,7 @@ class Restrained:
 
 
 def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
-    """Let go of the initial state in equal increments, the fluid kept at its initial pressure. Collective.
+    """Release the initial state in equal increments, the fluid kept at its initial pressure. Collective.
 
     The force that held the state out of balance is taken away; its work meanwhile counts as work of boundaries.
     Raises SolveError where no equilibrium is found. The caller owns the states.

@@ -1,4 +1,4 @@
-"""How accurate a step is, estimated from its two ends, and what the scene asks."""
+"""The error of a step, estimated from its two ends, and the tolerance of the scene."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def step_error(
     """Largest local error of a node's displacement over a step, relative to the largest displacement.
 
     dt       length of the step, or of the equal parts that it is taken in, whose errors add up [time]
-    largest  that of earlier states [length]; by default the end of the step is all there is
-    Both are lengths of vectors at nodes, those of rigid bodies too: they know neither axes nor units. Collective.
+    largest  that of earlier states [length]; by default that of the end of the step
+    Both are lengths of nodal vectors, and depend on neither axes nor units. Collective.
     """
     wrong = new.motion.displacement.duplicate()
     wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
@@ -47,7 +47,7 @@ def step_error(
 
 
 def largest_displacement(operators: Operators, state: State) -> float:
-    """How far the node has moved that has moved the most [length]. Collective."""
+    """Largest displacement of any node [length]. Collective."""
     return _longest(operators, state.motion.displacement)
 
 
@@ -62,7 +62,7 @@ def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
 
 @dataclass(frozen=True)
 class _Tried:
-    """End of a part, its size and error as ``ErrorEstimator`` measures them, and what it follows where it is very short."""
+    """End of a substep, its size and error as in ``ErrorEstimator``, and the vibration that makes it very short."""
 
     time: float
     size: float
@@ -71,16 +71,16 @@ class _Tried:
 
 
 class ErrorEstimator:
-    """Whether the parts of a stage's steps are as accurate as asked, and relative to how much.
+    """Whether the substeps of a stage are as accurate as the scene requires, and relative to which size.
 
-    With ``accuracy.step_error`` the error that a part adds is held to that. With ``accuracy.tolerance`` it is held to a
-    share of it: with inertia dt/(length of the stage), for what is wrong stays wrong, and errors add up; without, where
-    only what the fractures store remembers, dt/(time since the stage began), for a film drains, and forgets the earlier
-    errors as it goes on, and down to a third of that towards the end of the stage, as errors made there stay; where
-    something prescribed jumps or bends in it, from there on anew. Neither: nothing is judged.
+    ``accuracy.step_error`` limits the error that a substep adds; ``accuracy.tolerance`` allows it a share of itself. With
+    inertia errors stay and add up: the share is dt/(length of the stage). Without inertia only storage in the fractures has a
+    history: the share is dt/(time since the stage began), as fracture flow drains and earlier errors decay. That time restarts
+    where a prescribed value jumps or bends. The share falls to a third towards the end of the stage, as errors made there
+    stay. With neither key there is no estimate.
 
-    A part's own end, and what was refused, show how far the motion will go; but that is believed only until what is
-    accepted has come as far, for a long part may end on the peak of a load that is over at once.
+    The end of a substep, and of rejected ones, shows how far the motion will go. That holds only until accepted states have
+    come as far: a long substep may end on the peak of a short load.
     """
 
     def __init__(
@@ -110,13 +110,13 @@ class ErrorEstimator:
 
     @property
     def told(self) -> str:
-        """By what, and of what, for the log."""
+        """The tolerance and the size to which it is relative, for the log."""
         of = "volume stored in fractures" if self.of_film else "displacements"
         return f"accuracy.tolerance = {self.tolerance:g} of {of}"
 
     @property
     def summary(self) -> str:
-        """The error that was reached, for the log."""
+        """The estimated error of the stage, for the log."""
         assert self.tolerance is not None
         reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
         of = "volume stored in fractures" if self.of_film else "displacement"
@@ -131,7 +131,7 @@ class ErrorEstimator:
         )
 
     def error(self, dt: float, part: float, old: State, new: State) -> float:
-        """Error of a step over what is allowed; ``part`` is the length of the equal parts of ``dt``. Collective."""
+        """Error of a step over the allowed one; ``part`` is the length of the equal substeps of ``dt``. Collective."""
         if self.order == 0:
             return 0.0
         if self.by_step is not None:
@@ -156,11 +156,11 @@ class ErrorEstimator:
         return min(since, anew) * (1.0 + LATE * since / (self.length or np.inf))
 
     def _left(self, time: float, dt: float) -> float:
-        """Parts of such a length that are left of the stage; 0 where the number is not known."""
+        """Number of substeps of such a length that remain in the stage; 0 where it is not known."""
         return 0.0 if self.length is None else (self.start + self.length - time) / dt
 
     def _followed(self, dt: float, part: float, old: State, new: State) -> Vibration:
-        """The motion that a part is short for, where very many are left. Collective."""
+        """The motion that makes a substep short, where very many remain. Collective."""
         if not self._left(new.time, dt) > MOST_PARTS:
             return Vibration()
         return (
@@ -168,7 +168,7 @@ class ErrorEstimator:
         )
 
     def outlook(self, time: float) -> str:
-        """A line on how much is left of a stage whose parts have long been very short; "" elsewhere.
+        """A line on the remainder of a stage whose substeps have long been very short; "" elsewhere.
 
         Raises SolveError, on every rank, where they follow a vibration smaller than the allowed error. Errors of its
         phase are counted as if they added up, but come to twice its amplitude at most. A run that is resumed goes on.
@@ -195,7 +195,7 @@ class ErrorEstimator:
         )
 
     def _refuse(self) -> None:
-        """Learn from what was tried last and not followed: of two parts that end alike the later, shorter one knows more."""
+        """Use the last rejected trial: of two substeps with the same end the later, shorter one is more accurate."""
         if self.tried is not None:
             ends_last = self.tried.time >= self.until
             self.guess = self.tried.size if ends_last else max(self.guess, self.tried.size)
@@ -203,7 +203,7 @@ class ErrorEstimator:
             self.tried = None
 
     def follow(self, state: State, dt: float) -> None:
-        """Take over the state that a part of length ``dt`` led to. Collective."""
+        """Accept the state at the end of a substep of length ``dt``. Collective."""
         self.last = dt
         if self.order:
             self.largest = max(self.largest, self._size(state))
@@ -218,7 +218,7 @@ class ErrorEstimator:
             self.guess = 0.0
 
     def as_progress(self) -> dict[str, float]:
-        """The numbers that a checkpoint keeps of it."""
+        """The numbers that a checkpoint stores."""
         return {
             "farthest": self.largest,
             "last": self.last,
@@ -230,7 +230,7 @@ class ErrorEstimator:
         }
 
     def _size(self, state: State) -> float:
-        """Largest displacement, or the volume that has gone in or out anywhere."""
+        """Largest displacement, or the volume that fractures have taken up or released."""
         if not self.of_film:
             return largest_displacement(self.operators, state)
         gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
@@ -242,7 +242,7 @@ class ErrorEstimator:
         return self._sum(gone)
 
     def _film_error(self, dt: float, old: State, new: State) -> float:
-        """Volume that a part leaves where it does not belong [volume per thickness]. Collective."""
+        """Volume that a substep puts in the wrong place [volume per thickness]. Collective."""
         before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
         last, passing, passed = self.last, after, before
         if self.stepper.memory:
@@ -277,7 +277,7 @@ class ErrorEstimator:
 
 @dataclass(frozen=True)
 class ErrorControlled:
-    """Tells how wrong a part of a step is, over what is allowed."""
+    """Adds the estimated error of a substep, over the allowed one, to its outcome."""
 
     inner: Advance
     judge: ErrorEstimator

@@ -1,8 +1,8 @@
-"""Where inside a step the first joint sections begin or end to slide, part or meet.
+"""Where inside a step the first joint sections begin or end to slide, open or close.
 
 Two states are connected by an integrator with all statuses held. Between them strains are the cubic through both ends'
-strains and rates (Hermite), which for the trapezoidal rule is its own parabola. A wall without mass goes its way in the
-measure in which that of its mass has been gone.
+strains and rates (Hermite), which for the trapezoidal rule is its own parabola. A wall without mass moves in proportion to the
+nodes that carry its mass.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ Path = Callable[[Floats], tuple[Floats, Floats]]
 def _path(joints: Joints, old: State, new: State, dt: float) -> Path:
     start: Floats = old.sections.strain
     change: Floats = new.sections.strain - start
-    # what a straight path lacks of the rates at either end
+    # difference of a straight path's rate from the rates at either end
     left, right = (change - dt * joints.strain(state.motion.velocity) for state in (old, new))
     if joints.massless is not None:
         start, change, left, right = _without_mass(joints, (old, new), dt, (start, change, left, right))
@@ -78,7 +78,7 @@ def _path(joints: Joints, old: State, new: State, dt: float) -> Path:
 
 
 def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tuple[Floats, ...]) -> tuple[Floats, ...]:
-    """The path with that of walls without mass, which go their way as what carries their mass goes its own. Collective.
+    """The path with that of walls without mass, which move in proportion to the nodes that carry their mass. Collective.
 
     Closed, they follow it by a share, as the joint lets them; open, all the way. Where they part or meet on the way, the
     path is that of the open wall, which passes there at the same instant.

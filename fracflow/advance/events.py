@@ -22,11 +22,11 @@ MANY = 16  # sliding sections: a crack, whose front passes sections one by one, 
 
 @dataclass(frozen=True)
 class EventLocated:
-    """Ends a part of a step that may stop at the first event in it.
+    """Ends a substep at the first event in it.
 
-    The part is taken with all statuses held, and again to where the first section leaves its own; there the section
-    changes, and accelerations follow. One that would leave as the part begins does so at once, but once only: should it
-    want to return, statuses change as they do without location.
+    The substep is computed with all statuses held, then again up to where the first section changes its status. The section
+    changes there, and accelerations follow. A section that would change as the substep begins does so at once, but once only.
+    If it would change back, statuses change as they do without location.
     """
 
     inner: Advance
@@ -54,7 +54,7 @@ class EventLocated:
                 if event is not None and event.fraction <= NEAR:
                     found.state.destroy()
                     return _after(self.inner.advance(start, request), found)
-            share, last = 1.0, event  # of the part that was taken last, and the event that it was taken to
+            share, last = 1.0, event  # of the last substep, and the event at its end
             for _ in range(REFINEMENTS):
                 if event is None:
                     return found
@@ -85,14 +85,15 @@ class EventLocated:
 
 
 def _after(found: Outcome, earlier: Outcome) -> Outcome:
-    """The same with the cost of an advance before it, whose state is gone."""
+    """The same with the cost of an earlier advance, whose state was discarded."""
     return replace(found, report=found.report.after(earlier.report))
 
 
 def _are_sought(stepping: Stepping, state: State) -> bool:
     """Whether a step from here ends at events: always, or with events = "auto" where few sections slide. Collective.
 
-    How many are many grows with the mesh, so that refining it does not change the rule; rigid rock slides all at once.
+    The limit grows with the number of sections, so that refining the mesh does not change the rule; rigid rock slides all at
+    once.
     """
     scene = stepping.model.scene
     if scene.method.events == "located" or all(rock.rigid for rock in scene.rock.values()):

@@ -1,6 +1,6 @@
 """When what is prescribed shakes the rock: waves that come in, loads and supports that jump or change their rate fast.
 
-A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static answer (Biggs
+A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static response (Biggs
 1964, 2.3); changes within a period may add up.
 """
 
@@ -24,7 +24,7 @@ WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest p
 
 @dataclass(frozen=True)
 class Excitation:
-    """A time span in which something shakes the rock, which may be an instant, and what it is."""
+    """A time span, or an instant, in which the rock is excited, and the cause."""
 
     start: float
     end: float
@@ -32,7 +32,7 @@ class Excitation:
 
 
 def excitations(scene: Scene, period: float) -> tuple[Excitation, ...]:
-    """All of a scene's spans, by their start; ``period`` is the longest in which its rock vibrates."""
+    """All of a scene's spans, by their start; ``period`` is the longest period of vibration of its rock."""
     waves = [wave for each in scene.terms for wave in each.waves]
     loads = [table for table in scene.driving_tables if table not in waves]
     found = [
@@ -68,7 +68,7 @@ def _rate_jumps(table: TimeTable, period: float) -> Iterator[Excitation]:
 
 
 def why_inertia(old: State, new: State, period: float, left: float, most: float) -> str:
-    """Why a step that the plan leaves without inertia should have it: something fails, or swings; empty if nothing. Collective.
+    """Why a step planned without inertia needs it: joints slip or open, or a large vibration; else empty. Collective.
 
     ``left`` and the vibration as in ``swing``, which may come to ``most``.
     """

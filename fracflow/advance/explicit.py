@@ -30,17 +30,17 @@ class ExplicitSteps:
         return self._coupling
 
     def count(self, dt: float) -> int:
-        """Equal parts in which a step of length ``dt`` is taken. Collective."""
+        """Number of equal substeps in a step of length ``dt``. Collective."""
         return parts(dt, self.coupling.critical)
 
     def part(self, stepper: Stepper, dt: float) -> float:
-        """Length of the parts in which a rule takes a step of length ``dt``. Collective."""
+        """Length of the substeps in which a rule advances a step of length ``dt``. Collective."""
         return dt / self.count(dt) if stepper.explicit and dt > 0.0 else dt
 
     def locates(self, stepper: Stepper, dt: float) -> bool:
         """Whether steps of length ``dt`` may end at events. Collective.
 
-        Where rock deforms they may not: central differences with parts of all lengths feed energy into the walls' modes.
+        Where rock deforms they may not: central differences with unequal substeps feed energy into the walls' modes.
         """
         if not stepper.explicit:
             return True
@@ -65,13 +65,13 @@ class ExplicitSteps:
 
 @dataclass(frozen=True)
 class ExplicitSubsteps:
-    """Takes a step in equal parts that are no longer than the critical one, the controls on their way."""
+    """Divides a step into equal substeps no longer than the critical one; the controls change linearly over the step."""
 
     inner: Advance
     explicit: ExplicitSteps
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
-        """All parts, one after the other. Raises SolveError, on every rank. Collective."""
+        """All substeps, one after the other. Raises SolveError, on every rank. Collective."""
         dt, count = request.length, self.explicit.count(request.length)
         if count == 1:
             return self.inner.advance(state, request)

@@ -37,7 +37,7 @@ class _Search:
         self.failure: SolveError | None = None
 
     def excess(self, value: float) -> float:
-        """Utilisation over what is sought, positive where there is no such state. Collective."""
+        """Utilisation less the one that is sought; positive where there is no such state. Collective."""
         if value not in self.tried:
             controls = {**self.state.controls, self.control: value}
             request = StepRequest(self.state.time, 0.0, controls, self.stepping.model.loads)

@@ -1,4 +1,4 @@
-"""Stages auto: how long steps with inertia are, how much slip one without it may have, and what changing costs."""
+"""Stages auto: length of steps with inertia, most slip of a step without inertia, and cost of a change between them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LONGER = 3  # steps without inertia before they are twice as long
 def wave_step(model: Model, state: State, stage: Stage) -> tuple[float, float]:
     """Length of a step with inertia, and the longest period of vibration [time].
 
-    By default it is what a P wave takes through a typical joint, at most a share of the period. Raises SolveError where
+    By default it is the time of a P wave through a typical joint, at most a share of the period. Raises SolveError where
     the duration of an event is unknown. Collective.
     """
     period = longest_period(model.operators, model.loads, state.sections)

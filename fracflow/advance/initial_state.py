@@ -30,11 +30,11 @@ ANYTHING = 1e30  # times the natural force: more than any joint has
 def refuse_imbalance(model: Model) -> None:
     """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by.
 
-    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
-    differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start. The
-    operator ``prestress`` changes by it, so a run that goes on is settled too. So it does by whatever fractures lack of
-    balance where the scene says that the rock carries it. A scene with a stage ``equilibrate`` is
-    left as it is. Raises InputError, on every rank. Collective.
+    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them differ. The
+    difference, gradient times length squared a node, is an error of the mesh and must not start a motion. The operator
+    ``prestress`` changes by it, also in a run that is restarted. It also changes by the imbalance of fractures where the scene
+    lets the rock carry it. A scene with a stage ``equilibrate`` is left as it is. Raises InputError, on every rank.
+    Collective.
     """
     if model.scene.equilibrates:
         return
@@ -77,10 +77,10 @@ def _uncarried(scene: Scene) -> str:
 
 
 def equilibrium_state(model: Model) -> State:
-    """The state before the first step, of a model that was settled. Collective.
+    """The state before the first step, of a model whose imbalance was refused or taken up. Collective.
 
-    Fractures past their strength carry their initial tractions all the same: only a scene with a stage
-    ``equilibrate``, or one whose rock carries what does not balance, comes here with any.
+    Fractures past their strength keep their initial tractions. Only a scene with a stage ``equilibrate``, or one whose rock
+    carries the imbalance, has any here.
     """
     ops, scene = model.operators, model.scene
     motion, sections, pressure = _unmoved(model)

@@ -1,8 +1,8 @@
 """Limit points: where slip in a stage without inertia has no further equilibrium, and the message on it.
 
 Strength that falls with slip lets a slipping patch grow at rest up to a length of its own; past it no state at rest is near.
-A step that comes to another one, farther away, has jumped: it slips far on the length over which strength falls, and is
-unstable somewhere on its way. Such a step is refused and halved, and where no short one is left the stage ends.
+A step that ends in a distant state at rest has jumped: it slips a large share of the length over which strength falls. Slip is
+unstable somewhere within it. Such a step is refused and halved; the stage ends where no shorter step is allowed.
 """
 
 from __future__ import annotations
@@ -26,27 +26,28 @@ from fracflow.solve.stability import Weakening, largest_share, of_state, of_step
 
 RESOLVED = 0.1  # of the slip over which strength falls: in a shorter step it cannot have jumped
 LIMITS = ((1.0, 0.7), (0.95, 1.0))
-"""Least shares of a state that may have nowhere to go: of what slides, which grows by a joint; with what all but slides."""
+"""Least shares of a state without a near equilibrium: of the sliding patch, which grows by a joint; of one that also counts
+the sections that almost slide."""
 REMEDY = '; slip goes on with inertia: set kind = "auto", or let a stage of kind = "dynamic" follow'
 MOST_HALVED = 40  # times: a step of a year is a millisecond then
 SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
 
 
 class UnstableStep(NotConverged):
-    """A step without inertia came to a state that slip does not reach at rest; with what slid on its way."""
+    """A step without inertia reached a state that stable slip cannot reach; with the sections that slid."""
 
     def __init__(self, message: str, newton: int, sections: Sections, weakening: Weakening) -> None:
-        """Of the sections as they would be at its end, after so many iterations."""
+        """Keep the sections at the end of that step, and its Newton iterations."""
         super().__init__(message, newton)
         self.sections, self.weakening = sections, weakening
 
 
 class LimitPoint(SolveError):
-    """A stage without inertia has come to where slip goes on by itself. The state is the last one at rest."""
+    """A stage without inertia has reached unstable slip. The state is the last one at rest."""
 
     @property
     def told(self) -> str:
-        """Without what to change."""
+        """The message without its remedy."""
         return str(self).removesuffix(REMEDY)
 
 
@@ -54,7 +55,7 @@ class LimitPoint(SolveError):
 class Patch:
     """The patch that slips as a limit point is reached.
 
-    share     of what rock takes up that the falling strength gives; unstable from 1 on
+    share     of weakening over the stiffness of the rock; unstable from 1 on
     is_sharp  whether all its printed digits are known
     fracture  its name
     place     of the most slip (dim,) [length]
@@ -108,7 +109,7 @@ def weakens(model: Model) -> bool:
 
 
 def weakened(model: Model, old: Sections, new: Sections) -> float:
-    """Most slip of a step over the length of its law, of sections whose strength fell with it. Collective."""
+    """Largest slip of a step over the weakening length of its law, of sections whose strength fell. Collective."""
     slipped = np.linalg.norm((new.inelastic - old.inelastic)[:, :-1], axis=1)
     most = 0.0
     for group, past in zip(model.operators.joints.laws, old.history, strict=True):
@@ -120,7 +121,7 @@ def weakened(model: Model, old: Sections, new: Sections) -> float:
 
 
 def patch_of(model: Model, sections: Sections, weakening: Weakening) -> Patch | None:
-    """The patch that is nearest to slip by itself; None where no strength falls with slip. Collective."""
+    """The patch nearest to instability; None where no strength falls with slip. Collective."""
     share, mode, is_sharp = largest_share(model.operators, model.loads, sections, weakening)
     if share == 0.0:
         return None
@@ -168,7 +169,7 @@ def to_the_next(scene: Scene, number: int, step: float) -> int:
 class StableSlip:
     """Refuses steps without inertia in which slip goes on by itself; where strength falls over a length of slip.
 
-    shortest  fraction of the step, above which a part costs little where it fails: it is halved then
+    shortest  fraction of the step, above which a substep that fails is halved at small cost
     """
 
     inner: Advance
@@ -176,7 +177,7 @@ class StableSlip:
     shortest: float
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
-        """The same, or UnstableStep is raised, on every rank. Collective."""
+        """The same. Raises UnstableStep, on every rank. Collective."""
         halves = request.end - request.begin > self.shortest or is_near(self.model, state)
         found = self.inner.advance(state, replace(request, expects_failure=halves))
         refuse_unstable_slip(self.model, state, found.state, found.report.newton)
@@ -185,7 +186,7 @@ class StableSlip:
 
 @dataclass(frozen=True)
 class UpToLimitPoint:
-    """Tells a limit point from other failures of a stage without inertia.
+    """Distinguishes a limit point from other failures of a stage without inertia.
 
     halvings  of a step, at most
     """
@@ -225,7 +226,7 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
 
 
 def patch_at_limit(model: Model, state: State) -> Patch | None:
-    """The patch that slips, or that all but slips, if it may have nowhere to go at rest. Collective."""
+    """The patch that slips or almost slips, if it may have no equilibrium nearby. Collective."""
     for almost, least in LIMITS:
         patch = patch_of(model, state.sections, of_state(model.operators, state.sections, almost))
         if patch is not None and patch.share >= least:
@@ -234,7 +235,7 @@ def patch_at_limit(model: Model, state: State) -> Patch | None:
 
 
 def is_near(model: Model, state: State) -> bool:
-    """Whether there is one, for less. Collective."""
+    """Whether there is such a patch, at lower cost. Collective."""
     return any(
         largest_share(
             model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost)

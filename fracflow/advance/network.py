@@ -1,4 +1,4 @@
-"""Follows which parts of the network exchange fluid, and closes those that nothing drains."""
+"""Finds the connected components of the network, and closes those that nothing drains."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ AGREES = (
 
 @dataclass(frozen=True)
 class _Closed:
-    """Loads with the parts closed that nothing drains, and the wells of each."""
+    """Loads with the undrained components closed, and the wells of each."""
 
     loads: Loads
     parts: tuple[tuple[NetworkComponent, tuple[str, ...], bool], ...]
 
 
 class FlowNetwork:
-    """The parts of a model's network as they are now."""
+    """The present components of a model's network."""
 
     def __init__(self, model: Model, log: Log = lambda line: None) -> None:
-        """No part is known before the first step. Collective."""
+        """Start without components, which the first step finds. Collective."""
         self.model, self.log = model, log
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
@@ -63,14 +63,14 @@ class FlowNetwork:
         self._told_digits = True
 
     def close(self, loads: Loads, stores: bool) -> Loads:
-        """The same loads with the parts closed that nothing drains, where nothing is stored. Collective.
+        """The same loads with the undrained components closed, where nothing is stored. Collective.
 
         stores  the walls' motion takes part in the balance, so that it settles the pressures of a part
         """
         return self._found(loads, stores).loads if self.model.operators.flow is not None else loads
 
     def level(self, loads: Loads, state: State) -> Loads:
-        """The same loads for the first instant of a stage with inertia: parts that nothing drains keep their mean pressure.
+        """The same loads for the first instant of a stage with inertia: undrained components keep their mean pressure.
 
         The walls have their velocities then, and leave the level open. Raises SolveError, on every rank, naming a part
         into which wells pump from that instant what its walls do not take up. Collective.
@@ -91,7 +91,7 @@ class FlowNetwork:
         return found.loads
 
     def _taken(self, part: NetworkComponent, state: State) -> tuple[float, float]:
-        """Rate at which the walls of a part make room, and the sum of its sizes [area/time]. Collective."""
+        """Rate of volume that the walls of a component open, and the sum of its absolute values [area/time]. Collective."""
         closure = close(self.model.operators, part, len(part.nodes) > 1)
         walls, speed = closure.weights, state.motion.velocity
         if closure.by != "walls":
@@ -172,7 +172,7 @@ class FlowNetwork:
         return self._closed[key]
 
     def update(self, state: State) -> None:
-        """See what conducts at a state. Collective."""
+        """Find the components at a state. Collective."""
         ops = self.model.operators
         assert ops.flow is not None
         walls = ops.joints.walls(state.sections, ops.flow.law)
@@ -189,7 +189,7 @@ class FlowNetwork:
             self._conducts, self._parts, self._holds = now, find_components(operators, now), holds
 
     def tell(self, time: float) -> None:
-        """Log what has begun or ceased to conduct since the last time, and what no pressure reaches. Collective."""
+        """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""
         before, now = self._told, self._conducts
         if now is None:
             return
@@ -280,7 +280,7 @@ class FlowNetwork:
         return found
 
     def destroy(self) -> None:
-        """Forget the closed loads. Collective."""
+        """Free the closed loads. Collective."""
         for found in self._closed.values():
             for closure in found.loads.closures:
                 closure.weights.destroy()
@@ -288,10 +288,7 @@ class FlowNetwork:
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:
-    """Room that the walls have made in a step at all flow nodes (n,), and their largest motion. Collective.
-
-    Of a compressible fluid, which need not fill the room, what has been there before.
-    """
+    """Volume that the walls have opened in a step at all flow nodes (n,), and their largest motion. Collective."""
     network, room = problem.operators.flow, problem.operators.layout.flow_vector()
     assert network is not None
     if problem.fluid_before is None:

@@ -1,4 +1,4 @@
-"""From one state to the next: what every way to advance is asked, and what it gives."""
+"""From one state to the next: the protocol of every way to advance, and its outcome."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Log = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Where an advance came to, and what it cost.
+    """End and cost of an advance.
 
-    reached   fraction of the stage's step: less than was asked for where it ended at an event, or where something jumps
-    error     estimated, over what is allowed [1]; 0 where nobody estimates it
+    reached   fraction of the stage's step, less than requested where it ended at an event or jump
+    error estimated, over the allowed one [1]; 0 without an estimate
     foreseen  it ended early because something prescribed jumps or bends there, which is no event
-    length    of what was advanced, of a part of a stage's step [time]
+    length    of the substep of a stage's step that was advanced [time]
     """
 
     state: State

@@ -1,4 +1,4 @@
-"""Where what is prescribed in time makes parts of steps end, and what makes them shorter."""
+"""Times of tables at which substeps end, and bends that shorten them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AT_A_TIME = 1e-12  # of a time: others so near are the same
 
 @dataclass(frozen=True)
 class PrescribedTimes:
-    """Times that the tables of a scene ask of the parts of a stage's steps.
+    """Times at which the tables of a scene end the substeps of a stage.
 
     ends    times, ascending, at which parts end
     jumps   those at which the state is taken over anew
@@ -26,7 +26,7 @@ class PrescribedTimes:
     share: float = 1.0
 
     def is_straight(self, begin: float, end: float) -> bool:
-        """Whether no table bends between two times so much that a part would not see it."""
+        """Whether no table bends between two times by more than a substep resolves."""
         return end <= begin or all(table.departs(begin, end) <= self.share for table in self.tables)
 
 

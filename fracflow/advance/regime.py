@@ -1,4 +1,4 @@
-"""Where slip has no quasi-static continuation, and where motion has come to rest: when a stage auto changes its regime."""
+"""When a stage auto changes its regime: slip has no quasi-static continuation, or motion has come to rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RADIATED = 1e-3  # of the strength: what rho c_s v/2 of slip without inertia may
 SETTLED = 0.3  # of that: what slip may radiate as inertia goes
 FLOOR = 0.1  # of the largest traction: strength of what pressure has all but opened, in what slip radiates of it
 LONG = 20.0  # longest periods: an event that has lasted so long may have nothing that ends it
-CREEP = 2.0  # times the kinetic energy at the onset: no more than slow slip goes on with
+CREEP = 2.0  # times the kinetic energy at the onset: slow slip goes on with no more
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class EventState:
     count   whole steps with inertia since then
     creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]
     peak    largest one since
-    trials  steps without inertia that were tried and thrown away since the last event
+    trials  steps without inertia that were rejected since the last event
     loud    when it was last above the share of its peak that counts as rest [time]
     """
 
@@ -53,7 +53,7 @@ class EventState:
     trials: float = 0.0
 
     def as_progress(self, place: SubstepCursor | None = None) -> dict[str, float]:
-        """The numbers that a checkpoint keeps of it, and of the place in a step with inertia."""
+        """The numbers that a checkpoint stores of it, and of the place in a step with inertia."""
         return {**vars(self), **(place or SubstepCursor()).as_progress()}
 
     @classmethod
@@ -68,7 +68,7 @@ class EventState:
         return replace(begun, creep=max(CREEP * energy, weak), peak=energy, loud=state.time)
 
     def moved_to(self, state: State, at_rest: float) -> EventState:
-        """After a step, or a part of one, with inertia."""
+        """After a step or substep with inertia."""
         energy = state.energy["kinetic"]
         peak = max(self.peak, energy)
         is_loud = energy > max(at_rest * peak, self.creep)
@@ -113,7 +113,7 @@ class Slipped:
     drops     some strength drops at once
     share     of the distance over which strength falls: the largest of the sections that still weaken [1]
     radiated  of the strength: rho c_s v/2, in the mean over all that slips [1]
-    worst     (s,) the section of all ranks that does most against its strength
+    worst     (s,) the section of all ranks that dissipates most against its strength
     """
 
     drops: bool
@@ -161,11 +161,11 @@ class Tried:
 def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
     """How fast and how far sections slip in a step without inertia. Collective.
 
-    Strength that drops at once leaves no equilibrium at all; where it falls with slip a step must resolve that; and the
-    power that slip radiates, the sum of rho c_s v^2/2, is to be small beside its power against strength, the sum of v R. Sums
-    are over all that slips, by area: fast slip outweighs slow. Pressure may take all strength from a section, which then
-    resists nothing and radiates as little: R is the strength, or FLOOR of the largest traction since the start if that is
-    more; and a fall of strength counts over the fall under that pressure.
+    Strength that drops at once leaves no equilibrium; where it falls with slip a step must resolve the fall. The power that
+    slip radiates, the sum of rho c_s v^2/2, must be small beside its power against strength, the sum of v R. Sums are over all
+    sliding sections, by area, so that fast slip outweighs slow slip. Pressure may take all strength from a section, which then
+    has no resistance and radiates little. So R is the strength, or FLOOR times the largest traction since the start if that is
+    more. A fall of strength counts relative to the fall under that pressure.
     """
     joints, comm = model.operators.joints, model.operators.layout.comm
     before, after = old.sections, new.sections
@@ -195,7 +195,7 @@ def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
 
 
 def weak_waves(model: Model, state: State, period: float) -> float:
-    """Kinetic energy of waves of a stress ``RADIATED`` times the strength, wherever they come in a period. Collective.
+    """Kinetic energy of waves of a stress ``RADIATED`` times the strength, over their reach in a period. Collective.
 
     s^2/(2 mu) per area, on (c_s T)^2; nothing where no rock deforms [energy per thickness].
     """

@@ -1,4 +1,4 @@
-"""How a step samples what is tabled in time, so that it takes in all that the tables bring.
+"""How a step samples tables in time, so that their whole integral enters the solution.
 
 With inertia, forces and flow rates are sampled so that the trapezoid's sum over the steps is the table's integral, and jumps
 of pressures likewise. Without it what is prescribed holds as just before the end of the step: what jumps there comes in the
@@ -33,9 +33,8 @@ def rule_of(stepper: Stepper, state: State, request: StepRequest, follows: Stepp
 def begins_anew(rule: Stepper, state: State, request: StepRequest) -> bool:
     """Whether a step of a multistep rule is taken by backward Euler, without the previous step.
 
-    There is none, or that of a step so short that round-off is all of it; or the length of the step after this one is not
-    known, with which a rule that weighs both ends would share what a table leaves within this one; or a rate jumps as it
-    begins, which such a rule would take by half.
+    There is no previous step, or one so short that it is round-off. Or the next length is not known, by which a rule that
+    weighs both ends divides the integral of a table. Or a rate jumps as the step begins, of which such a rule would take half.
     """
     dt, ahead = request.length, request.next_length
     if not rule.memory or state.previous_step.time_step == 0.0 or dt > MOST_GROWTH * state.previous_step.time_step:
@@ -55,8 +54,8 @@ def rates_of(
 
     Backward Euler takes their mean over the step; BDF2 combines it with that over the last step as it does those of the
     walls' velocities. Of a well that has a limit the last mean is of the rate that went through it, whatever its table says.
-    The trapezoid takes the value at the end with what its sum leaves of the integral of the step; where it begins by
-    backward Euler, that step makes up for the half by which the next one counts its end.
+    The trapezoid takes the value at the end, with the difference of its sum from the integral of the step. Where it begins by
+    backward Euler, that step corrects for the half by which the next one counts its end.
 
     follows  the rule of the steps after it
     """

@@ -1,4 +1,4 @@
-"""The stages of a scene, step after step: composed of ways to advance, one for each thing that a step may need."""
+"""The stages of a scene, step after step: composed of ways to advance, one for each task that a step may need."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ JUST_OVER = 1.5  # times the shortest part: longer ones are halved where they fa
 
 @dataclass(frozen=True)
 class SplitAtJumps:
-    """Ends parts of steps where something prescribed jumps or bends, and takes the state over anew after a jump.
+    """Ends substeps where a prescribed value jumps or bends, and takes the state over anew after a jump.
 
-    renews  pressures and accelerations follow from what is prescribed then; else the rule only forgets the step before
+    renews  pressures and accelerations are computed anew then; else the rule only drops the previous step
     """
 
     inner: Advance
@@ -56,7 +56,7 @@ class SplitAtJumps:
 
 
 def first_substep(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) -> float:
-    """Length of a stage's first part, as it is foreseen: up to the first jump, where parts with inertia end there."""
+    """Planned length of a stage's first substep: up to the first jump, where substeps with inertia end there."""
     length, scene = stage.step_length(time), stepping.model.scene
     if stage.kind == "auto" or not stepper.inertia or not _splits(stepping, stepper, length):
         return length
@@ -64,14 +64,14 @@ def first_substep(stepping: Stepping, stage: Stage, stepper: Stepper, time: floa
 
 
 def _events(stepping: Stepping, stepper: Stepper, dt: float) -> int:
-    """Events that parts of one step of length ``dt`` may end at; none without inertia. Collective."""
+    """Number of events at which substeps of one step of length ``dt`` may end; 0 without inertia. Collective."""
     scene = stepping.model.scene
     locates = stepper.inertia and scene.method.events != "at-step-ends" and stepping.explicit.locates(stepper, dt)
     return scene.accuracy.max_events if locates else 0
 
 
 def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
-    """Whether parts of steps of length ``dt`` end where something prescribed jumps. Collective.
+    """Whether substeps of steps of length ``dt`` end where a prescribed value jumps. Collective.
 
     Jumps that may come in any step are sampled by means, as all are where events are not located.
     """

@@ -31,14 +31,14 @@ from fracflow.solve.problem import StepProblem
 from fracflow.solve.request import StepRequest
 
 Progress = Mapping[str, float]
-NARROWS = 0.5  # of an aperture: where less is left after a step, its end is not what its beginning foretells
+NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
 DONE: Progress = {"done": 1.0}
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A step of a length that was tried from a time, and thrown away, and why [time]."""
+    """A rejected step: its begin and length [time], and the reason."""
 
     time: float
     length: float
@@ -51,7 +51,7 @@ class Step:
 
     progress  what the stage needs to go on from here; None where it cannot
     regime    the kind of step, where the stage chooses it; empty where that is the kind of the stage
-    trial     this is not to be recorded, but tells of a trial from the state before it; else None
+    trial     a rejected trial from the state before, which is reported but not recorded; else None
     """
 
     state: State
@@ -64,7 +64,7 @@ class Step:
 
 
 def stepper_of(scene: Scene, stage: Stage, regime: str = "") -> Stepper:
-    """The rule that a kind of stage, or a regime of it, steps by; a stage auto begins without inertia."""
+    """The integrator of a kind of stage, or of a regime of it; a stage auto begins without inertia."""
     method, kind = scene.method, regime or stage.kind
     if kind == "dynamic":
         return stepper_from(method.stepper, method)
@@ -86,7 +86,7 @@ class Stepping:
         self.counts_volume = any(stage.kind == "auto" for stage in model.scene.stage)  # for the catalogue of events
 
     def closed(self, loads: Loads, stores: bool) -> Loads:
-        """The loads with what nothing drains closed; solvers for parts of the network that are no more are freed."""
+        """The loads with undrained components closed; solvers for components that exist no longer are freed."""
         found = self.network.close(loads, stores)
         if self.network.version != self._network_version:
             self._network_version = self.network.version
@@ -188,7 +188,7 @@ class SingleStep:
         return Outcome(new, report, request.end)
 
     def _begun(self, rule: Stepper, state: State, limits: State, request: StepRequest) -> State | None:
-        """The state that a step goes from, where that is another; of rules that look back on a. See ``keep_pace``.
+        """The state from which a step starts, if another; for rules that use the previous acceleration. See ``keep_pace``.
 
         limits  the state whose wells at their limits stay there
         """
@@ -204,7 +204,7 @@ class SingleStep:
         return keep_pace(self.solvers.model, self.solvers.network, state, replace(request, loads=limited), rule)
 
     def _solve(self, stepper: Stepper, state: State, request: StepRequest) -> tuple[State, StepReport]:
-        """The same by one rule, with the loads that wells at limits and closed parts of the network leave."""
+        """The same by one rule, with the loads of wells at limits and of closed components of the network."""
         solvers, follows = self.solvers, self.stepper
         if not stepper.inertia:
             request = replace(request, loads=solvers.standing(request.loads))
@@ -276,7 +276,7 @@ class SingleStep:
         )
 
     def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
-        """Whether a solved or failed trial has the parts of the network that it was solved with. Collective."""
+        """Whether a solved or failed trial still has the network components that it was solved with. Collective."""
         if problem.conduction is None:
             return True
         self.solvers.network.check(problem.conduction)

@@ -18,9 +18,9 @@ from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
 MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
-LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/2) in a fracture that a jump enters
+LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
 DEEPEST = 6  # halvings at once
-HOPELESS = 1e100  # times what is allowed: errors beyond are as large as each other
+HOPELESS = 1e100  # times the allowed error: larger errors are treated alike
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Rules:
     most     times that it may be halved
     order    order of the local error in its length, 0 where nothing controls it
     events   events in a step that parts end at; later ones are taken as they fall
-    finest   times that it may be halved to be accurate, where that is not ``most``: it is then halved on from there, but
-             not from deeper, or parts would shrink for ever towards an instant past which there is no solution
+    finest   times that it may be halved to be accurate, where that is not ``most``; only from there on is it halved to
+             converge. Else substeps would shrink for ever towards an instant past which there is no solution
     prompt   the next part is twice as long as soon as it may be: no factors are kept that would serve again
     """
 
@@ -74,18 +74,18 @@ class SubstepCursor:
 
     @classmethod
     def of(cls, progress: Mapping[str, float]) -> SubstepCursor:
-        """The place that a checkpoint kept."""
+        """The place that a checkpoint stored."""
         base, part = progress.get("place_base", 0.0), progress.get("place_part", 0.0)
         return cls(base, part, *(int(progress.get(f"place_{name}", 0)) for name in ("level", "calm", "events")))
 
 
 def most_halvings(scene: Scene) -> int:
-    """How often a step may be halved: never where the report's own methods are to show how they fail."""
+    """How often a step may be halved: never where the scene chooses the report's own methods, which show how they fail."""
     return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
 
 
 class Substepped:
-    """Takes a step of a stage in the fewest parts that ``rules`` ask for, one at a time, each by another way to advance.
+    """Divides a step of a stage into the fewest substeps that ``rules`` allow, each taken by another way to advance.
 
     place       where in the step it goes on
     prescribed  a part that may be halved to be accurate is, untried, where this is not straight in it
@@ -104,7 +104,7 @@ class Substepped:
         self.place, self.prescribed = place or SubstepCursor(), prescribed or PrescribedTimes()
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
-        """The next part of the step that a request asks for the rest of, from the place on.
+        """The next substep of a requested step, from the place on.
 
         Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
         """
@@ -148,7 +148,7 @@ class Substepped:
 
 
 def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:
-    """How many more a part needs that had these errors, over what is allowed, at these levels: as they fell, they fall."""
+    """Further halvings of a substep with these errors, over the allowed one, at these levels, if they go on falling so."""
     level, error = refused[-1]
     falls = float(order)
     if len(refused) > 1:

@@ -29,8 +29,7 @@ def reached_after(
 ) -> frozenset[Limit]:
     """Limits at which wells have to be kept once a trial of a step is known. Collective.
 
-    A well comes to a limit that its pressure has passed, and leaves it
-    when the limit lets more through than it asks for.
+    A well reaches a limit when its pressure passes it. It leaves the limit when more flows there than its flow_rate.
     """
     now = set(reached)
     for limit in request.loads.limits:
@@ -48,11 +47,11 @@ def reached_after(
 def through(
     request: StepRequest, rule: StepRule, reached: frozenset[Limit], old: State, new: State, depth: float
 ) -> dict[str, float]:
-    """Mean flow rate, over a step, of each well that has a limit, as a rule with a memory takes it.
+    """Mean flow rate, over a step, of each well that has a limit, as a multistep rule takes it.
 
     Collective. A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls'
-    velocities. Of a well at a limit, which the loads of the request keep there, q is what the limit lets through beside other
-    wells there; else what it asks for.
+    velocities. For a well that the loads of the request keep at a limit, q is the flow at the limit less that of other wells
+    there. Otherwise it is the demanded rate.
     """
     loads, alphas = request.loads, rule.alphas
     kept, before = {limit.well: limit for limit in reached}, old.previous_step.through
@@ -72,7 +71,7 @@ def through(
 
 
 def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
-    """Raise NotConverged naming the wells that find neither rate nor limit, after so many iterations."""
+    """Raise NotConverged naming the wells that cycle between rate and limit, after so many iterations."""
     names = ", ".join(sorted({limit.well for limit in reached})) or "none"
     raise NotConverged(
         f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"

@@ -78,7 +78,7 @@ def _told_books(left: float, closed: float, most: float, noise: float) -> Iterat
 
 
 def report(folder: Path, console: Console, failed: bool = False) -> None:
-    """Print energy balance and events of a run folder; of a run that ``failed`` without advice on more steps."""
+    """Print energy balance and events of a run folder; no advice if it ``failed``. Raises InputError without a history."""
     history = read_history(folder / "history.h5")
     about = read_attributes(folder / "history.h5")
     units = read_units(folder / "history.h5", about)

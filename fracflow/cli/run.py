@@ -40,7 +40,7 @@ def run_with_progress(
     title: str = "",
     is_shown: bool = True,
 ) -> None:
-    """Do a job with a progress bar, then report and draw its results. Raises what the job raises."""
+    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
     total, start = 0, 0.0
     for stage in scene.stage:
         count = stage.step_count(start) or 0

@@ -19,8 +19,8 @@ HELD = "pressure is prescribed everywhere"
 EVENT_STEPS = 10  # the shortest event that the steps of a dynamic stage resolve
 NARROWING = 1.25  # d1/d2 from which (3.14f) is wrong by 4 %
 STEEPEST = {"lumped": 4.0, "consistent-lumped": 12.0, "consistent": 36.0, "averaging": 48.0, "report": 24.0}
-"""kappa^2 h^2 of the shortest mode on a mesh, from 4 sin^2(a/2) over what each pair stores of a wave of angle a per element:
-a = pi; where (3.16) averages, which stores nothing of it, three elements a wave."""
+"""kappa^2 h^2 of the shortest mode on a mesh, 4 sin^2(a/2) over the storage of a pair for a wave of angle a per element:
+a = pi. Where (3.16) averages, which stores none of it, three elements a wave."""
 
 
 def wall_stiffness(

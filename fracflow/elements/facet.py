@@ -65,7 +65,7 @@ def rule_of(natural: Floats, nodes: int) -> Rule:
 
 
 def to_nodes(natural: Floats) -> Floats | None:
-    """Matrix (k, k) that extends values at a rule's k sections to the nodes; None of one section, which does not tell.
+    """Matrix (k, k) that extends values at a rule's k sections to the nodes; None for a rule of one section.
 
     natural (k,) or (k, 2): sections that lie as the nodes do, drawn together towards the middle.
     """
@@ -81,7 +81,8 @@ def frame(points: Floats, numbers: Ints | None = None) -> tuple[Floats, Floats]:
     """(2.3b) Frames (n, dim, dim), rows tangents and normal, and sizes (n,) [length] or [area] of facets (n, k, dim).
 
     Line: s from node 1 to node 2, n = s turned left. Surface: strike (level, z x n), up the dip, n; a level one has x as its
-    strike. So all facets of a plane have one frame. InputError names facets of no size, by ``numbers`` (n,) if given.
+    strike. So all facets of a plane have one frame. Raises InputError that names facets of no size, by ``numbers`` (n,) if
+    given.
     """
     dim = points.shape[2]
     if dim == 2:
@@ -109,7 +110,7 @@ def frame(points: Floats, numbers: Ints | None = None) -> tuple[Floats, Floats]:
 def section_sizes(points: Floats, sections: SectionRule) -> Floats:
     """(2.30) Length or area (n, q) that each section of facets (n, k, dim) stands for; L/2 times its weight of lines.
 
-    They sum to the facet's size. InputError names quadrilaterals that are not convex.
+    They sum to the facet's size. Raises InputError that names quadrilaterals that are not convex.
     """
     width, (frames, size) = points.shape[1], frame(points)
     if width in _CONSISTENT:

@@ -31,8 +31,8 @@ _ENDS = np.array([1.0, -1.0])
 def storage_matrix(kind: str, points: Floats) -> Floats:
     """(2.37), (3.16) Matrices e (n, k, k) [length], of surfaces [area]; the nodes' own sizes on the diagonal if "lumped".
 
-    kind "consistent", "averaging" or "lumped", InputError for others; points (n, k, dim). e maps nodal pressures to
-    nodal wall forces, and nodal opening rates to nodal storage rates.
+    kind "consistent", "averaging" or "lumped"; points (n, k, dim). Raises InputError for other kinds. e maps nodal pressures
+    to nodal wall forces, and nodal opening rates to nodal storage rates.
     """
     if kind not in STORAGE:
         raise InputError(f"storage matrix {kind!r}: allowed are {', '.join(STORAGE)}")

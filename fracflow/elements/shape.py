@@ -94,7 +94,7 @@ def shape_at(points: Floats, place: Floats) -> Floats:
 
 
 def rule_for(rules: Mapping[tuple[int, int], Rule], points: Floats) -> Rule:
-    """The rule for cells with points (n, k, dim); InputError if there is none."""
+    """The rule for cells with points (n, k, dim). Raises InputError if there is none."""
     nodes, dim = points.shape[1:]
     if (dim, nodes) not in rules:
         known = {k: NAMES[d, k] for d, k in sorted(rules) if d == dim}

@@ -2,8 +2,8 @@
 
 With r = R - G' W t, the loads and the total traction of joints and fluid at both walls, and S = dt^2/4,
 u_new = u + dt v + dt^2/2 a + S M^-1 (r_new - r),   v_new = v + dt/2 (a + a_new),   M a = r - K_s u,
-which is (M + S J)(u_new - 2 u + u_old) + dt^2 (K_s + J) u = 0 of joints of stiffness J: stable while dt^2 K_s < 4 M, however
-stiff the joints are.
+which is (M + S J)(u_new - 2 u + u_old) + dt^2 (K_s + J) u = 0 of joints of stiffness J. It is stable while dt^2 K_s < 4 M,
+however stiff the joints are.
 """
 
 from __future__ import annotations

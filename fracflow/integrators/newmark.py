@@ -75,8 +75,8 @@ class Stepper(Protocol):
     order    order of accuracy in the time step; 0 where time does not enter
     inertia  the mass matrix takes part
     storage  wall velocities take part in the balance of fluid
-    balance  where in a step the fluid's balance is known to hold: at both its ends, only at its end, or over the step as a
-             whole, with what the walls move in it
+    balance  instants at which the fluid's balance holds: both ends of a step, only its end, or the step as a whole, with the
+             motion of walls
     memory   it needs a step before it in its stage; see ``first_order.first``
     explicit the rock goes by central differences, in steps no longer than the critical one; see ``solve.explicit``
     """

@@ -47,7 +47,7 @@ class LawStep:
     hold: bool = False
 
     def of(self, sections: NDArray[Any]) -> LawStep:
-        """The same for the sections of these numbers."""
+        """The same step for some sections, by their numbers (n,)."""
         time, dt = (value if np.ndim(value) == 0 else np.asarray(value)[sections] for value in (self.time, self.dt))
         return LawStep(time, dt, self.inertia, self.hold)
 
@@ -215,7 +215,7 @@ def per_section(value: Parameter, sections: int) -> Floats:
     array = np.asarray(value, dtype=float)
     if array.shape == (sections,):
         return array
-    return np.full(sections, array)  # laws are asked often: a view of one number takes twice as long to make
+    return np.full(sections, array)  # laws are evaluated often: a view of one number takes twice as long to make
 
 
 def per_tangent(value: Parameter, sections: int, tangents: int) -> Floats:

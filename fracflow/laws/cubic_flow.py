@@ -119,7 +119,7 @@ class CubicLaw(FlowLaw):
         return np.maximum(mechanical, least), (mechanical >= least).astype(float), None
 
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
-        """(3.14a,e) Mean cube over 12 mu L."""
+        """(3.14a,e) Mean cube over 12 mu L, of openings (n, 2); arguments and results as for ``FlowLaw``."""
         hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
         mean, slope_1, slope_2 = self.mean_cube(hydraulic[:, 0], hydraulic[:, 1])
         slope = conductance(np.stack([slope_1, slope_2], axis=1), self.length[:, None], self.viscosity)

@@ -1,4 +1,4 @@
-"""What laws with friction share: the elastic trial, who sticks and who slides, and the response once that is known."""
+"""Common parts of laws with friction: the elastic trial, the choice between sticking and sliding, and the response."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Trial:
     """Sections (n,) at a strain, before it is known which of them slide.
 
     opening, f_n, k_n   of the closure; ``normal_energy`` int f_n d eps_n
-    crushed             at or past -d0, where there is no answer
+    crushed             at or past -d0, where the law has no response
     free                open, and so without shear traction
     k_s, f_s0           shear stiffness (n,) and initial shear traction (n, dim-1)
     shear               elastic shear traction (n, dim-1) with the plastic slip of the history; ``size`` its length
-    along               what of it points the way that the section slid before
+    along               its component along the previous direction of sliding
     """
 
     closure: NormalClosure
@@ -71,18 +71,18 @@ class Trial:
         )  # fmt: skip
 
     def normal_traction(self) -> Floats:
-        """Normal traction (n,), 0 where there is no answer."""
+        """Normal traction (n,), 0 where the law has no response."""
         return np.where(self.crushed, 0.0, self.f_n)
 
     def slides(self, onset: Floats, kept: Floats, hold: bool) -> Bools:
-        """(2.12) Who slides (n,): those that stick from |f_s| = ``onset`` on, those that slide while they carry ``kept``.
+        """(2.12) Sections that slide (n,): sticking ones from |f_s| = ``onset`` on, sliding ones while they carry ``kept``.
 
-        Where the plastic increment would reverse a section sticks. With ``hold`` everyone stays as he was.
+        Where the plastic increment would reverse a section sticks. With ``hold`` every section keeps its status.
         """
         if hold:
             return self.was_sliding & ~self.free
-        # a section that rests while sliding must not re-stick by round-off: with alpha < 1 it would heal; one that rests at
-        # its strength fails, whichever way round-off has it
+        # a sliding section without motion must not re-stick by round-off: with alpha < 1 it would heal. A section exactly at
+        # its strength fails, whatever the round-off
         moved = self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
         slack = ONSET_ROUND_OFF * (np.where(np.isfinite(onset), onset, 0.0) + moved)
         persists = np.where(self.crushed, self.was_sliding, self.along >= kept - slack)
@@ -178,7 +178,10 @@ class Trial:
 
 
 class FrictionLaw(JointLaw):
-    """A joint that closes by a hyperbola and slides: what no friction changes. ``history`` has plastic_slip and sliding."""
+    """A joint that closes by a hyperbola and slides: the part common to all friction.
+
+    Its ``history`` has plastic_slip and sliding.
+    """
 
     normal_stiffness: Parameter
     shear_stiffness: Parameter

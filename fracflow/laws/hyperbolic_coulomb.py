@@ -39,10 +39,10 @@ class HyperbolicCoulomb(FrictionLaw):
     Parameters are numbers or arrays (n,), f_s0 may be (n, dim-1); joint frame, tension positive.
 
     History: ``plastic_slip`` [length] and ``sliding``, the unit direction of the sliding traction, zero while
-    sticking. A section that sticks slides once the trial traction passes the peak strength. A section that
-    slides carries alpha times the peak of its present f_n until the plastic increment would reverse; then it
-    sticks, the peak restored with its cohesion, whatever the size of its elastic traction: the next call may
-    let it slide the other way. An open section has no shear traction and closes again sticking.
+    sticking. A section that sticks slides once the trial traction passes the peak strength. A section that slides carries
+    alpha times the peak of its present f_n until the plastic increment would reverse. Then it sticks, with its peak and
+    cohesion restored, whatever its elastic traction. It may slide the other way in the next call. An open section has no shear
+    traction and closes again sticking.
     """
 
     normal_stiffness: Parameter
@@ -96,7 +96,7 @@ class HyperbolicCoulomb(FrictionLaw):
         return trial.approach(change, cohesion - trial.f_n * tan_phi, alpha * tan_phi)
 
     def strength_drop(self, compression: Floats) -> Floats:
-        """(1 - alpha) (C + compression tan phi)."""
+        """Drop of strength (n,): (1 - alpha) (C + compression tan phi), compression (n,) [stress]."""
         tan_phi, cohesion, alpha = (
             per_section(v, len(compression)) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
         )

@@ -10,7 +10,7 @@ from fracflow.laws.base import Floats
 
 @dataclass(frozen=True)
 class Leakage:
-    """What leaves a fracture through both walls together, per area of it.
+    """Fluid that leaves a fracture through both walls together, per area of it.
 
     rate         (n,) [length/time]
     by_pressure  (n,) its derivative by the pressure [length/(time stress)]
@@ -25,10 +25,10 @@ class Leakage:
 class TermLaw(Protocol):
     """The table of a scene that its name in ``TERM_LAWS`` is the key of; its parameters are declared with ``key``.
 
-    A law that inherits the bodies here does nothing; its own docstring says in its first line what it is.
+    A law that inherits the bodies here has no effect; the first line of its own docstring names its effect.
 
     places  that the names of the table's ``on`` are of
-    entry   of the energy balance that takes the work on it; what it brings in begins with "work_"
+    entry   of the energy balance for the work on it; an entry of work done by it begins with "work_"
     """
 
     places: ClassVar[Literal["sides", "fractures"]]
@@ -39,9 +39,9 @@ class TermLaw(Protocol):
         return None
 
     def damping(self, dim: int) -> Floats | None:
-        """Traction against a velocity where there is inertia, likewise [stress time/length]."""
+        """Traction against a velocity where there is inertia, (dim, dim) as for ``stiffness`` [stress time/length]."""
         return None
 
     def leakage(self, pressure: Floats, aperture: Floats) -> Leakage | None:
-        """What leaves a fracture at pressures (n,) [stress] and apertures (n,) [length]."""
+        """Leakage from a fracture at pressures (n,) [stress] and apertures (n,) [length]."""
         return None

@@ -1,8 +1,8 @@
 """Nodes of contact: walls of fractures that may open and close, whose inertia along their normal nodes further in carry.
 
-A wall node that bounces on its joint with a mass of its own makes energy in steps that are longer than the bounce. So the
-motion of that mass along the normal is taken to be the mean of the nodes inside the rock beside it (Khenous, Laborde and
-Renard 2008; Dabaghi, Petrov, Pousin and Renard 2014); what moves the centre of mass of a block is undone over the block.
+A wall node that bounces on its joint with a mass of its own makes energy in steps that are longer than the bounce. So that
+mass moves along the normal by the mean of the nodes inside the rock beside it (Khenous, Laborde and Renard 2008; Dabaghi,
+Petrov, Pousin and Renard 2014). A shift of a block's centre of mass is corrected over the block.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fracflow.mesh.facets import half_facets
 CORNER = (
     np.tan(np.radians(15.0)) ** 2
 )  # faces that turn by more than 30 degrees at a node have no common normal: it keeps
-# its mass; without, corners kept opening and closing in Newton's iterations, and found no status that stays
+# its mass. Without that rule corners kept opening and closing in Newton's iterations, and found no status that stays
 CLEAN = 1e-12  # of a projector: as good as 0 or 1
 MOST_MOVED = 0.5  # of a node's mass: a block that would need more to keep its centre of mass is too thin
 MOMENT_ROUND_OFF = 1e-9

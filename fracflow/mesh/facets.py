@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
 
-# (dim, corners of a cell) -> corners of its facets, so listed that the facet's normal (s turned left; of a surface, by the
+# (dim, corners of a cell) -> corners of its facets. In their order the normal of a facet (s turned left; of a surface, by the
 # right hand) points into the cell. A mesh in space has one kind of cell, so that all its facets have as many nodes.
 FACETS = {
     (2, 3): np.array([[0, 1], [1, 2], [2, 0]]),
@@ -60,7 +60,7 @@ def corner_counts(cells: Ints) -> Ints:
 
 
 def half_facets(cells: Ints, dim: int) -> HalfFacets:
-    """All facets of all cells, in the order of the cells of each shape.
+    """All facets (f, k) of all cells (m, n), in the order of the cells of each shape.
 
     Raises InputError for a mesh in space of more than one kind of cell.
     """
@@ -93,7 +93,7 @@ def number_rows(rows: Ints) -> Ints:
 
 
 def number_facets(*tables: Ints) -> list[Ints]:
-    """Give facets (., k) with the same nodes the same number, over all tables."""
+    """Give facets (f, k) with the same nodes the same number, over all tables."""
     number = number_rows(np.sort(np.concatenate(tables), axis=1))
     return np.split(number, np.cumsum([len(table) for table in tables])[:-1])
 
@@ -134,7 +134,7 @@ def rows_near(cells: Ints, facets: Ints, least: int) -> Ints:
 
 
 def ridges(facets: Ints) -> Ints:
-    """What bounds facets (f, k), and where they meet: the ends (f, 2, 1) of lines, the edges (f, k, 2) of surfaces."""
+    """Boundaries of facets (f, k), where they meet: the ends (f, 2, 1) of lines, the edges (f, k, 2) of surfaces."""
     return facets[..., None] if facets.shape[1] == 2 else np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
 
 

@@ -64,9 +64,9 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
     """Read a Gmsh geometry (.geo) or mesh (.msh 2.2 or 4.1).
 
     A physical curve is a fracture if ``fractures`` has its name, or has "default" and the curve lies inside
-    the mesh; else it is a side. A .geo is a program: without ``trust`` only statements that make geometry are read
-    (``geo_check``), and files that it includes must lie in ``folder``, or in its own where it lies elsewhere.
-    Raises InputError, naming the file, for what cannot be read or has no meaning.
+    the mesh; else it is a side. A .geo is a program. Without ``trust`` only statements that make geometry are read
+    (``geo_check``). Files that it includes must lie in ``folder``, or in its own where it lies elsewhere. Raises InputError,
+    naming the file, for what cannot be read or has no meaning.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:

@@ -18,7 +18,7 @@ def static_balance(
     load: PETSc.Vec,
     of_terms: Iterable[PETSc.Vec] = (),
 ) -> PETSc.Vec:
-    """S = K u + F_s(sigma_0) + G' W f - B p + forces of terms - R, in a new vector. Collective."""
+    """S = K u + F_s(sigma_0) + G' W f - B p + forces of terms - R, tractions f (s, dim), in a new vector. Collective."""
     result = ops.prestress.copy()
     ops.stiffness.multAdd(displacement, result, result)
     ops.joints.force(traction, result)
@@ -34,7 +34,7 @@ def static_balance(
 
 
 def static_balance_of(ops: Operators, state: State) -> PETSc.Vec:
-    """The same at a state. It is made from what the state has anyway, so a run that goes on makes it again bit by bit."""
+    """The same at a state. It follows from the state alone, so a restarted run computes the same bits."""
     forces = state.forces
     return static_balance(
         ops,

@@ -1,4 +1,4 @@
-"""What changes in the fractures from state to state: the fluid that compression takes up or terms let out, and its way."""
+"""Changes in the fractures from state to state: fluid taken up by compression or leaving by terms, and apertures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
 
 
 def taken_up(operators: Operators, before: Compression, after: Compression) -> PETSc.Vec:
-    """Volumes that compression has taken up in between at the flow nodes, a new vector [volume per thickness]. Collective."""
+    """Volumes taken up by compression between two instants at the flow nodes, new [volume per thickness]. Collective."""
     assert operators.flow is not None
     result = operators.layout.flow_vector()
     operators.flow.taken_up(after.held - before.held, result)
@@ -52,14 +52,14 @@ def taken_between(operators: Operators, old: State, new: State) -> PETSc.Vec:
 
 
 def narrowing(operators: Operators, old: State, new: State) -> float:
-    """Least share that is left of an aperture which the flow goes by; 1 or more where none narrows. Collective."""
+    """Least ratio of new to old aperture of conducting elements; 1 or more where none narrows. Collective."""
     if operators.flow is None:
         return 1.0
     return float(operators.layout.comm.allreduce(float(_left(operators, old, new).min(initial=1.0)), op=MPI.MIN))
 
 
 def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
-    """Largest factor by which an aperture that the flow goes by has grown, at least 1, and where that is. Collective."""
+    """Largest factor by which the aperture of a conducting element has grown, at least 1, and its place. Collective."""
     if operators.flow is None:
         return 1.0, ""
     joints, found = operators.blocks.joints, (1.0, "")
@@ -72,7 +72,7 @@ def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
 
 
 def _left(operators: Operators, old: State, new: State) -> NDArray[np.float64]:
-    """Share that is left of each aperture (j, 2) by which the flow goes; 1 where it is given. Collective."""
+    """Ratio of new to old aperture (j, 2) of conducting elements; 1 where conductances are given. Collective."""
     network = operators.flow
     assert network is not None
     before, after = (
@@ -112,7 +112,7 @@ def uptake_at(
 
 
 def taken_by(operators: Operators, closure: Closure, before: Compression | None, after: Compression | None) -> float:
-    """Fluid that compression has taken up in a part that must keep it [volume per thickness]. Collective."""
+    """Fluid that compression has taken up in a component that must keep it [volume per thickness]. Collective."""
     if closure.by != "fluid" or before is None or after is None:
         return 0.0
     inside = np.isin(operators.blocks.joints.flow, closure.nodes)
@@ -127,7 +127,7 @@ def lost(
     before: Compression | None,
     after: Compression | None,
 ) -> float:
-    """Fluid or level that a part must keep and has lost, over its natural size; pressure_change (n,). Collective."""
+    """Fluid or level that a closed component has lost, over its natural size; pressure_change (n,). Collective."""
     if closure.by != "level":
         taken = taken_by(operators, closure, before, after)
         return float((closure.weights.dot(moved) + taken) / closure.size)
@@ -157,8 +157,8 @@ def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, sch
     """Net volume that wells bring in a step of length ``dt`` into fractures of a ``depth`` [length^3]. Collective.
 
     Fractures end closed, so that it is what the network stores, and what leaves by terms; a steady stage stores nothing.
-    Where fractures have prescribed pressures, wells are counted one by one: given rates by their integral; at a pressure that
-    is kept, (3.20) over the step, with what flows off as at the instants where the balance holds.
+    Where fractures have prescribed pressures, wells are counted one by one. Given rates count by their integral. At a kept
+    pressure (3.20) is integrated over the step, with outflow at the instants where the balance holds.
     """
     if ops.flow is None or dt <= 0.0:
         return 0.0

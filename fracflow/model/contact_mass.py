@@ -31,7 +31,7 @@ def redistributes(scene: Scene) -> bool:
 
 
 def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | None) -> Operators:
-    """The operators with the mass of the walls moved inward, which takes the place of the one there was; or as they were.
+    """The operators with the mass of the walls moved inward, in place of the previous mass; or unchanged.
 
     ``mesh`` is on rank 0. Collective.
     """
@@ -76,7 +76,7 @@ def massless(joints: Joints, inward: PETSc.Mat) -> Massless:
 def follow(ops: Operators, motion: PETSc.Vec) -> None:
     """Let the walls' velocity or acceleration along their normal be that of their mass. In place. Collective.
 
-    Without mass the rule of stepping leaves them what the first instant gave them, from step to step with the other sign.
+    Without mass the integrator would keep their values of the first instant, with another sign in each step.
     """
     if ops.inward is not None:
         moved = motion.duplicate()
@@ -113,7 +113,7 @@ def _entries(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Floats, damped:
     laws = [JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures]
     opens = np.array(laws, dtype=bool)[mesh.joint_fracture]
     able = (unknown >= 0).all(axis=1)
-    is_held, is_damped = held[unknown] > 0.0, damped[unknown] > 0.0  # rigid bodies read the last; they are not able
+    is_held, is_damped = held[unknown] > 0.0, damped[unknown] > 0.0  # the last for rigid bodies, whose mass stays
     free = able & ~is_damped.any(axis=1)
     mass, piece = _nodal_mass(mesh, scene), pieces_of_rock(mesh)[0]
     walls = tied_whole(contact_nodes_of(mesh, opens, free, is_held), unknown)

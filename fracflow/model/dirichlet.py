@@ -85,7 +85,7 @@ def supported(
 
 
 def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
-    """Local numbers (m,) of those that a rank owns of numbers (n,), each once."""
+    """Local numbers (m,) of the numbers (n,) that a rank owns, each once."""
     mine = np.unique(everywhere)
     return mine[owner_of(starts, mine) == rank] - starts[rank]
 

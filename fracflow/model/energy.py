@@ -46,7 +46,7 @@ def empty_balance(terms: Iterable[Term] = ()) -> dict[str, float]:
 def update_balance(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
     """Totals after a step of length ``dt`` from ``old`` to ``new``.
 
-    With ``scheme.storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
+    With ``scheme.storage`` the balance of the fluid includes the motion of walls, whose work is inner; else it is outer work
     (``work_pressure``). Collective.
     """
     ops = operators
@@ -87,13 +87,13 @@ def switch(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
 
 
 def pushed(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
-    """Totals where supports begin to move at once: what they put into the motion is work of boundaries."""
+    """Totals where supports begin to move at once: the kinetic energy that they add is work of boundaries."""
     given = kinetic - totals["kinetic"]
     return _with_residuals({**totals, "kinetic": kinetic, "work_boundaries": totals["work_boundaries"] + given})
 
 
 def jumped(totals: Mapping[str, float], stored: float) -> dict[str, float]:
-    """Totals where prescribed pressures jump as a stage begins: wells bring at once what the fluid stores there."""
+    """Totals where prescribed pressures jump as a stage begins: wells bring the energy that the fluid stores there at once."""
     stored_now, brought = totals["fluid_storage"] + stored, totals["work_wells"] + stored
     return _with_residuals({**totals, "fluid_storage": stored_now, "work_wells": brought})
 
@@ -131,7 +131,7 @@ def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
 
 
 def close_initial_balance(totals: Mapping[str, float]) -> dict[str, float]:
-    """Totals of a start away from rest: all that they do not account for was put in before the first step."""
+    """Totals of a start away from rest: the unaccounted energy was added before the first step."""
     held = _with_residuals({**totals, "scheme": 0.0})
     return _with_residuals({**held, "work_initial": held["residual"]})
 
@@ -149,7 +149,7 @@ def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
 
 
 def spurious_share(totals: Mapping[str, float]) -> float:
-    """Energy that a coupling without transposes has made of nothing, over the largest entry of the balance."""
+    """Spurious energy of a coupling without transposes, over the largest entry of the balance."""
     largest = max(abs(totals[name]) for name in (*STORED, *WORK))
     return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
 
@@ -178,8 +178,8 @@ def _fluid_parts(
 ) -> dict[str, float]:
     """Terms of the balance (3.20) times the potential that drives, both as means over the ``instants`` where it holds.
 
-    The walls are pushed by the mean ``pressure`` of the step: what the storage of (3.20) and their motion make of these
-    two pressures and of the rule's velocities is the scheme's. The resting pressure is a dead load on the walls.
+    The mean ``pressure`` of the step acts on the walls. Its difference from the pressure in the storage of (3.20), and that of
+    velocities, is counted as the scheme's. The resting pressure is a dead load on the walls.
     """
     assert ops.flow is not None
     rate, share, driving = pressure.duplicate(), dt / len(instants), _sum(1.0, pressure, -1.0, ops.flow.resting)
@@ -206,7 +206,7 @@ def _fluid_parts(
     if scheme.storage:
         swept = volume(ops.flow.storage_coupling, change, driving)
         parts["spurious"] = swept - pushed
-        if scheme.balance == "step":  # of what the walls move
+        if scheme.balance == "step":  # of the volume that the walls open
             stored = volume(ops.flow.storage_coupling, change, balanced)
         else:
             stored = share * sum(
@@ -222,7 +222,7 @@ def _fluid_parts(
 
 
 def _add_compression(ops: Operators, parts: dict[str, float], old: State, new: State, storage: bool) -> None:
-    """Add what compression stores; what its term in (3.20), as above, makes of it beside is the scheme's.
+    """Add the energy stored by compression; the difference from its term in (3.20), as above, is the scheme's.
 
     Without storage no fluid is drawn for it, and its work is outer as that on the walls. Collective.
     """

@@ -1,4 +1,4 @@
-"""Terms that motion adds to the energy balance in a step: kinetic energy, what a scheme damps, what terms take."""
+"""Terms that motion adds to the energy balance in a step: kinetic energy, dissipation by the scheme, and work of terms."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
 
 
 def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
-    """Kinetic energy, what the scheme dissipates, work at supports beside half the sum of reactions; or what is dropped.
+    """Kinetic energy, dissipation by the scheme, work at supports beside half the sum of reactions; or the dropped energy.
 
     Over a step the rock moves by d, and half the sum of S before and after it does the work of the other entries.
     Where it is free, M w + (1 - f) S_new + f S = 0, w the acceleration that the mass meets; so the scheme dissipates
     d.(M w - M dv/dt) + e.M dv/dt + (1/2 - f) d.(S_new - S), with d = dt (v + v_new)/2 + e and e of the accelerations alone.
-    Where it is held, its inertia takes up what its kinetic energy does. Without inertia the half of S that the last stage
-    left is dropped; M a is not -S there, where a scheme looks back. Collective.
+    Where it is held, its inertia force does the work of its kinetic energy. Without inertia the half of S that the last stage
+    left is dropped; M a is not -S there, where a scheme uses the previous step. Collective.
     """
     change = _local(new.motion.displacement) - _local(old.motion.displacement)
     before, after = old.motion.values(), new.motion.values()
     mean = _times(ops.mass, 0.5 * (before.acceleration + after.acceleration), new)
     is_held = np.zeros(len(change), dtype=bool)
     is_held[scheme.held] = True
-    if not scheme.inertia:  # what was out of balance in a stage before is let go in the first step
+    if not scheme.inertia:  # an imbalance of the previous stage is released in the first step
         if old.motion.acceleration.norm() > 0.0:
             mean = np.where(is_held, mean, -0.5 * _static(ops, old))
         return {"dropped": _total(ops, change @ mean)}
@@ -90,7 +90,7 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
 
 
 def term_parts(ops: Operators, old: State, new: State, dt: float) -> dict[str, float]:
-    """What terms take: the mean of their forces times the motion. The work of their K is no strain energy. Collective."""
+    """Energy taken up by terms: mean force times motion. The work of their K is no strain energy. Collective."""
     before, after, parts = _local(old.motion.displacement), _local(new.motion.displacement), {"rock_strain": 0.0}
     for term in ops.terms:
         taken = brought = 0.0

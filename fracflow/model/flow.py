@@ -1,4 +1,4 @@
-"""The network: flow through the fractures, what their walls push and are pushed.
+"""The network: flow through the fractures, and its coupling with the motion of their walls.
 
 Everything is per unit thickness, with the pressure as unknown. Ends: each joint has two, numbered joint * 2 + end.
 """
@@ -68,7 +68,7 @@ class Conduction:
     by_slip: Floats | None = None
 
     def tangents(self, storing: float) -> tuple[Floats, Floats]:
-        """Derivatives (j, 2, 2) of what leaves each end: by the pressures of both, and by the openings of both.
+        """Derivatives (j, 2, 2) of the outflow of each end: by the pressures of both, and by the openings of both.
 
         storing  b_1, by which a compressible fluid is taken up
         """
@@ -94,9 +94,9 @@ class Flow:
     aperture    (j, 2) initial aperture d0 at the ends [length]
     least       (j, 2) minimum hydraulic aperture, for conduction only [length]
     length      (j,) [length]
-    law         conductance of the elements by what is known of their walls
+    law         conductance of the elements by the state of their walls
     given       (j,) conductance times length that the scene gives in place of the law; NaN where it does not
-    resting     the pressure at which the fluid is at rest, zero but for its change with depth, at the flow nodes
+    resting     pressure of the fluid at rest, its change with depth, at the flow nodes; else zero [stress]
     resting_end (j, 2) the same at the joint ends [stress]
     slipping    displacement unknowns -> tangential jumps at the joint ends, rows end * (dim-1) + component; of laws that know
                 slip only
@@ -144,7 +144,7 @@ class Flow:
         )
 
     def leaving(self, driving: Floats, aperture: Floats) -> Leaving | None:
-        """What leaves by terms at pressures above rest and apertures (j, 2); None without any."""
+        """Fluid that leaves by terms at pressures above rest and apertures (j, 2); None without such terms."""
         found = [term.leaving(driving + self.resting_end, aperture) for term in self.terms]
         return Leaving(*(sum(parts) for parts in zip(*found, strict=True))) if found else None
 
@@ -157,7 +157,7 @@ class Flow:
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
         """Fluid beyond the room at apertures (j, 2) under pressures above rest (j, 2)."""
         half = 0.5 * self.length[:, None] * (aperture > 0.0)
-        with np.errstate(over="ignore", invalid="ignore"):  # a trial out of reach is refused for what comes of it
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow here is refused with the trial
             denser = np.expm1(self.compressibility * (driving - self.counted))
             held = half * aperture * denser
             return Compression(held, self.compressibility * (half * aperture + held), half * denser)
@@ -186,7 +186,7 @@ class Flow:
         return self.at_ends(pressure) - self.resting_end
 
     def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
-        """(3.20) ``result`` += K_F p, what each flow node sends into its elements, and what leaves by terms. Collective."""
+        """(3.20) ``result`` += K_F p, flow from each flow node into its elements, and outflow by terms. Collective."""
         through = flow.element_flow(state.conductance, state.pressure)
         sent = np.stack([through, -through], axis=1)
         self.taken_up(sent if state.leaving is None else sent + state.leaving.rate, result)

@@ -1,4 +1,4 @@
-"""The joints: one sparse jump operator G for all sections (2.3)-(2.9), and the laws that answer its strains.
+"""The joints: one sparse jump operator G for all sections (2.3)-(2.9), and the laws that respond to its strains.
 
 residual  G' W f(G u)      tangent  G' W D G
 """
@@ -99,7 +99,7 @@ class Massless:
 
 @dataclass(frozen=True)
 class Walls:
-    """What flow laws are told of the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), step."""
+    """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), step."""
 
     opening: Floats | None
     slip: Floats
@@ -145,11 +145,11 @@ class Joints:
         return self._apply(self.jump, displacement)
 
     def carried(self, displacement: PETSc.Vec) -> Floats:
-        """Strains (s, dim) that there were if walls without mass moved as what carries it does. Collective."""
+        """Strains (s, dim) of walls without mass, if they moved as the nodes that carry their mass. Collective."""
         return self._apply(self.jump if self.massless is None else self.massless.jump, displacement)
 
     def moved(self, displacement: PETSc.Vec) -> Floats:
-        """Sums of sizes (s, dim) of what the strains are the differences of, whose digits cancel [length]. Collective."""
+        """Sums of sizes (s, dim) of the displacements whose differences are the strains [length]. Collective."""
         size = displacement.copy()
         size.abs()
         result = self._apply(self.sizes, size)
@@ -293,7 +293,7 @@ def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     traction[:, -1] = np.where(np.isnan(normal), traction[:, -1], normal)
     traction[:, :-1] = np.where(np.isnan(shear)[:, None], traction[:, :-1], shear[:, None])
     if scene.equilibrates:
-        traction[traction[:, -1] > 0.0] = 0.0  # a joint carries no tension: it starts open, and what pulled lets go
+        traction[traction[:, -1] > 0.0] = 0.0  # a joint carries no tension: it starts open, and the tension is released
     return traction
 
 

@@ -68,7 +68,7 @@ class Layout:
 
 
 def layout_of(blocks: Blocks, with_flow: bool) -> Layout:
-    """The unknowns that a scene needs; without flow the flow part is empty."""
+    """The unknowns of a scene; without flow the flow part is empty."""
     flow = blocks.flow.starts if with_flow else np.zeros(blocks.comm.size + 1, dtype=np.int64)
     return Layout(blocks.comm, blocks.solid.unknown_starts, flow)
 

@@ -61,8 +61,8 @@ class Loads:
     """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
-    Of terms: ``resting`` unknowns (local, and ``fixed_resting`` joined of all ranks) that stay where they are without
-    inertia, and ``at_rest``, whether there is none.
+    Terms fix ``resting`` unknowns (local, and ``fixed_resting`` joined of all ranks) in steps without inertia, which
+    ``at_rest`` marks.
     """
 
     supports: tuple[PrescribedValues, ...]
@@ -111,7 +111,7 @@ class Loads:
         around: Around = AT_ONCE,
         rates: Rates | None = None,
     ) -> float:
-        """Flow rate that a well asks for, over the whole depth, as ``source`` samples it."""
+        """Flow rate that a well demands, over the whole depth, as ``source`` samples it."""
         return _factor(next(each for each in self.wells if each.well == well), time, controls, around, rates)
 
     def force(

@@ -78,14 +78,13 @@ def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
 def longest_step(operators: Operators, scene: Scene, inverse: PETSc.Mat, damping: Sequence[MeanDamping]) -> float:
     """The longest stable step: 2/omega without D, else of 4 = dt^2 omega^2 of M^-1 (K + 2 D/dt) [time]. Collective.
 
-    The cells and the K of terms bound it from below. At a step below it, omega^2 is above that of the step itself: so is no
-    pass.
+    The cells and the K of terms bound it from below. A step below that bound cannot be the longest one.
     """
     of_terms = sum(
         by_lanczos(operators, inverse, each.stiffness) for each in operators.terms if each.stiffness is not None
     )
     if not damping:
-        # the lower of two bounds: the cells' is sharp on uniform meshes, the other knows supports and graded meshes
+        # the lower of two bounds: the cells' is sharp on uniform meshes, the other includes supports and graded meshes
         return critical_step(min(fastest_cell(operators, scene) + of_terms, by_lanczos(operators, inverse)))
     scale = np.prod([each.scale for each in damping], axis=0)
     step = critical_step(fastest_cell(operators, scene, scale) + of_terms)

@@ -1,4 +1,4 @@
-"""Parts of the network whose nodes exchange fluid, and what settles the pressure of one that nothing drains."""
+"""Connected components of the network, and the closure that sets the pressure of an undrained one."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from fracflow.model.layout import Layout, local_rows
 from fracflow.model.operators import Operators
 
 CONDUCTS = 1e-15
-"""Of what the elements at its ends conduct together: an element with less is pinched, for the balance at its ends does not
-see it. Not of all elements: a thin fracture far from a wide one conducts what it conducts."""
-FREE = 1e-10  # of what single nodes take up of a wall's motion: less is round-off
+"""Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.
+Elements elsewhere do not count: a thin fracture far from a wide one conducts."""
+FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less is round-off
 
 
 def label_components(links: Ints, conducts: np.ndarray, count: int) -> Ints:
-    """The part (count,) that each node belongs to, by links (m, 2) of which those that conduct (m,) join."""
+    """Number (count,) of the component of each node, by links (m, 2) of which those that conduct (m,) join."""
     joined = links[conducts]
     graph = sparse.coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
@@ -48,17 +48,16 @@ class NetworkComponent:
 
 @dataclass(frozen=True)
 class Closure:
-    """The row in place of the balance at one node of a part that nothing drains and where nothing is stored.
+    """The row in place of the balance at one node of an undrained component without storage.
 
-    The balances of its nodes add up to nothing, so one says what the others do, and the level is left open.
+    The balances of its nodes add up to zero, so one of them is redundant and the level is undetermined.
 
-    by       "walls": the part keeps its volume; "fluid": the fluid it holds, which is compressible; "level": its mean
-             pressure, where its walls cannot move, or where it is one node that is pinched on all sides, which must be
-             free to open again
+    by       "walls": it keeps its volume. "fluid": it keeps its compressible fluid. "level": it keeps its mean pressure,
+             as its walls cannot move. So does one node pinched on all sides, which must be free to open again
     row      local number of the node on the rank that owns it, empty elsewhere
     weights  change of the volume with the displacements, or shares of the pressures in the mean
     size     of a volume, by which that of "walls" and "fluid" is divided [area]
-    nodes    (n,) numbers of the flow nodes of the part, the first has the row
+    nodes    (n,) numbers of the flow nodes of the component, the first has the row
     touched  local numbers of the displacements that weights may depend on
     """
 
@@ -100,7 +99,7 @@ def holding(operators: Operators, compression: Compression | None) -> np.ndarray
 
 
 def leaving(operators: Operators) -> np.ndarray:
-    """Which of all flow nodes (n,) fluid leaves by terms, which settles their pressure. Collective."""
+    """Whether fluid leaves by terms at each flow node (n,), which determines its pressure. Collective."""
     layout, flow = operators.layout, operators.blocks.joints.flow
     joints = [term.joints() for term in operators.terms if term.drains]
     here = flow[np.concatenate([np.zeros(0, dtype=np.int64), *joints])].ravel()
@@ -108,7 +107,7 @@ def leaving(operators: Operators) -> np.ndarray:
 
 
 def find_components(operators: Operators, conducts: np.ndarray) -> tuple[NetworkComponent, ...]:
-    """All parts, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
+    """All components, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
     blocks = operators.blocks
     comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
     links = np.concatenate(comm.allgather(joints.flow))
@@ -128,9 +127,9 @@ def find_components(operators: Operators, conducts: np.ndarray) -> tuple[Network
 
 
 def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fixed_solid: Ints) -> np.ndarray:
-    """Whether the volume of each part (k,) changes when its walls move, with some displacements held. Collective.
+    """Whether the volume of each component (k,) changes when its walls move, with some displacements held. Collective.
 
-    It does not, too, where walls move in such a way only that they make as much room as they take: a rigid block afloat.
+    Nor does it change where walls open on one side as much as they close on another, as around a floating rigid block.
     """
     layout, network = operators.layout, operators.flow
     assert network is not None
@@ -154,7 +153,7 @@ def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fix
 
 
 def close(operators: Operators, part: NetworkComponent, gives: bool, holds: bool = False) -> Closure:
-    """The closure of a part that nothing drains, by whether its walls give way. The caller owns its weights. Collective.
+    """The closure of an undrained component, by whether its walls can move. The caller owns its weights. Collective.
 
     holds  whether it holds a fluid that is compressible, in a step that stores nothing
     """

@@ -1,4 +1,4 @@
-"""Quantities that a place in the rock or on a fracture has."""
+"""Quantities that are available at a place in the rock or on a fracture."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class Model:
 
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
-    """Do ``work`` on rank 0; an InputError there is raised on every rank, what the system said as a DiskError. Collective."""
+    """Do ``work`` on rank 0; its InputError is raised on every rank, an OSError as a DiskError. Collective."""
     result, failure = None, None
     if comm.rank == 0:
         try:
@@ -108,7 +108,7 @@ def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
 
 @contextmanager
 def naming(scene: Scene) -> Iterator[None]:
-    """Give every InputError that is raised inside the name of the scene's file."""
+    """Add the name of the scene's file to every InputError inside. Raises that InputError."""
     try:
         yield
     except InputError as error:
@@ -210,7 +210,7 @@ def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
 
 
 def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> None:
-    """Raise InputError where a steady stage would have to pump, by one well alone, into what nothing drains."""
+    """Raise InputError where a steady stage would have to pump, by one well alone, into an undrained component."""
     count = len(mesh.flow_origin)
     if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
         return

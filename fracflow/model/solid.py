@@ -104,7 +104,7 @@ def deformable(blocks: Blocks, scene: Scene) -> Ints:
 
 
 def elasticity(blocks: Blocks, scene: Scene) -> Floats:
-    """Moduli (m, v, v) of each local cell, in the plane of plane strain [stress]; of 1 in rigid rock: nothing reads them."""
+    """Moduli (m, v, v) of each local cell, in the plane of plane strain [stress]; 1 in rigid rock, where they are not used."""
     rigid = np.array([scene.rock[name].rigid for name in blocks.solid.rocks], dtype=bool)[blocks.solid.cell_rock]
     return STIFFNESS[blocks.sizes.dim](
         np.where(rigid, 1.0, rock_values(blocks, scene, "youngs_modulus")),

@@ -1,4 +1,4 @@
-"""The state of a run: what one step takes and the next one is given. Nothing in it is changed in place."""
+"""The state of a run: output of one step and input of the next one. Nothing in it is changed in place."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Motion:
 class Sections:
     """Response of the laws at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
 
-    blur    (s, dim) what round-off may have done to the strain since the start [length]
+    blur    (s, dim) round-off bound of the strain since the start [length]
     record  (s,) largest traction that the section has carried since the start [stress]
     """
 
@@ -72,10 +72,10 @@ class Forces:
     load        outer forces R on the solid unknowns [force per thickness]
     support     reactions at supported unknowns, zero elsewhere
     conduction  K_F p of (3.20) [volume rate per thickness]
-    source      well rates Q, and what prescribed pressures draw in
+    source      well rates Q, and inflow at prescribed pressures
     of_terms    by the names of terms: forces of their C and D against the motion, less those that they bring in
     powers      likewise: power of the forces that they bring in [energy/time per thickness]
-    anchor      the part of ``load`` that was the reaction of what terms held until inertia came in; None where none did
+    anchor      part of ``load``: reactions of terms that held unknowns until inertia came in; None without such terms
     """
 
     load: PETSc.Vec
@@ -104,7 +104,7 @@ class Forces:
 
 @dataclass(frozen=True)
 class PreviousStep:
-    """Memory that a rule without inertia has of the step before, in the same stage.
+    """Values of the step before in the same stage, which a multistep rule without inertia uses.
 
     time_step  its length, 0 where there was none [time]
     velocity   the mean velocity over it of the solid unknowns [length/time]
@@ -131,13 +131,13 @@ class State:
     controls  value of each load factor
     energy    running totals of the energy balance [energy per thickness]
     wells_at_limit  wells that are kept at a limit of their pressure
-    friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
+    friction  (s,) dissipation by friction at each joint section of this rank since the start [energy/area]
     injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
     left      net volume that has left the network by each term since the start, by their names [length^3]
-    adjacent_steps  lengths of the step that led here and of the next one as foreseen, by which what jumps in time was sampled
+    adjacent_steps  lengths of the step that led here and of the planned next one, by which jumps in time were sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     max_overpressure  largest pressure, above that at rest, at the end of a step since the start [stress]
-    max_dissipation  most that the flow has dissipated at the end of a step since the start [energy/time per thickness]
+    max_dissipation  largest dissipation of the flow at the end of a step since the start [energy/time per thickness]
     """
 
     time: float
@@ -179,14 +179,14 @@ def forgetful(state: State) -> State:
 class StepReport:
     """Cost and end of a step.
 
-    solid_residual  beyond ``round_off``, what displacements of finite digits leave of the balances; both relative
+    solid_residual  beyond ``round_off``, the round-off bound of the balances; both relative
     digits          fewest digits that round-off leaves of the tractions of a fracture
     out_of_balance  (4.9a) at the start of the step and after each iteration [force per thickness]; of a monolithic solve
     predicted       factor of the error in a plain cycle of the fixed point, before the first; NaN elsewhere
     measured        that of the cycles as they were made, between the last two
     handed_over     why the fixed point left the step to the monolithic solver; empty if it did not
-    located         sections whose friction changed its status at the end of the step, which was sought
-    rejected        trials thrown away on the way to this step: they found no balance, ran away, or were not accurate
+    located         sections whose friction changed its status at the end of the step, which was located there
+    rejected        trials rejected on the way to this step: they did not converge, were unstable, or were not accurate
     wasted          Newton iterations spent on those, which ``newton`` does not count
     widening        largest factor by which an aperture grew in the step, and ``widest``, its fracture and place
     """
@@ -210,11 +210,11 @@ class StepReport:
     widest: str = ""
 
     def with_rejected(self, newton: int) -> StepReport:
-        """The same with one more trial thrown away, on which so many iterations were spent."""
+        """The same with one more rejected trial, and its Newton iterations."""
         return replace(self, rejected=self.rejected + 1, wasted=self.wasted + newton)
 
     def after_trials(self, trials: StepReport) -> StepReport:
-        """The same with the trials thrown away before it."""
+        """The same with the trials rejected before it."""
         return replace(self, rejected=self.rejected + trials.rejected, wasted=self.wasted + trials.wasted)
 
     def after(self, earlier: StepReport) -> StepReport:

@@ -78,8 +78,8 @@ def strain_energy_density(
 ) -> Floats:
     """Energy (m,) that each cell stored since the initial state, the work against the initial stress with it [energy/volume].
 
-    Times the areas it adds up to the entry ``rock_strain``; under a stress that changes with depth but for what the
-    start takes up in the rock beside fractures. Arguments as of ``strain``, with Young's moduli and Poisson's ratios (m,).
+    Its integral is the entry ``rock_strain``. Under a stress that changes with depth the imbalance taken up at the start, in
+    the rock beside fractures, is excepted. Arguments as of ``strain``, with Young's moduli and Poisson's ratios (m,).
     """
     young, poisson = moduli
 

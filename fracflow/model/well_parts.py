@@ -1,4 +1,4 @@
-"""Parts of a network that never meet, and the wells in each: reported before a run."""
+"""Components of a network that never meet, and the wells in each: reported before a run."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class WellPart:
 
 
 def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart]:
-    """The parts of a network that have wells, those of the first well first; ``wells`` name -> flow node. On one process.
+    """Components of a network with wells, that of the first well first; ``wells`` name -> flow node. On one process.
 
-    Whatever the walls do, fluid never flows from one to the other.
+    Whatever the motion of walls, fluid never flows from one to the other.
     """
     count = len(mesh.flow_origin)
     if not wells or not count:

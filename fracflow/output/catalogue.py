@@ -16,20 +16,20 @@ from fracflow.output.sampling import Snapshot
 from fracflow.scene.quantities import magnitude, one_less, with_components
 from fracflow.scene.scene import Scene
 
-SLIPPED = 1e-9  # of the largest slip of an event: what is less is none
+SLIPPED = 1e-9  # of the largest slip of an event: less counts as none
 RELEASED = ("friction", "radiated", "damping", "dropped", "scheme")
 """Entries of the energy balance in which the energy released by an event ends, except the share of the fluid."""
 
 
 @dataclass(frozen=True)
 class FaultEnds:
-    """The joint ends (n,) of all fractures: whose they are, and what a unit of slip there is worth.
+    """The joint ends (n,) of all fractures: their nodes, and the factors of slip in moment and energy.
 
     place    row of each end in the table of fracture nodes
     length   that an end stands for; 0 at tips, which have no slip [length]
     modulus  shear modulus of the rock beside, two rocks in series; inf where both are rigid [stress]
     depth    to which an event reaches, for its magnitude; None leaves it out [length]
-    to_si    what brings a moment in the units of the scene to N m; None where they have none
+    to_si    factor from the scene's unit of moment to N m; None without units
     """
 
     place: NDArray[np.int64]
@@ -47,11 +47,11 @@ class FaultEnds:
 
 @dataclass(frozen=True)
 class Instant:
-    """What the catalogue looks at of a recorded state: plastic slip, shear traction, slip rate (n, dim-1) and who slides (n,).
+    """Input of the catalogue from a recorded state: plastic slip, shear traction, slip rate (n, dim-1), sliding flags (n,).
 
-    energy    the books
+    energy    running totals of the energy balance
     injected  net volume that wells have brought since the start of the run [length^3]
-    began     from when on what slides in it may have slid, ``time`` if not given [time]
+    began     earliest time at which its sliding sections may have begun, ``time`` if not given [time]
     """
 
     time: float
@@ -68,14 +68,14 @@ class Catalogue:
     """Makes a row of each event, from its last state without inertia before it to the first one after it."""
 
     def __init__(self, ends: FaultEnds) -> None:
-        """Begin where nothing is under way."""
+        """Begin without an event."""
         self.ends, self.is_moving = ends, False
         self.before: dict[str, Any] = {}
         self.now: Instant | None = None
         self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros(len(ends.length))
 
     def update(self, now: Instant, moves: bool) -> dict[str, Any] | None:
-        """Look at a state, reached with inertia if it ``moves``; gives the row of the event that it ends, without its place."""
+        """Take up a state, reached with inertia if it ``moves``; return the event that it ends, without its place."""
         row = self.row(now) if self.is_moving and not moves and self.first >= 0 else None
         if moves:
             sliding = np.flatnonzero(now.sliding & (self.ends.length > 0.0))
@@ -132,7 +132,7 @@ class Catalogue:
         }
 
     def memory(self) -> dict[str, Any]:
-        """All that it knows, as plain numbers and lists."""
+        """Its data for a checkpoint, as plain numbers and lists."""
         about = {"is_moving": self.is_moving, "before": self.before, "peak": self.peak.tolist()}
         return about | {"first": self.first, "start": self.start, "end": self.end}
 

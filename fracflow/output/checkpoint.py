@@ -87,7 +87,7 @@ class Notes(TypedDict, total=False):
 
 
 def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
-    """Write arrays (...) and their seal aside, bring them to disk, and put them in place of the last. Rank 0 only."""
+    """Write arrays (...) and their seal to a temporary file, flush it, and replace the last checkpoint. Rank 0 only."""
     write_sealed(path, arrays, {"notes": json.dumps(notes, ensure_ascii=False)})
 
 
@@ -180,7 +180,7 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
 
 
 def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]) -> State:
-    """The state that was saved, spread over the ranks of now. Raises InputError for that of another mesh. Collective."""
+    """The saved state, distributed over the present ranks. Raises InputError for that of another mesh. Collective."""
     blocks, layout = operators.blocks, operators.layout
     places, total = _solid_places(blocks)
     _check_shapes(arrays, operators, total, notes["last_step"] > 0.0)
@@ -239,7 +239,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
 
 
 def _names_of_terms(operators: Operators, arrays: Arrays) -> list[str]:
-    """The terms whose forces are there."""
+    """The terms with stored forces."""
     return [term.name for term in operators.terms if term.name in arrays]
 
 

@@ -3,7 +3,7 @@
 Of quantities q_0, q_1, q_2, each of half the mesh size and step, p = log2(|q_0 - q_1|/|q_1 - q_2|) is the order that was
 observed, and |q_1 - q_2|/(2^p - 1) the error of the last (Richardson 1911; Roache 1998). That holds of an error c(t) h^p,
 whose differences have one course in time, whatever the level. Where they have not, errors of mesh and steps cancel, or a
-front is not resolved, and p is an accident. Two levels leave p to be assumed: 1 where fractures have tips in rock (Strang
+front is not resolved, and p is an accident. With two levels p is assumed: 1 where fractures have tips in rock (Strang
 and Fix 1973), and of what derives from displacements, else the method's.
 """
 
@@ -31,7 +31,7 @@ Histories = dict[str, Floats]
 ORDER_OF_MESH = 2.0
 OF_SLOPES = OF_TIPS = 1.0  # the least of what derives from displacements, and of all where fractures end in rock
 LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the highest that there is
-LOWEST = min(OF_TIPS, OF_SLOPES) - LATITUDE  # slower falls leave no order to estimate errors by
+LOWEST = min(OF_TIPS, OF_SLOPES) - LATITUDE  # slower falls give no order for an estimate of errors
 JUMP = 0.6  # between successive orders
 ALIKE = 0.95  # cosine of successive differences, as vectors over times: below it estimates may be any factor off
 CHANGE_ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences are round-off
@@ -50,10 +50,9 @@ class Row:
     differences  rms of q_k - q_(k+1), level by level
     alike        cosine between the last two differences as vectors over times, 1 where they have one course; nan of two
                  levels
-    order        observed between the last three levels, inf where the last two are the same; of two levels, and where
-                 there is nothing to observe, nan
+    order observed between the last three levels, inf where the last two agree; nan for two levels or no differences
     error        estimated, of the finest level; nan where there is no estimate
-    warning      why order and error are not to be trusted; "" where they are
+    warning      why order and error are unreliable; "" where they are reliable
     is_seen      whether differences are more than round-off
     unit         of the scene; "" where there is none
     """

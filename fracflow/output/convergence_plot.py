@@ -20,7 +20,7 @@ MOST_LINES = 7
 
 
 def tell(rows: Sequence[Row], console: Console, levels: int, order: int, has_tips: bool = False) -> None:
-    """Print the rows as a table, which orders were assumed or are low, and which rows are not to be trusted.
+    """Print the rows as a table, with assumed and low orders, and unreliable rows.
 
     order  that of the method; ``has_tips`` where fractures end in rock
     """

@@ -1,6 +1,6 @@
 """events.csv: when and where fractures slipped or opened; of stages auto also a row for each event as a whole.
 
-Contact chatters where fracture nodes open and close from step to step, which no wave does that the steps resolve.
+Contact chatters where fracture nodes open and close from step to step, unlike in any wave that the steps resolve.
 """
 
 from __future__ import annotations
@@ -93,10 +93,10 @@ class EventLog:
         slip_rate: Floats,
         began: float | None = None,
     ) -> bool:
-        """Book one accepted step; returns whether an event started or ended.
+        """Record one accepted step; return whether an event started or ended.
 
         time          at the end of the step [time]
-        began         from when on what is found in it may have been so, ``time`` if not given [time]
+        began         earliest time at which its slip or opening may have begun, ``time`` if not given [time]
         sliding       (n,) whether any section at the node slides
         is_open       (n,) whether any section at the node is open
         plastic_slip  (n, dim-1) signed, top minus bottom [length]
@@ -126,14 +126,14 @@ class EventLog:
         return np.array(values, dtype=float).reshape(self._shape)
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """A row of kind "event", of what ``Catalogue`` gives: ``place`` is the row of a node in the table of nodes."""
+        """A row of kind "event" from ``Catalogue``: ``place`` is the row of a node in the table of nodes."""
         self.rows.append(self._of(event))
         self._write()
 
     def close(self, unfinished: Mapping[str, Any] | None = None) -> None:
-        """Write the file with the latest slip of what is under way, and the row of an ``unfinished`` event.
+        """Write the file with the latest slip of events under way, and the row of an ``unfinished`` event.
 
-        That row is no part of the memory: a run that goes on puts another in its place.
+        That row is not stored in a checkpoint: a restarted run replaces it.
         """
         self._write([self._of(unfinished)] if unfinished is not None else [])
 
@@ -141,7 +141,7 @@ class EventLog:
         return {"kind": "event", **self._place(event["place"])} | {k: v for k, v in event.items() if k != "place"}
 
     def memory(self) -> dict[str, Any]:
-        """All that the log knows, as plain lists."""
+        """Its data for a checkpoint, as plain lists."""
         running = {
             kind: {
                 "row": found.row.tolist(),
@@ -226,7 +226,7 @@ def _typed(row: list[str], heads: Sequence[str]) -> dict[str, Any]:
 
 
 STEPS = 20  # of a stage that are looked at together
-CHANGES = 6  # of a node within them: resolved, it would not have parted and met three times
+CHANGES = 6  # of a node within them: a resolved contact would not open and close three times
 
 
 class Chatter:

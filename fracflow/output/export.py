@@ -60,10 +60,11 @@ def tables(folder: str | Path) -> dict[str, Columns]:
 def export_csv(folder: str | Path, output: str | Path | None = None) -> list[Path]:
     """Write the history of a run as CSV and return the files.
 
-    output  a folder for one file a table, by default "csv" in the run's folder; or a file NAME.csv for all of them
-            side by side, the columns of energies and probes led by "energy/" and "probe_<name>/"
+        output  a folder for one file a table, by default "csv" in the run's folder. Or a file NAME.csv for all of them side by
+                side,
+    with columns of energies and probes named "energy/..." and "probe_<name>/..."
 
-    Raises InputError if there is no history, or nothing can be written there.
+        Raises InputError if there is no history, or nothing can be written there.
     """
     found = tables(folder)
     target = Path(folder) / "csv" if output is None else Path(output)

@@ -54,7 +54,7 @@ class HistoryFile:
 
     @classmethod
     def resume(cls, path: str | Path, rows: int, seal: str = "") -> HistoryFile:
-        """Go on after the first ``rows`` records of the history at ``path``, as ``read_rows``; what follows is dropped."""
+        """Go on after the first ``rows`` records of the history at ``path``, as ``read_rows``; later ones are dropped."""
         return cls.after(path, *read_rows(path, rows, seal))
 
     @classmethod
@@ -160,7 +160,7 @@ def _path(key: str) -> str:
 
 
 def _append(dataset: h5py.h5d.DatasetID, row: int, values: NDArray[Any]) -> None:
-    """Write rows at the end; HDF5's own calls, four times as fast as h5py's slices, which a history of many keys feels."""
+    """Write rows at the end; HDF5's own calls are four times as fast as h5py's slices, which matters with many keys."""
     dataset.set_extent((row + len(values), *values.shape[1:]))
     space = dataset.get_space()
     space.select_hyperslab((row, *(0 for _ in values.shape[1:])), values.shape)
@@ -176,7 +176,7 @@ def read_history(path: str | Path) -> dict[str, NDArray[Any]]:
 
 
 def read_rows(path: str | Path, rows: int, seal: str = "") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The first ``rows`` records and the attributes; the last of them must have the digest ``seal`` where there is one.
+    """The first ``rows`` records (rows, ...) and attributes; the last must have the digest ``seal`` where there is one.
 
     Raises InputError where there are fewer, or one of them is not as it was written; later ones may be anything.
     """

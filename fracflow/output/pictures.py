@@ -28,7 +28,7 @@ _ENERGIES = (
     ("damping", "damped at faults"),
 )
 _MAX_LINES = 7
-_MOST_FIRST = 5  # more than these at once is no place where it began
+_MOST_FIRST = 5  # more than these at once show no place of the onset
 
 
 def draw(folder: str | Path) -> list[Path]:
@@ -80,7 +80,7 @@ def _draw_head(figure: Figure, title: str, below: str) -> None:
 
 
 def _height(run: RunData) -> float:
-    """Inches that a map as wide as its column needs, within what the panels beside it bear."""
+    """Height in inches of a map as wide as its column, within the limits of the panels beside it."""
     if not run.rock:
         return 7.4
     wide, high = np.ptp(np.concatenate([cell.reshape(-1, 2) for cell in run.rock]), axis=0)

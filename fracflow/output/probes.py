@@ -24,7 +24,7 @@ Data = dict[str, NDArray[Any]]
 
 
 def measured(scene: Scene, mesh: SplitMesh, places: Mapping[str, ProbePlace]) -> dict[str, Sequence[str]]:
-    """Names of the quantities of each probe: those that it names, else all there are by default at its place."""
+    """Names of the quantities of each probe: those that it names, else all defaults at its place."""
     return {p.name: p.quantities or available(scene, mesh, places[p.name], default=True) for p in scene.probe}
 
 
@@ -37,10 +37,10 @@ def probe_record(
 ) -> dict[str, Any]:
     """History entries ``probe/NAME/QUANTITY`` of all probes, of the names of their quantities.
 
-    On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace; what
-    belongs to joints is the mean over those that end there. In the rock, strain and stress are means by area over the
-    cells around the node, sigma_0 being that of the node itself; inside a cell everything is interpolated from its corners
-    by their shape functions, but for sigma_0, which is that of the point.
+    On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace. Quantities of
+    joints are means over those that end there. In the rock, strain and stress are means by area over the cells around the
+    node, with sigma_0 of the node itself. Inside a cell all values are interpolated from its corners by their shape functions,
+    except sigma_0, which is that of the point.
     """
     record: dict[str, Any] = {}
     rows = quantities("node", "wall", "cell")
@@ -66,13 +66,13 @@ class OnFracture:
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of the rock and the motion of their nodes; values (m, ...) of cells are made when they are first asked for.
+    """Cells of the rock and the motion of their nodes; values (m, ...) of cells are computed at first use.
 
     numbers  (m,) of the cells in the mesh
     points   (n, 2) coordinates of nodes [length]
     corners  (m, k) nodes of the cells among these, -1 pads
     motion   (n, 3, 2) displacement, velocity and acceleration of the nodes
-    moves    whether there is inertia: without, velocities count for nothing, as in the books
+    moves    whether there is inertia: without, kinetic energy is zero, as in the energy balance
     """
 
     scene: Scene
@@ -156,7 +156,7 @@ class InRock:
         return Cells(self._scene, self._mesh, cells, points, local, motion), area / area.sum()
 
     def __getattr__(self, name: str) -> Floats:
-        """Strain (4,), and what else ``Cells`` have, as means over the cells around."""
+        """Strain (4,), and other values of ``Cells``, as means over the cells around."""
         return self._combined([shares @ getattr(cells, name) for cells, shares in self._around])
 
     @property

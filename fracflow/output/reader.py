@@ -118,7 +118,7 @@ class FractureFields:
 
 @dataclass(frozen=True)
 class RunData:
-    """All that is drawn. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium."""
+    """Data of the pictures. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium."""
 
     title: str
     units: dict[str, str]
@@ -134,7 +134,7 @@ class RunData:
 
     @property
     def is_behind(self) -> bool:
-        """Whether the histories go on after the last fields that were written."""
+        """Whether the histories continue after the last written fields."""
         return self.fractures is not None and self.fractures.step < len(self.history["time"]) - 1
 
     def slipped_since(self) -> list[str]:
@@ -144,7 +144,7 @@ class RunData:
 
     @property
     def account(self) -> str:
-        """A line on how the run stands, and of which times its pictures are."""
+        """A line on the status of the run, and the times of its pictures."""
         reached = self.at(float(self.history["time"][-1]))
         words = {
             "": f"Histories to {reached}",
@@ -285,7 +285,7 @@ def _drawn_mesh(folder: Path, name: str) -> tuple[Floats, NDArray[np.int64], dic
 
 
 def _check_sizes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Raise InputError where a number, which no run comes to, is too large for axes."""
+    """Raise InputError where a number is too large for axes, which no run reaches."""
     for name, values in arrays.items():
         if np.any(np.isfinite(values) & (np.abs(values) > LARGEST)):
             raise InputError(
@@ -303,7 +303,7 @@ def _check_rows(path: Path, data: dict[str, NDArray[Any]], rows: int) -> None:
 
 
 def _names(folder: Path, attrs: dict[str, Any]) -> list[str]:
-    """Names of fractures as the mesh of the fields has them; none where it has none. Raises InputError for what is no name."""
+    """Names of fractures in the mesh of the fields; none where it has none. Raises InputError for other values."""
     stored = attrs.get("fractures", attrs.get("names"))
     if not stored:
         return []

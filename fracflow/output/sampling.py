@@ -71,7 +71,7 @@ class Sampler:
 
 
 def make_sampler(operators: Operators, scene: Scene, places: Mapping[str, FracturePlace | RockPlace]) -> Sampler:
-    """Find what the probes need on this rank."""
+    """Find the nodes and joints of the probes on this rank."""
     blocks, dim = operators.blocks, operators.blocks.sizes.dim
     on_fractures = [place for place in places.values() if isinstance(place, FracturePlace)]
     joints = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(place.joints for place in on_fractures)]))
@@ -109,7 +109,7 @@ def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
 class JointEnds:
     """A state at this rank's joint ends, as formulas of the homes "section" and "flow" take it; see ``scene.quantities``.
 
-    Arrays (j, 2, ...) are made when they are first asked for. Collective.
+    Arrays (j, 2, ...) are computed at first use. Collective.
     """
 
     def __init__(self, sampler: Sampler, state: State) -> None:
@@ -124,7 +124,7 @@ class JointEnds:
 
     @cached_property
     def sections(self) -> Sections:
-        """What the laws answered."""
+        """Response of the laws."""
         found = self._state.sections
         ends: dict[str, Any] = {
             f.name: self._ends(getattr(found, f.name)) for f in fields(found) if f.name != "history"
@@ -138,7 +138,7 @@ class JointEnds:
 
     @property
     def friction(self) -> Floats:
-        """What friction has dissipated (j, 2) [energy/area]."""
+        """Dissipation by friction (j, 2) [energy/area]."""
         return self._ends(self._state.friction)
 
     def history(self, name: str) -> Floats:
@@ -151,7 +151,7 @@ class JointEnds:
 
     @cached_property
     def network(self) -> Conduction | None:
-        """What the network conducts; None where there is no flow."""
+        """Conduction of the network; None where there is no flow."""
         flow, state = self._operators.flow, self._state
         if flow is None:
             return None
@@ -160,7 +160,7 @@ class JointEnds:
 
     @property
     def _through(self) -> Floats:
-        """What flows from the first to the second end of each joint (j,) [volume rate per thickness]; NaN without flow."""
+        """Flow from the first to the second end of each joint (j,) [volume rate per thickness]; NaN without flow."""
         if self.network is None:
             return np.full(len(self.aperture_given), np.nan)
         return self.network.conductance * (self.network.pressure[:, 0] - self.network.pressure[:, 1])
@@ -232,14 +232,14 @@ class Snapshot:
         return float(self.column("margin").min(initial=np.inf))
 
     def at_ends(self, joints: Ints, ends: Ints) -> dict[str, Floats]:
-        """Means of the columns over some ends of probed joints, () or (dim-1,) each."""
+        """Means of the columns over ``ends`` (n,) of probed ``joints`` (n,), () or (dim-1,) each."""
         rows = np.array([self.probed[int(joint)][end] for joint, end in zip(joints, ends, strict=True)])
         mean = rows.mean(axis=0)
         return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}
 
 
 def take(sampler: Sampler, state: State) -> Snapshot | None:
-    """Gather what probes and events need; None off rank 0. Collective."""
+    """Gather the values for probes and events; None off rank 0. Collective."""
     blocks, at = sampler.operators.blocks, JointEnds(sampler, state)
     table = sampler.columns.fill(at)
     ends = blocks.gather(blocks.joints.ids, table[:, :, : sampler.always.width], blocks.sizes.joints)
@@ -294,7 +294,7 @@ def node_table(mesh: SplitMesh) -> tuple[Ints, Ints, Ints]:
 
 
 def at_nodes(snapshot: Snapshot, name: str, inverse: Ints, count: int) -> Floats:
-    """A vector of joint ends (joints, 2, dim-1) brought to fracture nodes (count, dim-1): the mean."""
+    """Means (count, dim-1) at fracture nodes of a vector of joint ends (joints, 2, dim-1); ``inverse`` (joints * 2,)."""
     parts = np.moveaxis(snapshot.column(name), -1, 0)
     total = np.stack([np.bincount(inverse, weights=part.ravel(), minlength=count) for part in parts], axis=1)
     mean: Floats = total / np.maximum(np.bincount(inverse, minlength=count), 1)[:, None]

@@ -1,7 +1,8 @@
-"""Fractures that begin to slip where another slides: at a crossing stress is handed on, and its peak has no length.
+"""Fractures that begin to slip where another slides: the crossing transfers stress, whose peak has no length scale.
 
-Two fractures in elastic rock, one ending on the other, on cells of 10, 5, 2.5 and 1.25 m: slip beside the crossing converges at
-first order, the pressure at which the crossing itself first slips goes on falling (9.0, 8.6, 8.4, 8.2 MPa).
+An example has two fractures in elastic rock, one ending on the other, on cells of 10, 5, 2.5 and 1.25 m. Slip beside the
+crossing converges at first order. The pressure at which the crossing itself first slips goes on falling (9.0, 8.6, 8.4, 8.2
+MPa).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from fracflow.mesh.data import SplitMesh
 
-MOST_NODES = 2  # of a fracture in its first slip: it runs along no more of it
+MOST_NODES = 2  # of a fracture in its first slip: it has spread along no more of it
 MOST_TOLD = 8
 
 
@@ -42,7 +43,7 @@ class SlipAtCrossing:
 
 
 def handed_on(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[SlipAtCrossing]:
-    """The fractures whose first slip is at a crossing with one that slides already, the ones that stay alone longest first.
+    """Fractures whose first slip is at a crossing with one that slides already, by descending ``alone``.
 
     events  rows of events.csv
     """

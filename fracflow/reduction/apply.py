@@ -25,10 +25,10 @@ LARGEST = PETSc.NormType.INFINITY
 def planned(
     model: Model, undone: Mapping[str, str] | None = None, cell_rank: Ints | None = None
 ) -> tuple[Model, ReductionInput]:
-    """The model without what its scene does not need, and the facts that say why. It was settled before. Collective.
+    """The model without the parts that its scene does not need, and the facts for that. It was settled before. Collective.
 
-    undone     what an earlier try of the same run has taken back
-    cell_rank  partition of an earlier run, on rank 0
+    undone     decisions that an earlier try of the same run has undone
+    cell_rank  partition (cells,) of an earlier run, on rank 0
     """
     shut, undone = (
         find_locked(model, ReductionInput(model.scene, unknowns=int(model.operators.layout.solid_starts[-1]))),

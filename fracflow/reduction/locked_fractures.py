@@ -2,8 +2,8 @@
 
 Their compliance must not matter. A fracture of stiffness k adds its length over k times the area of the rock to 1/E' of
 the rock (Goodman 1976). It relieves the stress within its own length by E'/(k length), and reflects pi E'/(k w) of a
-wave of length w (Schoenberg 1980). So L in E'/(k L) is the least of three lengths: the area of the rock over the length
-of those locked, the fracture's own length, and with inertia w/pi of the shortest wave that the mesh resolves.
+wave of length w (Schoenberg 1980). So L in E'/(k L) is the least of three lengths. These are the area of the rock over the
+length of the locked fractures, the fracture's own length, with inertia w/pi of the shortest resolved wave.
 
 The measured effect may be less than that of all of the rock. At a distance r a jump of 1/k over a length l adds a
 strain of about 1/(k r), and moves the rock by 1/k. From farther than l/2 it moves it by l/(2 k r) at most, half of it
@@ -142,7 +142,7 @@ def pressure_of_wells(scene: Scene, start: Mapping[str, float]) -> float:
 
 
 def shed(distance: Floats, reach: Floats) -> Floats:
-    """Share of the stress that a crack of half length ``reach`` loses, at a distance from it; infinite at its tip."""
+    """Share (n,) of the stress that a crack of half length ``reach`` (n,) sheds, at a distance (n,); infinite at its tip."""
     x = distance + reach
     with np.errstate(divide="ignore"):
         found: Floats = x / np.sqrt(np.maximum(x**2 - reach**2, 0.0)) - 1.0

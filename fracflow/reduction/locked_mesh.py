@@ -166,7 +166,7 @@ def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
 
 
 def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
-    """The model without the fractures named, to be settled; the old one is kept as its ``whole``. Collective."""
+    """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
     comm, ops = model.operators.layout.comm, model.operators
     mesh = on_root(
         comm, lambda: merged_faces(model.mesh, _chosen(model.mesh, names)) if model.mesh is not None else None

@@ -55,7 +55,7 @@ def mean_spacing(area: float, length: float) -> float:
 def front_length(conducting: Floats, normal: Floats, held: Floats | float, time: float) -> Floats:
     """sqrt(D t), the reach of a pressure along a fracture: D = C/(1/k_n + c_f d), C = d^3/(12 mu) [length].
 
-    The diffusivity of (3.9) with walls that give by k_n alone, the shortest reach that there is.
+    The diffusivity of (3.9) with walls that move by k_n alone, which gives the shortest reach. All arrays are (n,).
     """
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(conducting / (1.0 / normal + held) * time))

@@ -67,7 +67,7 @@ def idle_nodes(model: Model) -> tuple[Bools, UnloadedBlocks]:
 
 
 def named_nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:
-    """Nodes of a side, a rock or a point; a name may be of several."""
+    """Nodes (n,) of a side, a rock or a point; a name may be of several."""
     chosen = [np.zeros(0, dtype=np.int64)]
     if name in mesh.sides:
         chosen.append(mesh.side_facets[mesh.side_of == mesh.sides.index(name)].ravel())

@@ -21,7 +21,7 @@ OTHERWISE = {"friction_angle_deg": "friction_coefficient"}
 
 
 def known_law(name: str) -> str:
-    """The name of a law; a fault that lists the known ones, for another. RuntimeError for one that came too late."""
+    """The name of a law. Raises a fault for an unknown one, and RuntimeError for one registered too late."""
     if name not in JOINT_LAWS:
         allowed = ", ".join(JOINT_LAWS)
         near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)

@@ -243,7 +243,7 @@ class MeasuredName:
 
     @staticmethod
     def read(name: str) -> str:
-        """The name, if a probe may measure it."""
+        """The name, if a probe may measure it. Raises PydanticKnownError for another."""
         if name in probed():
             return name
         raise PydanticKnownError("literal_error", {"expected": ", ".join(f"'{each}'" for each in probed())})

@@ -20,8 +20,8 @@ LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well tha
 TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is reported again
 TOLD_FROM = 0.1  # smaller factors are all the same
 FOLD = 1.5
-"""Growth of an aperture by what flows in through it, in a step of backward Euler, d - d0 = c d^3: none is greater. For
-more, c d0^2 > 4/27, walls are only stopped by their own stiffness, at a solution far away; for less there are both."""
+"""Largest growth of an aperture by inflow through it, in a step of backward Euler, d - d0 = c d^3. For c d0^2 > 4/27 only the
+stiffness of the walls stops them, at a distant solution; for less there are both solutions."""
 WIDENS = 2.0  # and again where an aperture grew by as much more
 STRAINED = 0.1  # p/E: a tenth is no small strain
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
@@ -48,7 +48,7 @@ class Notices:
         self._coupling(step)
 
     def _coupling(self, step: Step) -> None:
-        """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
+        """A line where the contraction of the fixed point has changed, and where it first failed."""
         totals, report, scene = self._totals, step.report, self._scene
         stage = f"stage {scene.stage[step.stage].title}"
         if report.handed_over and not totals.handed_over:
@@ -93,7 +93,7 @@ class Notices:
         rates = ", ".join(well.name for well in wells if well.flow_rate is not None)
         self._doubt(
             f"time {step.state.time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
-            f" over {STRAINED:g}, where neither strains nor joints are those of the model: what follows means nothing;"
+            f" over {STRAINED:g}, where neither strains nor joints are those of the model: later results are meaningless;"
             + (
                 f" give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
                 if rates
@@ -102,7 +102,7 @@ class Notices:
         )
 
     def _widening(self, step: Step) -> None:
-        """A line where an aperture grew in a step by more than can be foretold, and again where by far more."""
+        """A line where an aperture grew in a step by more than can be predicted, and again where by far more."""
         grown, totals = step.report.widening, self._totals
         if grown <= WIDENS * totals.widening:
             return

@@ -51,7 +51,7 @@ class Before:
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:
-        """Read them. Raises InputError for one that is not as it was."""
+        """Read them. Raises InputError for a changed file."""
         seals = notes["seals"]
         self.rows, self.attrs = read_rows(folder / "history.h5", notes["totals"]["steps"], seals.get("history", ""))
         self.mesh = mesh_root(folder / "mesh.h5")
@@ -92,7 +92,7 @@ class Recorder:
             self.files.folder.log(line)
 
     def tell_saved(self, tell: Callable[[int], None] | None) -> None:
-        """Tell on rank 0 after how many steps the last state on disk is, now and whenever there is another."""
+        """Report on rank 0 the number of steps before the last state on disk, now and at each later one."""
         self._tell_saved = tell
         if tell is not None and self.files is not None and self.saved:
             tell(self.saved)
@@ -181,7 +181,7 @@ class Recorder:
                 self._tell_lost(files)
 
     def finish(self, seconds: float, status: Status) -> None:
-        """Write plan.json, the last lines of the log, and how the run ended."""
+        """Write plan.json, the last lines of the log, and the status of the run."""
         for line in self.totals.summary(watches_spurious(self.model.scene), seconds):
             self.log(line)
         if (files := self.files) is not None:
@@ -199,7 +199,7 @@ class Recorder:
                 write_status(files.folder, Status(FAILED, str(self.lost)))
 
     def end(self) -> None:
-        """Close what grows with the steps: from here on nothing is recorded."""
+        """Close the files that grow with the steps: nothing is recorded afterwards."""
         if (files := self.files) is not None:
             self._write(files.end)
 
@@ -302,7 +302,7 @@ class Files:
         self._tell([*self.rock.left_out, *self.fractures.left_out])
 
     def _tell(self, lines: list[str]) -> None:
-        """Lines on a folder that is gone on with, for log and terminal."""
+        """Lines on a folder whose run is restarted, for log and terminal."""
         for line in lines:
             self.folder.log(f"note: {line}")
             warnings.warn(line, stacklevel=2)
@@ -330,7 +330,7 @@ class Files:
         """One row of history and the events up to it. Raises OSError."""
         self.folder.check()
         state = step.state
-        # a step that is cut where a status changes ends with the change; else it came somewhere in the step
+        # a step that is cut where a status changes ends with the change; else the change is somewhere in the step
         began = state.time if self.time is None or step.report.located else self.time
         self.time = state.time
         at = Recorded(step, snapshot, KINDS[step.regime or self.scene.stage[step.stage].kind])
@@ -372,7 +372,7 @@ class Files:
         self.is_ended = True
 
     def drop_extra(self, index: int | None) -> None:
-        """Take fields away that are out of turn, but for those of a step ``index``, which come next to be taken away."""
+        """Remove extra fields, but keep those of a step ``index``, which are removed next."""
         if self.extra is not None and self.extra != index:
             self.rock.drop(self.extra)
             self.fractures.drop(self.extra)

@@ -1,4 +1,4 @@
-"""A run repeated on finer meshes with shorter steps, to see how far its results are from where they go."""
+"""A run repeated on finer meshes with shorter steps, to estimate the errors of its results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OWN = ("converge.csv", "converge.json", "converge.png")
 
 @dataclass(frozen=True)
 class Level:
-    """A run of the family: ``found`` is what there is of it, "nothing", "a part" or "all"."""
+    """A run of the family, of which ``found`` exists: "nothing", "a part" or "all"."""
 
     number: int
     scene: Scene
@@ -41,7 +41,7 @@ class Level:
     comm: MPI.Comm
 
     def run(self, progress: OnStep | None = None) -> Totals:
-        """Run what is left of it. Raises InputError, SolveError and Interrupted, on every rank. Collective."""
+        """Run the rest of it. Raises InputError, SolveError and Interrupted, on every rank. Collective."""
         if self.found == "nothing":
             return run(self.scene, self.folder, self.comm, progress)
         return resume(self.folder, self.comm, progress)
@@ -54,7 +54,7 @@ def check_levels(count: int, what: str) -> None:
 
 
 def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Iterator[Level]:
-    """The runs of the family, coarsest first; each must be run before the next is asked for. Collective.
+    """The runs of the family, coarsest first; each must be run before the next is drawn from the iterator. Collective.
 
     Those of an earlier family of the same scene are gone on with. Raises InputError, on every rank.
     """
@@ -65,7 +65,7 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
     ties = not why_none(ReductionInput(scene, unknowns=LEAST))
-    if ties or asks_period(scene):  # levels would differ by what is left out; without inertia steps are not halved
+    if ties or asks_period(scene):  # levels would differ by omitted parts; without inertia steps are not halved
         scene = scene.model_copy(update={"model": "full"})
     spots: dict[str, Spot] = {}
     for number in range(count):

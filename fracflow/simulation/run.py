@@ -55,13 +55,13 @@ def run(
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
     show      is given the pre-run checks before the first step, on rank 0
-    say       is given lines that should be read before it: that wells are in parts that never meet, what nearly meets
-    progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
-              of a stage auto that was tried from a time and thrown away; a method ``saved(steps)`` of each checkpoint
+    say       is given lines to be read before it: on wells in separate network components, and near misses
+    progress is given each step. Its method ``trial(time, length, why)``, if any, is called for each rejected step without
+              inertia of a stage auto, and ``saved(steps)`` for each checkpoint
 
     Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
-    gone, and ``progress`` is called for those of both. Raises InputError, SolveError, DiskError and Interrupted, on
-    every rank.
+    removed, and ``progress`` is called for those of both. Raises InputError, SolveError, DiskError and Interrupted, on every
+    rank.
     """
     undone: dict[str, str] = {}
     while True:
@@ -92,7 +92,7 @@ def _begun(
     show: Show | None = None,
     say: Say | None = None,
 ) -> _Begun:
-    """A new run, without what an earlier try had to take back, on its ``mesh``. Raises ReductionInvalid besides. Collective."""
+    """A new run on a ``mesh``, without reductions undone by an earlier try. Raises ReductionInvalid too. Collective."""
     began = clock.perf_counter()
     model = prepare(scene, comm, mesh)
     refuse_imbalance(model)
@@ -158,7 +158,7 @@ def resume(
         )
         undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began)
     else:
-        # the folder alone is enough: the mesh's own file may be elsewhere now, or changed
+        # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
         mesh, ready = on_root(comm, lambda: load_mesh(path) if path.exists() else None), None
     while True:
@@ -220,7 +220,7 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
         for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
             recorder.log(line)
         recorder.finish(clock.perf_counter() - begun.clock, _status(failure))
-        if failure is None:  # last of all: what a kill leaves before it is gone on with
+        if failure is None:  # last of all: after a kill before it the run can be resumed
             recorder.save(step, finished=True)
         recorder.check()
     finally:
@@ -251,7 +251,7 @@ def is_moving(scene: Scene, step: Step) -> bool:
 def _steps(
     stepping: Stepping, recorder: Recorder, step: Step, progress: OnStep | None
 ) -> tuple[Step, SolveError | Interrupted | DiskError | None]:
-    """All steps that are left, on record: the last of them, and what ended them before their time. Collective."""
+    """Make and record all remaining steps; return the last one, and the cause of an early end. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
     going_on, tell_trial = step.progress or {}, getattr(progress, "trial", None)

@@ -1,4 +1,4 @@
-"""Wishes that reach a run from outside: signals and the clock, agreed on by all ranks at the end of a step."""
+"""Requests to a run from outside: signals and the clock, agreed on by all ranks at the end of a step."""
 
 from __future__ import annotations
 

@@ -53,12 +53,12 @@ class Totals:
         self.wasted += report.wasted
 
     def give_up(self, failure: SolveError) -> None:
-        """Count the trials of a step that came to nothing."""
+        """Count the trials of a step that failed."""
         self.rejected += failure.trials
         self.wasted += failure.newton
 
     def besides(self) -> str:
-        """The trials that were thrown away, in words; empty without any."""
+        """The rejected trials, in words; empty without any."""
         if not self.rejected:
             return ""
         return f"; besides {self.rejected} trials rejected, on which {self.wasted} Newton iterations were spent"

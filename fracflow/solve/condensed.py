@@ -2,9 +2,9 @@
 
 The rock with elastic joints, A = alpha_0 M + K_s + alpha_1 C + G' W D_0 G, is factored once. Nothing that slips, opens or
 flows changes A: all of that acts on the rock through the joints alone, u = A^-1 (r - G' q). The jumps are
-e = G u_free - G A^-1 G' q, q = W (t(e, p) - t_old - D_0 de): jumps and pressures answer each other through one dense
-compliance, by Newton's method of ``sections``; one more solve with the factors of A recovers the rock. Newton's method
-on all unknowns then sees whether the full balances hold, and does the step itself where they do not.
+e = G u_free - G A^-1 G' q, q = W (t(e, p) - t_old - D_0 de). One dense compliance couples jumps and pressures, which Newton's
+method of ``sections`` solves for; one more solve with the factors of A recovers the rock. Newton's method on all unknowns then
+checks the full balances, and solves the step itself where they do not hold.
 """
 
 from __future__ import annotations
@@ -131,15 +131,15 @@ def _one_cluster(compliance: Floats | None, here: int, comm: MPI.Comm) -> Cluste
 
 
 MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
-MOST_CYCLES = 3  # each takes away what round-off of the one before has left
-NEARLY = 10.0  # times the accuracy that is asked for, where little runs: all unknowns know no more
+MOST_CYCLES = 3  # each removes the round-off of the one before
+NEARLY = 10.0  # times the required accuracy, where flow is small: a solve for all unknowns has no more digits
 
 
 class CondensedFlow(FlowOnJoints):
     """Fracture flow of an implicit step: its balance holds at the end of the step."""
 
     def given(self, problem: StepProblem) -> PETSc.Vec:
-        """Sources less what walls squeeze out at the velocity they have without moving on, in a new vector. Collective."""
+        """Sources less the flow that walls displace at their present velocity, in a new vector. Collective."""
         network, speed, result = self.operators.flow, problem.velocity(), problem.source.copy()
         assert network is not None
         speed.axpy(-problem.alphas.a1, problem.increment)
@@ -152,9 +152,9 @@ class CondensedFlow(FlowOnJoints):
 
 
 class CondensedSections(SectionSolver):
-    """All sections at once; those whose moduli are the elastic ones cost nothing."""
+    """All sections at once; those with the elastic moduli cost no time."""
 
-    flow_kind, most_changes = CondensedFlow, 10  # Newton's method on all unknowns has more means to leave circles
+    flow_kind, most_changes = CondensedFlow, 10  # Newton's method on all unknowns has more means against cycling
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats) -> None:
         """Keep what is constant. Collective."""
@@ -181,7 +181,7 @@ class CondensedSections(SectionSolver):
 
 
 def _alike(operators: Operators, clusters: Clusters) -> Ints:
-    """For each section (S,) of the clusters here the first that moves as it does: of joints that meet at a node. Collective."""
+    """For each section (S,) of these clusters the first one with the same motion, where joints meet at a node. Collective."""
     motion = operators.layout.solid_vector()
     first, last = motion.getOwnershipRange()
     motion.setArray(np.random.default_rng(first).random(last - first))  # which no two places share
@@ -222,7 +222,7 @@ class Condensed:
         start = joints.evaluate(np.zeros((len(joints.weights), joints.dim)), joints.initial_history()).tangent
         self._at_rest = start
         own, natural = np.diagonal(start, axis1=1, axis2=2), scales.force / (scales.displacement * scales.length)
-        # any moduli do, for the sections put right what they really are; with these nothing that joints hold is loose
+        # any moduli serve, as the sections correct them; with these nothing that joints hold is loose
         self._elastic = np.where(own > 0.0, own, natural)[:, :, None] * np.eye(joints.dim)
 
     def solve(self, problem: StepProblem) -> StepReport:
@@ -244,11 +244,11 @@ class Condensed:
         return replace(report, newton=newton, factorisations=factors, cycles=done[1], handed_over=given_up)
 
     def expect(self, planned: Condensing) -> None:
-        """Condense those of the planned steps that are worth it, or all where that is asked for."""
+        """Condense those planned steps for which it pays, or all where the scene requires it."""
         self._planned = planned
 
     def _is_meant(self, key: Key, problem: StepProblem) -> bool:
-        """Whether a step is of those that are condensed. Collective."""
+        """Whether a step is to be condensed. Collective."""
         if self._is_asked:
             return key in self._planned.steps
         if not self._planned.is_worth(key):
@@ -276,7 +276,7 @@ class Condensed:
         """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
         joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
         problem.evaluate()
-        if max(_largest(problem), problem.residual.carried) <= least:  # what rests is left at rest, to the last digit
+        if max(_largest(problem), problem.residual.carried) <= least:  # sections at rest stay so to the last digit
             return 0, 0
         force, free = problem.load.duplicate(), problem.load.duplicate()
         try:
@@ -291,7 +291,7 @@ class Condensed:
                 joints.force(sections.pressure_change(problem, change), force)
                 problem.move(free.getArray() - rock.solve(force))
                 problem.evaluate()
-                # beside what runs, too, where that is little: the energy balance holds its residual, times the pressure
+                # also relative to a small flow: its residual times the pressure enters the energy balance
                 beside = problem.residual.carried
                 if max(_largest(problem), beside) <= least:
                     break

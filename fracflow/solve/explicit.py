@@ -48,8 +48,8 @@ class ExplicitProblem(StepProblem):
 class ExplicitCoupling:
     """Makes explicit steps of one scene, whatever its wells do; supports stay those it is made with.
 
-    Where terms have a C, M + dt/2 C takes the place of M for accelerations: C meets the velocity at the end of the step, and
-    does not limit it. Their D meets the mean velocity of the step, and does.
+    Where terms have a C, M + dt/2 C takes the place of M for accelerations: C acts on the velocity at the end of the step, and
+    does not limit the step. Their D acts on the mean velocity of the step, and does limit it.
 
     critical  the longest stable time step, by the rock and its terms alone [time]
     told      what the log tells of D

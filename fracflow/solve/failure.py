@@ -28,12 +28,12 @@ WHY = {
     "DIVERGED_MAX_IT": "all that accuracy.max_iterations allows",
     "DIVERGED_FNORM_NAN": "a balance is not a number",
     "DIVERGED_LINEAR_SOLVE": "the linear solver did not converge",
-    "DIVERGED_LINE_SEARCH": "no part of its step lowers the residual",
-    "DIVERGED_FUNCTION_DOMAIN": "the joint laws have no answer there",
+    "DIVERGED_LINE_SEARCH": "no fraction of its step lowers the residual",
+    "DIVERGED_FUNCTION_DOMAIN": "the joint laws have no response there",
     "DIVERGED_FUNCTION_COUNT": "all evaluations that PETSc's options allow",
     "DIVERGED_DTOL": "the residual grew beyond what PETSc's options allow",
 }
-CIRCLES = "sections stick and slide in circles"
+CIRCLES = "the status of sections cycles between sticking and sliding"
 WHY_LINEAR = {
     "DIVERGED_MAX_IT": "all that PETSc's options allow",
     "DIVERGED_DTOL": "its residual grew beyond what PETSc's options allow",
@@ -51,7 +51,7 @@ def why_stopped(snes: PETSc.SNES, is_short: bool = False) -> str:
     """
     reasons, solver = PETSc.SNES.ConvergedReason, snes.getKSP()
     if is_short and snes.getConvergedReason() == reasons.DIVERGED_MAX_IT:
-        return "all that a step is given that may be shorter"
+        return "the limit of a step that may be shorter"
     why = _in_words(snes.getConvergedReason(), reasons, WHY)
     if snes.getConvergedReason() != reasons.DIVERGED_LINEAR_SOLVE or solver.getConvergedReason() >= 0:
         return why
@@ -114,7 +114,7 @@ def describe_failure(
     place = place_of(problem, np.where(worse, solid, 0.0), np.where(worse, 0.0, flow))
     wanted += f", wanted {accuracy.residual:.0e}, worst {place}"
     if why == CIRCLES:
-        wanted = "the balances hold with every status, but none is that of what they come to"
+        wanted = "the balances hold with each status tried, but none of these agrees with the solution"
     elif scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
         wanted = f"out-of-balance force {problem.residual.out_of_balance:.2e}, wanted {accuracy.out_of_balance:.0e}"
     return (
@@ -124,7 +124,7 @@ def describe_failure(
 
 
 def check_step(solver: PETSc.KSP, step: PETSc.Vec, balance: PETSc.Vec, problem: StepProblem, name: str) -> None:
-    """Refine a step, or raise Unsolved, on every rank, with the place where the solve left most. Collective."""
+    """Refine a step, or raise Unsolved, on every rank, with the place of the largest residual. Collective."""
     try:
         check_solution(solver, step, balance, f"time {problem.time:.6g}: {name}")
     except Unsolved as error:
@@ -133,7 +133,7 @@ def check_step(solver: PETSc.KSP, step: PETSc.Vec, balance: PETSc.Vec, problem: 
         solid, flow = np.split(np.abs(left.getArray()), [middle])
         left.destroy()
         raise Unsolved(
-            f"{error}; most is left {place_of(problem, solid, flow)}: look at supports, stiffness and aperture there, or"
+            f"{error}; largest {place_of(problem, solid, flow)}: look at supports, stiffness and aperture there, or"
             " take a smaller time_step"
         ) from error
 
@@ -162,7 +162,7 @@ def place_of(problem: StepProblem, solid: Floats, flow: Floats) -> str:
 
 
 def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, slack: float) -> str:
-    """Names the block that is pushed most of those that float, and the net force on it; the same on every rank. Collective.
+    """Name the floating block with the largest net force, and that force; the same on every rank. Collective.
 
     slack  a net force that is none [force per thickness]
     """
@@ -215,7 +215,7 @@ def _free_ways(motions: Floats) -> str:
 
 
 def _around(floating: Floating, problem: StepProblem, piece: int) -> str:
-    """How many of the joints around a block are open, and how many slide. Collective."""
+    """Numbers of open and of sliding joints around a block, in words. Collective."""
     sections, points = problem.sections, len(floating.natural)
     here = np.any(floating.sides == piece, axis=1) & (floating.sides[:, 0] != floating.sides[:, 1])
     loose = sections.is_open | sections.is_sliding  # one end of a joint may be open and the other slide

@@ -1,7 +1,7 @@
 """Blocks of rock that nothing holds: rigid motions of the blocks that no closed joint, support, tie or term resists.
 
-A block is what no joint cuts. Each moves as (translations, turn about its middle, times its size); a joint section that
-carries resists the jump that the motions of its two blocks make there. The null space that is left over floats.
+A block is rock that no joint cuts. Its motions are translations and a turn about its middle, times its size. A joint section
+that carries resists the jump between the motions of its two blocks. The remaining null space floats.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from fracflow.model.properties import on_joints
 from fracflow.model.state import Sections
 
 NOTHING = 1e-9
-"""Relative stiffness that counts as none. All that holds has unit stiffness and each block its own size, so what is held
-at all is held by h/L squared or more."""
+"""Relative stiffness that counts as zero. Each support or joint has unit stiffness and each block its own size, so a block
+that is held has a stiffness of (h/L)^2 or more."""
 
 
 DENSE = 600  # motions up to which all eigenvectors are as fast
-SHIFT = 1e-11  # far below what counts as nothing, far above round-off
+SHIFT = 1e-11  # far below the stiffness that counts as zero, far above round-off
 FIRST = 8  # vectors
 INVERSE_ITERATIONS = 4
 
@@ -66,7 +66,7 @@ class Frames:
 
 
 def null_motions(stiffness: sparse.spmatrix | Floats) -> Floats:
-    """Orthonormal columns that span what a symmetric, semidefinite ``stiffness`` (m, m) does not resist; (m, k).
+    """Orthonormal columns (m, k) that span the null space of a symmetric, semidefinite ``stiffness`` (m, m).
 
     A large one stays sparse: inverse iteration on ever more vectors at once, until one of them is resisted.
     """
@@ -101,7 +101,7 @@ class Floating:
     """Finds floating blocks, for the sections that carry; keeps the last result."""
 
     def __init__(self, operators: Operators, loads: Loads) -> None:
-        """Place the sections. Nothing to communicate yet."""
+        """Locate the sections. Without communication."""
         self.operators, self.loads = operators, loads
         blocks, block = operators.blocks, operators.blocks.solid
         self.frames = Frames.of(block.piece_box)
@@ -135,7 +135,7 @@ class Floating:
         return self.motions
 
     def _motions(self, carried: np.ndarray) -> Floats:
-        """Blocks across joints that carry all along move as one; what they are in is found among these groups."""
+        """Blocks across joints that carry in all directions move as one; floating motions are found among these groups."""
         comm = self.operators.layout.comm
         points = len(self.natural)
         firm = carried.reshape(-1, points * 2).all(axis=1) & (points > 1)
@@ -175,7 +175,7 @@ class Floating:
         return np.linalg.qr(each)[0] if each.shape[1] else each
 
     def net_force(self, balance: PETSc.Vec) -> Floats:
-        """Force that is left on each block, and its moment over the block's size: (p, 3) of a solid balance. Collective."""
+        """Net force on each block, and its moment over the block's size: (p, 3) of a solid balance. Collective."""
         block, comm = self.operators.blocks.solid, self.operators.layout.comm
         start, local = block.unknown_starts[comm.rank], balance.getArray(readonly=True)
         force = np.zeros((self.count, 3))

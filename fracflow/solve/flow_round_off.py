@@ -1,8 +1,8 @@
-"""How many digits of the flow pressures leave that are given on both sides of it, and the stop where they are too few.
+"""Significant digits of flow between prescribed pressures, and the error where they are too few.
 
-In a wide fracture in a row with a narrow one, pressures differ by less than they are rounded off; the flow there, and
-what a well with a pressure draws, is nothing but that. A given flow rate needs no such difference. In a component that
-one feeds few digits are reported but not refused, since the flow may have hardly begun.
+In a wide fracture in series with a narrow one, pressures differ by less than their round-off. The flow there, and the inflow
+at a well with a pressure, are then round-off alone. A given flow rate needs no such difference. In a component that it feeds
+few digits are reported but not refused, since the flow may have hardly begun.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import MOST_DIGITS, refuse_few, round_off_of_pressure, significant_digits
 
 BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
-INSIDE = 3.0  # times the round-off at a well: nodes further in a wide fracture leave as much
-RESOLVED = 1e-4  # of the largest pressure: a smaller drop may be what a network come to rest has left
+INSIDE = 3.0  # times the round-off at a well: nodes further along a wide fracture have as much
+RESOLVED = 1e-4  # of the largest pressure: a smaller drop may remain in a network at rest
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class SignificantDigitsOfFlow:
 def flow_power(
     operators: Operators, conduction: Conduction | None, pressure: PETSc.Vec, source: PETSc.Vec, given: Ints
 ) -> float:
-    """Power of the flow that is no round-off: where pressure drops, and in wells [energy/time per thickness].
+    """Power of the flow beyond round-off: where pressure drops, and in wells [energy/time per thickness].
 
     source  rates that the nodes draw; given (n,) local numbers of nodes whose pressure is given. Collective.
     """
@@ -101,7 +101,7 @@ def significant_digits_of_flow(
 
 
 def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: float) -> np.ndarray:
-    """Which flow nodes (q,) of this rank are in a part that a well feeds with a flow rate, now or later. Collective."""
+    """Flow nodes (q,) of this rank in a component that a well feeds with a flow rate, now or later. Collective."""
     layout = operators.layout
     pumped = np.zeros(layout.flow_count, dtype=bool)
     for well in loads.wells:
@@ -119,7 +119,7 @@ def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: 
 
 
 def refuse_few_of_flow(found: SignificantDigitsOfFlow, limit: int, time: float) -> None:
-    """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
+    """Raise SolveError, on every rank, where fewer digits are left than required, with sufficient values."""
     if limit == 0 or found.digits >= limit:
         return
     left = min(max(round(found.digits, 1), 0.0), limit - 0.1)
@@ -133,10 +133,10 @@ def refuse_few_of_flow(found: SignificantDigitsOfFlow, limit: int, time: float) 
 
 
 def check_digits(problem: StepProblem, new: State, limit: int, tell: Callable[[str], None]) -> float:
-    """Digits of the worst tractions of the state that a solved problem leads to.
+    """Fewest significant digits of tractions in the state of a solved problem.
 
-    Raises SolveError, on every rank, where fewer than ``limit`` are left, or of the flow in a part that nothing but given
-    pressures drives; it frees the state. It reports digits of flow that are as few elsewhere. Collective.
+    Raises SolveError, on every rank, where fewer than ``limit`` are left, and frees the state. So it does for the flow in a
+    component that prescribed pressures alone drive. Elsewhere it reports so few digits of flow. Collective.
     """
     found, operators = significant_digits(problem.operators, new), problem.operators
     try:

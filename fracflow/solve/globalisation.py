@@ -28,12 +28,12 @@ class StatusHistory:
     """
 
     def __init__(self, comm: MPI.Comm) -> None:
-        """Nothing has been seen."""
+        """Start without statuses."""
         self.comm = comm
         self.begin()
 
     def begin(self) -> None:
-        """Forget what has been seen."""
+        """Drop all statuses seen."""
         self._seen: list[Statuses] = []
         self.changed = np.zeros((0, 2), dtype=bool)
 
@@ -74,7 +74,7 @@ class ActiveSetRounds:
     """Rounds of a step: whenever its balances hold, sections that have left their status get the next one.
 
     seen     the statuses with which balances held
-    is_lost  they come back to the same statuses, and nothing leads out
+    is_lost  statuses cycle, and no remedy has helped
     """
 
     def __init__(self, problem: StepProblem) -> None:
@@ -106,9 +106,9 @@ def reset_cycling(problem: StepProblem, before: Floats, changing: Bools) -> bool
 
     before  what the unknowns (n,) of this rank had moved when those sections last had their other status
 
-    Where slip changes the normal traction by more than it relieves the shear, f |K_nt| / K_tt > 1, the balance with a
-    sliding section lies where it would have slid the other way, so that its status cycles. One that really
-    slides on loses its strength until it opens. Tells whether the trial was moved. Collective.
+    Slip may change the normal traction by more than it relieves the shear, f |K_nt| / K_tt > 1. The balance with a sliding
+    section then lies where it would slide the other way, so that its status cycles. One that really slides on loses its
+    strength until it opens. Returns whether the trial was moved. Collective.
     """
     joints, comm = problem.operators.joints, problem.operators.layout.comm
     here = problem.increment.getArray().copy()
@@ -136,7 +136,7 @@ MOST_TRIALS = 60
 def by_residual(size: Callable[[float], float], before: float, change: float) -> float:
     """The first fraction of 1, just past the first ``change`` of a status, 1/2, 1/4 ... that lowers the residual.
 
-    size    fraction -> residual there, inf where the laws have no answer
+    size    fraction -> residual there, inf where the laws have no response
     before  residual at fraction 0
     change  fraction at which the first joint opens or closes, inf if none does
     """

@@ -23,7 +23,7 @@ from fracflow.solve.problem import StepProblem
 
 @dataclass(frozen=True)
 class EnclosedComponent:
-    """A part of the network that nothing drains.
+    """A network component that nothing drains.
 
     nodes  local numbers of its flow nodes on this rank
     walls  change of its volume with the displacements [area]
@@ -77,7 +77,7 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
 def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
     """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective.
 
-    Walls whose mass was moved inward go with those who carry it, P a = a, and what acts on them acts there: M a = P' f.
+    Walls whose mass was moved inward move with the nodes that carry it, P a = a, where their forces act: M a = P' f.
     """
     matrix, solver = _mass(operators, problem.loads)
     force = problem.solid_balance.copy()
@@ -94,10 +94,10 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
 def first_levels(
     operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[EnclosedComponent]
 ) -> Floats:
-    """Changes (k,) of the pressures of parts, so that their walls take up the inflow from the start.
+    """Changes (k,) of the pressures of components, so that their walls take up the inflow from the start.
 
-    The sum of (3.20) over a part that nothing drains, w v = sum Q, says nothing of its level; its rate does: w a = sum Q',
-    where a level adds M^-1 w to the ``acceleration`` that there would be without. Collective.
+    The sum of (3.20) over an undrained component, w v = sum Q, leaves its level undetermined. Its rate determines it, w a =
+    sum Q', where a level adds M^-1 w to the ``acceleration``. Collective.
     """
     if not parts:
         return np.zeros(0)
@@ -146,7 +146,7 @@ def _mass(operators: Operators, loads: Loads) -> tuple[PETSc.Mat, PETSc.KSP]:
 
 
 def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
-    """Add to M what keeps accelerations that have no mass at P a: (1 - P)' S (1 - P), S masses of nodes near by. Collective."""
+    """Add (1 - P)' S (1 - P) to M, which keeps accelerations without mass at P a; S masses of nodes nearby. Collective."""
     diagonal, sizes, apart = mass.getDiagonal(), entry_sizes(inward), inward.copy()
     near = diagonal.duplicate()
     sizes.mult(diagonal, near)

@@ -28,7 +28,7 @@ PARTS = ("solid", "flow")
 class FreePart:
     """The free part of a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
 
-    ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node; ``keeping`` are the rows of
+    ``flow_rows`` are ``flow_nodes``, or -1 where a closure stands for the balance of a node. ``keeping`` are the rows of
     closures that keep the fluid at a joint end.
     """
 
@@ -331,7 +331,7 @@ def node_size(operators: Operators) -> int:
 
 
 def tell_rigid_motions(operators: Operators, solid: PETSc.IS) -> None:
-    """Give the split ``solid`` both; PCFIELDSPLIT hands them on to the matrix of the split. Collective."""
+    """Give the split ``solid`` both; PCFIELDSPLIT passes them to the matrix of the split. Collective."""
     solid.setBlockSize(node_size(operators))
     space = near_null_space(operators)
     solid.compose("nearnullspace", space)

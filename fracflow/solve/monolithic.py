@@ -13,7 +13,7 @@ from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
 
-FAR = 0.1  # of the largest terms of a balance: what another linear solver does not take away
+FAR = 0.1  # of the largest terms of a balance: a residual that another linear solver would not remove
 
 
 class Monolithic:
@@ -28,7 +28,7 @@ class Monolithic:
         self.rock: Newton | None = None
 
     def expect(self, planned: Condensing) -> None:
-        """Nothing here depends on which steps are planned."""
+        """Planned steps have no influence here."""
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
@@ -45,9 +45,9 @@ class Monolithic:
         return step_report(report, problem.residual, 1)
 
     def _open(self, problem: StepProblem) -> bool:
-        """Start the step again as wide as it is without suction; return whether that is another start. Collective.
+        """Start the step again with the apertures without suction; return whether that is another start. Collective.
 
-        Walls that part suck fluid through what is all but shut, at c d^3 (k (d_1 - d)) = d - d_0 in short. Once d_0 is too
+        Walls that open draw fluid through a nearly closed fracture, at c d^3 (k (d_1 - d)) = d - d_0 in short. Once d_0 is too
         wide for a root beside it, the only one is near d_1: uphill from d_0, and downhill all the way from d_1.
         """
         if not without_suction(problem):
@@ -74,7 +74,7 @@ class WholeLU(Monolithic):
 
 
 class Auto(WholeLU):
-    """The same, and FGMRES where that does not converge: fractures that are all but shut beside wide ones."""
+    """The same, and FGMRES where that does not converge: nearly closed fractures beside wide ones."""
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make matrix and solver; the other solver when it is first needed. Collective."""
@@ -86,7 +86,7 @@ class Auto(WholeLU):
         try:
             return self._solve(self.newton, problem)
         except NotConverged as failure:
-            # the linear solver is not to blame where it solved what it was given, and Newton's method is nowhere near
+            # the linear solver is not the cause where its solves converged, and Newton's method is far from a solution
             far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
             if far or _is_left(problem, failure):
                 raise
@@ -103,5 +103,5 @@ class Auto(WholeLU):
 
 
 def _is_left(problem: StepProblem, failure: NotConverged) -> bool:
-    """Whether a step that failed is not tried in other ways: it may be shorter, and its sections kept changing."""
+    """Whether a failed step is not tried in other ways: it may be shorter, and its statuses cycled."""
     return problem.request.expects_failure and isinstance(failure, StatusCycling)

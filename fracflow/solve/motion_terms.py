@@ -26,9 +26,9 @@ class Unapplied:
 
     @staticmethod
     def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Unapplied:
-        """A share of the values that ``state`` lacks, jumps there included. Collective.
+        """A share of the prescribed values not yet in ``state``, jumps there included. Collective.
 
-        Forces that lack, and rates ``of_wells``, go into ``load`` and ``source``.
+        Unapplied forces, and rates ``of_wells``, go into ``load`` and ``source``.
         """
         for total, term, had, now in (
             (load, load.duplicate(), state.forces.load, loads.force),
@@ -154,7 +154,7 @@ class TermsOfStep:
 
 
 def carried_on(operators: Operators, loads: Loads, state: State) -> PETSc.Vec | None:
-    """What terms go on to carry: reactions of what they held. The caller destroys a new one."""
+    """Loads that terms go on to carry: the reactions of held unknowns. The caller destroys a new one. Collective."""
     if operators.damping is None or state.forces.anchor is not None:
         return state.forces.anchor
     anchor = state.forces.support.duplicate()

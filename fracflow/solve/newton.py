@@ -1,10 +1,10 @@
-"""(4.7) Newton's method on one step, or one that stands in for it: SNES, with the safety that joints need.
+"""(4.7) Newton's method on one step, or a method in its place: SNES, with the safeguards that joints need.
 
-overshoot = "hold": the statuses of the last step are tried first. Once the balances hold with them, every section that has
-left its status is given the next one, and the iteration goes on from there, until none has: so the elastic root is
-preferred, and no section slips because an iterate overshot. overshoot = "one-change", as in 5.1: every iteration lets each
-section change its status, but once only; with a drop of strength it may end in a sliding state where hold finds an
-elastic one (5.3 does, just below failure). No iteration takes a joint past its closure.
+With overshoot = "hold" the statuses of the last step are tried first. Once the balances hold with them, every section that has
+left its status is given the next one. The iteration goes on from there, until none has. So the elastic root is preferred, and
+no section slips because an iterate overshot. With overshoot = "one-change", as in 5.1, every iteration lets each section
+change its status, but once only. With a drop of strength it may end in a sliding state where "hold" finds an elastic one (5.3
+does, just below failure). No iteration takes a joint past its closure.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatri
 MOST_CHANGES = 50  # rounds of status changes in one step
 BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
 BRIEF = 20  # iterations with the same statuses there
-PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
+PATIENCE = 15  # full Newton steps before a line search
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -185,7 +185,7 @@ class Newton:
             raise NotConverged(describe_floating(self.scene, problem, self.floating, slack))
 
     def _round_off(self, problem: StepProblem) -> float:
-        """Residual that is left of the balance where it holds [force per thickness]. Collective."""
+        """Round-off bound of a balance that holds [force per thickness]. Collective."""
         size = problem.solid_balance.norm(PETSc.NormType.INFINITY)
         return self.scene.accuracy.residual * float(size) / max(problem.residual.solid, 1e-300)
 
@@ -223,7 +223,7 @@ class Newton:
         return bool(fraction < 1.0)
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
-        """Fraction of a step that leads out of the circle; what the problem is evaluated at is left anywhere. Collective."""
+        """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
         comm, middle = self.matrix.layout.comm, self.matrix.layout.solid_count
         trial, balance = unknowns.duplicate(), self.balance.duplicate()
         change = comm.allreduce(self.matrix.operators.joints.change_at(problem.sections.strain, strains), op=MPI.MIN)
@@ -235,7 +235,7 @@ class Newton:
         def size(fraction: float) -> float:
             try:
                 at(fraction)
-            except NotConverged:  # the laws have no answer there, on any rank
+            except NotConverged:  # the laws have no response there, on any rank
                 return np.inf
             return float(balance.norm())
 
@@ -252,7 +252,7 @@ class Newton:
             balance.destroy()
 
     def _searches(self) -> bool:
-        """Whether steps are shortened once statuses come back, or whole ones take long."""
+        """Whether steps are shortened once statuses cycle, or full steps converge slowly."""
         return self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow"
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
@@ -267,7 +267,7 @@ class Newton:
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.history)
         self._is_start = False
-        # one more where little runs beside what full pressure would drive: wells are to work by what runs
+        # one more where flow is small beside that at full pressure: the work of wells depends on its digits
         more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
         self._polished = self._balanced(problem, iteration)
         if self._polished and not (more and iteration < accuracy.max_iterations):

@@ -1,4 +1,4 @@
-"""The longest period in which a scene vibrates while its joints stick: how long one must look to call it at rest."""
+"""The longest period of vibration of a scene whose joints stick: the time after which it may count as at rest."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fracflow.solve.initial_rates import with_diagonal
 
 MOST_ITERATIONS = 200
 SHARP = 1e-12  # relative change of the eigenvalue between two iterations
-SOFT = 1e-10  # of the first Rayleigh quotient: what holds a block that nothing else holds
+SOFT = 1e-10  # of the first Rayleigh quotient: stiffness of a block that nothing else holds
 
 
 def longest_period(operators: Operators, loads: Loads, sections: Sections) -> float:

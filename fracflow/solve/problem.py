@@ -1,8 +1,8 @@
 """(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
 
 solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p + C v - R = 0, K_s and C with those of terms
-flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of
-       the walls, what a part holds is changed by what flows in and out alone
+flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of the
+       walls, only inflow and outflow change the fluid in a component
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class StepProblem:
             displacement.getArray()[still] = old[still]
 
     def move(self, increment: Floats) -> None:
-        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for the prescribed."""
+        """Set the trial by the motion (n,) of this rank's unknowns since the last state, but for the prescribed."""
         old, held = self.state.motion.displacement.getArray(readonly=True), self.loads.held
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
@@ -112,7 +112,7 @@ class StepProblem:
         Collective.
         """
         ops, u, p = self.operators, self.displacement, self.pressure
-        # jumps of this step on top of those of the last state: a motion that walls share costs no digits afterwards
+        # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
         self.accept(self.evaluate_joints(strain, hold))
         solid, terms = self.solid_balance, [largest(self.load)]
@@ -146,15 +146,15 @@ class StepProblem:
         self._measure(max(terms), max(flow_terms))
 
     def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
-        """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the statuses of now."""
+        """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the present statuses."""
         return self.operators.joints.evaluate(strain, self.branch, self.law_step(hold))
 
     def law_step(self, hold: bool = True) -> LawStep:
-        """What laws are told of the step: how long it is, since the history of the sections was accepted."""
+        """The ``LawStep`` of this step: its length, since the history of the sections was accepted."""
         return LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
 
     def accept(self, answer: Sections) -> None:
-        """Take what the sections answer to the present motion."""
+        """Take the response of the sections to the present motion."""
         before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
         record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
         self.sections = replace(answer, blur=round_off_of_jumps(before.blur, self._moved), record=record)
@@ -186,7 +186,7 @@ class StepProblem:
             result.getArray()[part.numbers] = part.speed(self.time, self.rule.adjacent)
         return result
 
-    def _driven(self) -> tuple[PrescribedValues, ...]:  # whose motion the scene gives, and no rule of stepping
+    def _driven(self) -> tuple[PrescribedValues, ...]:  # whose motion the scene prescribes, not the integrator
         return self.loads.supports if self.alphas.a0 > 0.0 and max(self.rule.adjacent) > 0.0 else ()
 
     def uptake(self) -> PETSc.Vec | None:
@@ -237,7 +237,7 @@ class StepProblem:
         return [*terms, float(through.max(initial=0.0))]
 
     def _close(self) -> None:
-        """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
+        """In place of the balance at a node of each undrained component: its volume, or its level, is kept."""
         assert self.conduction is not None
         change = self.pressure.getArray(readonly=True) - self.state.pressure.getArray(readonly=True)
         trial = (self.increment, change, self.fluid_before, self.conduction.compression)

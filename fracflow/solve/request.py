@@ -1,4 +1,4 @@
-"""What a step is asked, and by which rule it goes; and the step of a stage that requests ask for parts of."""
+"""The request for a step and its rule; and the step of a stage, of which requests are substeps."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class StepRequest:
     restraint        a force (n,) beside the loads [force per thickness]; None for none
     unapplied        share of what the state lacks of the prescribed that does not arrive in this step [1]
     hold             all joint sections keep their status, whatever their tractions
-    next_length      length of the step that follows, 0 where the stage ends or this one is cut at a jump [time]; None for one
-                     as long as this one
-    expects_failure  a failure costs little: where sections keep changing, it is given up early, and not given to another solver
+    next_length      length of the next step, 0 where the stage ends or this one is cut at a jump; None for one as long as
+                     this one [time]
+    expects_failure  a failure costs little: where statuses cycle, it is given up early, and not passed to another solver
     max_iterations   while no section changes, where accuracy.max_iterations is more; 0 for no such limit
     may_stop         it may end at an event before its end
     step             the step of a stage that this is a part of, from its fraction ``begin`` to ``end``; None for one by itself
@@ -59,7 +59,7 @@ class StepRequest:
 
 @dataclass(frozen=True)
 class LoadStep:
-    """A step of a stage, and what is prescribed in it; fractions of it are the parts that it is taken in.
+    """A step of a stage with its prescribed values; substeps are fractions of it.
 
     start      of the stage [time]
     number     of the step in it, from 1
@@ -70,7 +70,7 @@ class LoadStep:
     loads      loads, wells and supports that act
     ends       times, ascending, at which parts end, as something prescribed jumps or bends
     jumps      those at which something jumps
-    fills      by the end of a part all that has jumped before it is there; else it arrives evenly over the step
+    fills      a jump is applied whole by the end of the substep; else it is spread evenly over the step
     in_halves  a part is expected to be followed by one as long; else by all the rest of the step
     """
 
@@ -93,7 +93,7 @@ class LoadStep:
         return self.start + (self.number - 1 + fraction * (self.length / self.spacing)) * self.spacing
 
     def after(self, fraction: float) -> float:
-        """Length of the part that follows a fraction of it, as it is foreseen: up to the next end of parts [time]."""
+        """Planned length of the substep that follows a fraction of it: up to the next end of substeps [time]."""
         if self.spacing == 0.0 or (fraction == 1.0 and self.following == 0.0):
             return 0.0
         length = self.following if fraction == 1.0 else (1.0 - fraction) * self.length
@@ -113,7 +113,7 @@ class LoadStep:
         return None
 
     def part(self, before: Mapping[str, float], begin: float, end: float) -> StepRequest:
-        """What is asked of it between two fractions, from a state with the controls ``before``."""
+        """The request between two fractions of it, from a state with the controls ``before``."""
         length, ahead = self.length * (end - begin), self.after(end)
         if end < 1.0 and self.in_halves:
             ahead = min(ahead, length)
@@ -149,7 +149,7 @@ class StepRule:
     inertia: bool = False
 
     def demanded(self, request: StepRequest, well: str) -> float:
-        """Flow rate that a well asks for in a step, over the whole depth [volume rate]."""
+        """Flow rate that a well demands in a step, over the whole depth [volume rate]."""
         return request.loads.demanded(well, request.time, request.controls, self.adjacent, self.rates)
 
 

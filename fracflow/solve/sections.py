@@ -1,10 +1,10 @@
 """Joints and fracture flow on the sections alone: Newton's method over clusters of sections, all at once.
 
-At the end of an explicit step e = e_free - S G M^-1 G' W (t(e, p) - t_old), t = f - n p: the motion of a section in the
-step, e, from its motion if joints and fluid pulled as before. Statuses as in ``newton``: held until the balance holds, then
-each section may change its own once, until none does. No iteration takes a joint past its closure.
-Pressures follow the trapezoidal rule for the motion of the walls, 2/dt B' (u_new - u) + x'_new + K_F p_new = Q_new + Q
-- K_F p - x'; condensed steps have another right side.
+At the end of an explicit step e = e_free - S G M^-1 G' W (t(e, p) - t_old), t = f - n p: the motion e of a section in the
+step, from its motion under the previous tractions of joints and fluid. Statuses as in ``newton``: held until the balance
+holds, then each section may change its own once, until none does. No iteration takes a joint past its closure. Pressures
+follow the trapezoidal rule for the motion of the walls, 2/dt B' (u_new - u) + x'_new + K_F p_new = Q_new + Q - K_F p - x';
+condensed steps have another right side.
 """
 
 from __future__ import annotations
@@ -144,12 +144,12 @@ class FlowOnJoints:
 
 
 TIGHT = 1e-12  # of the largest motion of a section in the step
-MOTION_ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of what the motion of a section is the difference of
+MOTION_ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of the motions whose difference is the motion of a section
 
 
 @dataclass(frozen=True)
 class SectionReport:
-    """Newton iterations, and what is left: of motions over the largest, of flows over the largest term."""
+    """Newton iterations, and residuals: of motions over the largest, of flows over the largest term."""
 
     iterations: int
     motion: float
@@ -167,7 +167,7 @@ class _Rows:
 
 
 class SectionSolver:
-    """Solves for what sections move in a step, and for the pressures."""
+    """Solves for the motion of sections in a step, and for the pressures."""
 
     flow_kind, most_changes = FlowOnJoints, MOST_CHANGES
 
@@ -196,11 +196,11 @@ class SectionSolver:
     def solve(
         self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
     ) -> tuple[Floats, SectionReport]:
-        """Bring sections and pressures of ``problem`` into balance, from what sections move freely (s, dim).
+        """Bring sections and pressures of ``problem`` into balance, from the free motion (s, dim) of sections.
 
-        share  S of ``stepping.explicit``; ``start`` what sections (s, dim) are tried to move at first.
+        share  S of ``integrators.explicit``; ``start`` first trial (s, dim) of the motion of sections.
         least  iterations in any case
-        Returns what they move. Raises NotConverged, on every rank. Collective.
+        Returns their motion. Raises NotConverged, on every rank. Collective.
         """
         total, change, comm = 0, np.zeros_like(free) if start is None else start, self.operators.layout.comm
         pulled = self.total_traction(problem.state.sections.traction, problem.state.pressure)
@@ -275,9 +275,9 @@ class SectionSolver:
         slopes: Floats,
         share: float,
     ) -> _Rows:
-        """Bring what this rank's sections say to the clusters, with the balance of motions there. Collective.
+        """Gather data of this rank's sections in the clusters, with the balance of motions there. Collective.
 
-        known  sizes of what ``push`` is the difference of
+        known  sizes of the terms whose difference is ``push``
         """
         count, dim = free.shape
         rows = np.hstack([free, change, push, known, moduli.reshape(count, dim**2), slopes])
@@ -292,7 +292,7 @@ class SectionSolver:
         return _Rows(left, size, flat.reshape(-1, dim, dim), slopes)
 
     def _step(self, problem: StepProblem, rows: _Rows, own_slopes: Floats, share: float) -> Floats:
-        """Newton's correction (s, dim) of what sections move; that of the pressures is made. Collective."""
+        """Newton's correction (s, dim) of the motion of sections; that of the pressures is applied here. Collective."""
         dim, exchange = rows.left.shape[1], self.clusters.exchange
         alone, by_pressure = np.zeros_like(rows.left), []
         for batch in self.clusters.batches:

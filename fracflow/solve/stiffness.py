@@ -1,6 +1,6 @@
 """The stiffness by which an iteration corrects: (4.7) Newton, (4.10) modified Newton, and the secant method of 5.1.
 
-Each is exact where the joints behave linearly; they differ in what they take for the joints, and in how long they keep it.
+Each is exact where joints behave linearly; they differ in the moduli of the joints, and in how long they keep them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fracflow.model.joints import Joints
 from fracflow.model.operators import Scales
 from fracflow.model.state import Sections
 
-SOFT = 1e-6  # of the natural stiffness: what holds a loose block on its way to the next contact
+SOFT = 1e-6  # of the natural stiffness: it holds a loose block on its way to the next contact
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Stiffness:
 
     moduli     (joints, sections) -> moduli (s, dim, dim) of this rank's joint sections [stress/length]
     is_kept    the matrix of a step's first iteration serves for the whole step
-    weakness   why it may fail where joints have slipped; empty if they do not trouble it
+    weakness   why it may fail where joints have slipped; empty if it does not
     """
 
     moduli: Callable[[Joints, Sections], Floats]

@@ -1,9 +1,8 @@
 """Files of a run with seals: digests of all that they hold, by which damage is seen before anything goes on from it.
 
-An array is hashed in pieces of whole rows, PIECE bytes or one row, in original order: however many ranks hold it, a
-piece has one digest (BLAKE2b, 16 bytes; RFC 7693). The root is the digest of names, types, shapes, attributes and all
-pieces. An array that grows by rows is a chain: the digest of a row is that of the one before it with the row's bytes
-(Haber and Stornetta 1991).
+An array is hashed in pieces of whole rows, PIECE bytes or one row, in original order. On any number of ranks a piece has one
+digest (BLAKE2b, 16 bytes; RFC 7693). The root is the digest of names, types, shapes, attributes and all pieces. An array that
+grows by rows is a chain: the digest of a row is that of the one before it with the row's bytes (Haber and Stornetta 1991).
 """
 
 from __future__ import annotations

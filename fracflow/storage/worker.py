@@ -1,12 +1,12 @@
 """The process that reads HDF5 files: the library may crash, hang or ask for any memory over a damaged or forged one.
 
-It says that it is ready, then answers requests, a line of JSON each on standard input: ``path``, ``names`` of the datasets
-that are wanted (null for all), ``live`` for a file that may have a writer. An answer is a line of JSON with attributes and
-layout; for each dataset a line with its name, type and shape, and its bytes; and a line with ``end``. A line with ``error``
-ends an answer too.
+It reports that it is ready, then serves requests, a line of JSON each on standard input. Its keys are ``path``, ``names`` of
+the datasets to read (null for all), and ``live`` for a file that may have a writer. A reply begins with a line of JSON with
+attributes and layout. Each dataset follows with a line of its name, type and shape, and its bytes. A line with ``end`` closes
+it. A line with ``error`` ends a reply too.
 
-Read are numbers in datasets of the file itself: no link but hard ones, nothing stored elsewhere, no filters, not more
-than the file can hold.
+It reads numbers in datasets of the file itself. Links other than hard ones, external storage, filters and sizes beyond the
+file are refused.
 """
 
 import os

@@ -283,7 +283,9 @@ def read_scene(folder: Path, settings: tuple[str, ...]) -> None:
     copied = folder / "copied.toml"
     copied.write_text(scene.dump_toml(folder), encoding="utf-8")
     again = load(copied).model_copy(update={"version": scene.version})  # that of the program that wrote it
-    if again.mesh is not None and scene.mesh is not None and again.mesh_path == scene.mesh_path:  # spelled in another way
+    if (
+        again.mesh is not None and scene.mesh is not None and again.mesh_path == scene.mesh_path
+    ):  # spelled in another way
         again = again.model_copy(update={"mesh": again.mesh.model_copy(update={"file": scene.mesh.file})})
     if again != scene:
         raise AssertionError("what is written of a scene is read as another")

@@ -1,4 +1,4 @@
-"""F6d: sections that stick and slide in circles, f |K_nt| / K_tt > 1: each ends in an equilibrium, or is named."""
+"""F6d: statuses that cycle between sticking and sliding, f |K_nt| / K_tt > 1: each ends in an equilibrium, or is named."""
 
 from pathlib import Path
 

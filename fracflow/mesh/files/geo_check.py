@@ -1,7 +1,7 @@
 """A .geo is a program: before Gmsh runs it, it is read through a list of statements that only make geometry.
 
-Gmsh never sees the file itself. It is given what was checked here, written anew from its tokens: without comments, line by
-line as the file has it, included files with it. So nothing turns on how Gmsh reads what is unclear.
+Gmsh never sees the file itself. Gmsh reads only the checked statements, written anew from their tokens, line by line. Comments
+are left out and included files are inserted. So nothing turns on how Gmsh reads what is unclear.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What becomes of a .geo that is checked, and how deep its blocks, macros and included files lie in each other.
+"""The result of a check of a .geo, and how deep its blocks, macros and included files lie in each other.
 
 Gmsh keeps them in tables of fixed size.
 """

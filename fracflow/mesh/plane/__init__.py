@@ -1,1 +1,1 @@
-"""What knows the plane only: networks of traces, their near misses and mesh sizes; angles, quads and refinement of cells."""
+"""Parts for the plane only: networks of traces, their near misses and mesh sizes; angles, quads and refinement of cells."""

@@ -63,7 +63,7 @@ class NearMiss:
 def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[str], snap: float) -> list[NearMiss]:
     """Each point of a trace that stays within five ``snap`` of another trace or a side, the nearest first.
 
-    Two parts of a network count where the way between them along the network is over twelve times their distance; of a pair
+    Two parts of a network count where the path between them along the network is over twelve times their distance. Of a pair
     of traces only the nearest points of a place count. Ends that go beyond what they cross come last: they cost small cells.
 
     traces, sides  names, by the network's owners

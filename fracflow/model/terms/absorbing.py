@@ -39,7 +39,7 @@ class Facets:
     density: Floats
 
     def speed(self, kind: str) -> Floats:
-        """c_p or c_s [length/time]."""
+        """c_p or c_s (f,) of facets [length/time]."""
         speed: Floats = np.sqrt((self.lam + 2.0 * self.shear if kind == "p" else self.shear) / self.density)
         return speed
 
@@ -69,7 +69,7 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
 
 
 def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
-    """What the log should tell of an entry: how much of a wave its sides send back. Collective."""
+    """Lines of the log on an entry: the share of a wave that its sides reflect. Collective."""
     lines = _leaves_by(blocks, absorbing)
     ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
     everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
@@ -144,7 +144,7 @@ class AbsorbingSides(Term):
         return sum(wave.power(time, around) for wave in self.waves)
 
     def energy(self, taken: float, brought: float) -> Mapping[str, float]:
-        """What the sides let out, and what waves bring in."""
+        """Energy that the sides radiate, and work of incident waves."""
         return {"radiated": taken + brought, "work_incident": brought}
 
 

@@ -7,8 +7,8 @@ Mechanism   Friction rectifies what shakes walls at the frequencies of a few cel
             front; finer cells ring more often, and make it worse. Along: where a prescribed pressure takes strength
             away at once, each node let go comes too far, as a spring does, on mirror images too. It sticks there, since
             friction does not push it back. Sections then carry less than their strength, and the stress falls by more
-            than it should. Laws without a slip length do the same; there the motion of single cells may be that of the
-            scene's blocks, and the extent of slip depends on the mesh (see the pre-run checks). These are damped by a
+            than it should. Laws without a slip length do the same. There the motion of single cells may be that of the
+            scene's blocks, and slip depends on the mesh (see the pre-run checks). These are damped by a
             number alone.
 Predictor   Across: ``asymmetry`` of the walls, and the rms of the normal traction behind the front, which grows as its square:
             slip is too large by up to mu_d times that rms over the stress drop. k_n has no part in it, so that neither softer
@@ -30,9 +30,9 @@ Order       In TPV205-2D slip is too small by 1.8, 0.79, 0.40 % (rms of seven pl
             0.3 of the distance from the fault: order 1. For a growth of 0.1: 1.75, 0.71, 0.27 and, at 25 m, 0.10 %, order 1.3
             to 1.4. Meshes are refined evenly only where growth falls with the cells: from 0.3 at 200 m on 1.8, 0.79, 0.27,
             0.08 %, orders 1.2, 1.5, 1.7 (``scripts/bench rupture_triangles``). A ratio of 0.2 is of order 1.4 at a growth of
-            0.1, but leaves slip 3.5 % too large at one place of cells of 50 m that grow by 0.3, where it creeps on; 0.1 on
+            0.1. But it leaves slip 3.5 % too large at one place of cells of 50 m that grow by 0.3, where it creeps on; 0.1 on
             six layers 2.6 %. Damping of strains less their means over patches of cells leaves it 0.7 to 4.8 % too large there
-            at a growth of 0.1, damping slip along the fault by 0.15 of what is across 5 % at 100 m.
+            at a growth of 0.1. Damping slip along the fault by 0.15 of what is across 5 % at 100 m.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class FaultDamping(Term):
 
 
 def fault_damping(operators: Operators, scene: Scene) -> tuple[FaultDamping, ...]:
-    """The term of a scene whose steps are explicit, and that wants it."""
+    """The term of a scene with explicit steps that has this damping."""
     wanted = scene.method.stepper in EXPLICIT and scene.method.fault_damping
     return (FaultDamping(operators, scene),) if wanted else ()
 
@@ -93,8 +93,8 @@ def fault_damping(operators: Operators, scene: Scene) -> tuple[FaultDamping, ...
 def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     """Damping of the cells at joints that can slip; None where there are none, or the scene has none. Collective.
 
-    With "auto" at those alone that are not meshed as each other's mirror images, for the others' normal tractions do not
-    ring; and at those that lose strength at once, which shakes any walls.
+    With "auto" only at walls that are not mirror images of each other, as normal tractions of the others do not ring. Also at
+    those that lose strength at once, which excites any walls.
     """
     blocks, wanted = operators.blocks, scene.method.fault_damping
     if not wanted:
@@ -164,8 +164,8 @@ def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
     """How far both walls of each joint (j,) are from mirror images: 0 for these, at most 1. Collective.
 
     The larger, of both ends, of |m+ - m-|/(m+ + m-) and of |K+ - R K- R|/(|K+| + |K-|), with mass and 2 x 2 stiffness of a
-    wall's node and the reflection R = 1 - 2 n n'. A wall on rigid rock stands beside its own image, by the mean K of its
-    two nodes: slip moves it apart as far as that couples both.
+    wall's node and the reflection R = 1 - 2 n n'. A wall on rigid rock stands beside its own image, by the mean K of its two
+    nodes: slip opens it as far as that couples both.
     """
     block, joints, dim = blocks.solid, blocks.joints, blocks.sizes.dim
     moduli, density = elasticity(blocks, scene), rock_values(blocks, scene, "density")

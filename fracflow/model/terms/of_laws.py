@@ -30,7 +30,7 @@ def terms_of_laws(operators: Operators, scene: Scene) -> tuple[Term, ...]:
 
 
 class OnSides(Term):
-    """What a law does to all sides that the tables of its key name."""
+    """The effect of a law on all sides that the tables of its key name."""
 
     def __init__(self, name: str, operators: Operators, tables: Sequence[LawTable]) -> None:
         """Assemble K and C. Collective."""
@@ -65,7 +65,7 @@ class OnSides(Term):
 
 
 class OnFractures(Term):
-    """What leaves all fractures that the tables of a law's key name."""
+    """Fluid that leaves all fractures that the tables of a law's key name."""
 
     drains = True
 
@@ -86,7 +86,7 @@ class OnFractures(Term):
         return self._settled
 
     def leaving(self, pressure: Floats, aperture: Floats) -> Leaving:
-        """What leaves at the ends of this rank's joints (j, 2)."""
+        """Fluid that leaves at the ends of this rank's joints (j, 2)."""
         total = Leaving(*(np.zeros(pressure.shape) for _ in range(3)))
         for here, law in self._laws:
             found = law.leakage(pressure[here].ravel(), aperture[here].ravel())
@@ -97,6 +97,6 @@ class OnFractures(Term):
 
 
 def joints_of(blocks: Blocks, names: Sequence[str]) -> np.ndarray:
-    """Numbers of this rank's joints of the fractures that are named."""
+    """Numbers (n,) of this rank's joints on the named fractures."""
     chosen = [number for number, name in enumerate(blocks.joints.fractures) if name in names]
     return np.flatnonzero(np.isin(blocks.joints.fracture, chosen))

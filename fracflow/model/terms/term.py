@@ -36,7 +36,7 @@ class MeanDamping:
 
 
 class Leaving(NamedTuple):
-    """What leaves the network at the ends (j, 2) of this rank's joints.
+    """Fluid that leaves the network at the ends (j, 2) of this rank's joints.
 
     rate         [volume rate per thickness]
     by_pressure  its derivative by the pressure of the end
@@ -81,7 +81,7 @@ class Term:
         return None
 
     def energy(self, taken: float, brought: float) -> Mapping[str, float]:
-        """What a step adds to the energy balance [energy per thickness].
+        """Entries that a step adds to the energy balance [energy per thickness].
 
         taken    work on the term: mean force of K, C and D, less incoming forces, times the motion
         brought  mean power of the incoming forces times the time step
@@ -93,11 +93,11 @@ class Term:
         return np.zeros(0, dtype=np.int64)
 
     def leaving(self, pressure: Floats, aperture: Floats) -> Leaving:
-        """What leaves by it at pressures and apertures (j, 2) of the ends of this rank's joints [stress], [length]."""
+        """Fluid that leaves by it at pressures and apertures (j, 2) of the ends of this rank's joints [stress], [length]."""
         return Leaving(*(np.zeros(pressure.shape) for _ in range(3)))
 
     def mean_damping(self) -> MeanDamping | None:
-        """What it adds to an explicit step; made when it is first asked for. Collective."""
+        """Its contribution to an explicit step; made at the first call. Collective."""
         return None
 
 

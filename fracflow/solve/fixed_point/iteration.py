@@ -1,9 +1,9 @@
 """(4.5) The report's staggered cycle: the flow with the walls held, then the solid with the pressures held.
 
 Its contraction is predicted before the first cycle of a step, and measured from then on. Plain cycles refuse, or hand the step
-over to the monolithic solver, where the prediction is not below 1; relaxed ones (``relaxation``) and those with added
-storage go on until cycles run out. All stop when both balances hold and a plain cycle would change the pressures no more:
-small changes alone would be believed too early.
+over to the monolithic solver, where the prediction is not below 1. Relaxed ones (``relaxation``) and those with added storage
+go on until cycles run out. All stop when both balances hold and a plain cycle would change the pressures no more: small
+changes alone would be believed too early.
 """
 
 from __future__ import annotations
