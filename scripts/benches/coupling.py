@@ -93,7 +93,8 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
     for (kind, stepper), aperture in itertools.product(kinds.items(), apertures):
         if kind == "steady" and not case["drained"]:
             continue
-        flow = replace(model.operators.flow, aperture=np.full_like(model.operators.flow.aperture, aperture))
+        film = np.full_like(model.operators.flow.aperture, aperture)
+        flow = replace(model.operators.flow, aperture=film, law=replace(model.operators.flow.law, aperture=film))
         alphas = stepper.alphas(STEPS[kind] or 1.0)
         pressure = min(0.1 * STIFFNESS * aperture, 1e6)  # opens the fault by a tenth
         reach = np.sqrt(aperture**3 * STIFFNESS / (12 * VISCOSITY * alphas.a1)) if alphas.a1 else np.inf

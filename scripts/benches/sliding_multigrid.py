@@ -137,21 +137,22 @@ def one_step(unknowns: int, normal: float, shear: float, ways: list[str]) -> lis
     from fracflow.solve import options
     from fracflow.solve.monolithic import Monolithic, WholeLU
     from fracflow.solve.problem import StepProblem
+    from fracflow.solve.request import StepRequest, StepRule
 
     model = prepare(Scene.from_data(step_scene(unknowns, normal, shear)), MPI.COMM_SELF)
     state, ops, found = equilibrium_state(model), model.operators, []
     block, joints = ops.blocks.solid, ops.blocks.joints
     Strip.walls = np.unique(block.unknown[np.concatenate([joints.bottom.ravel(), joints.top.ravel()])])
-    alphas, aperture = BackwardEuler().alphas(1.0), 1e-3
+    rule, aperture = StepRule(BackwardEuler().alphas(1.0)), 1e-3
     pressure = min(0.1 * normal * aperture, 1e6)
-    reach = np.clip(np.sqrt(aperture**3 * normal / (12 * coupling.VISCOSITY * alphas.a1)), 2.0, 300.0)
-    rate = pressure * (aperture**3 / (12 * coupling.VISCOSITY * reach) + alphas.a1 * reach / normal)
+    reach = np.clip(np.sqrt(aperture**3 * normal / (12 * coupling.VISCOSITY * rule.alphas.a1)), 2.0, 300.0)
+    rate = pressure * (aperture**3 / (12 * coupling.VISCOSITY * reach) + rule.alphas.a1 * reach / normal)
     for way in ways:
         name, is_multigrid, more = WAYS[way]
         options.set_defaults({**model.scene.petsc, **more}, options.MULTIGRID_FROM if is_multigrid else 0)
         solver = (WholeLU if name == "whole-lu" else Monolithic)(model.scene, ops, model.loads)
         solves = coupling.watch(solver.newton)
-        problem = StepProblem(replace(ops), model.loads, state, alphas, 1.0, {})
+        problem = StepProblem(replace(ops), state, StepRequest(1.0, 1.0, {}, model.loads), rule)
         for well in model.loads.wells:
             problem.source.axpy(rate, well.vector)
         start, failure = time.process_time(), ""

@@ -102,7 +102,8 @@ class Film:
         """A step of the film with an aperture at rest, pumped at a rate."""
         operators = self.model.operators
         assert operators.flow is not None
-        flow = replace(operators.flow, aperture=np.full_like(operators.flow.aperture, aperture))
+        film = np.full_like(operators.flow.aperture, aperture)
+        flow = replace(operators.flow, aperture=film, law=replace(operators.flow.law, aperture=film))
         problem = StepProblem(
             replace(operators, flow=flow),
             state,

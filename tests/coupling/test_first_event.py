@@ -35,7 +35,7 @@ def _ends(strains, rates):
     return [
         SimpleNamespace(
             time=0.0,
-            sections=SimpleNamespace(strain=np.array(strain, float), past=()),
+            sections=SimpleNamespace(strain=np.array(strain, float), history=()),
             motion=SimpleNamespace(velocity=np.array(rate, float) / DT),
         )
         for strain, rate in zip(strains, rates, strict=True)

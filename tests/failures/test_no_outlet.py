@@ -62,7 +62,7 @@ def test_it_does_not_matter_which_node_gives_way(shared_tmp, monkeypatch):
     def turned(*given):
         return tuple(components.NetworkComponent(p.nodes[::-1], p.fractures, p.center) for p in whole(*given))
 
-    monkeypatch.setattr("fracflow.advance.network.find_parts", turned)
+    monkeypatch.setattr("fracflow.advance.network.find_components", turned)
     last = history(shared_tmp / "last")
     for key in ("probe/in/pressure", "probe/out/pressure"):
         assert last[key] == pytest.approx(first[key], rel=1e-12)

@@ -387,15 +387,15 @@ PROGRAM = """
 import os, resource, sys
 from fracflow.cli import app as cli
 from fracflow._petsc import MPI
-from fracflow.simulation.signals import Watch
-agreed, steps = Watch.wish, 0
-def wish(self, *given, **named):
+from fracflow.simulation.signals import SignalWatch
+agreed, steps = SignalWatch.request, 0
+def request(self, *given, **named):
     global steps
     steps += 1
     if steps == 6 and MPI.COMM_WORLD.rank == MPI.COMM_WORLD.size - 1:
         {fault}
     return agreed(self, *given, **named)
-Watch.wish = wish
+SignalWatch.request = request
 sys.argv = ["fracflow", "run", {scene!r}, "-o", {folder!r}, *{sets!r}]
 cli.main()
 """

@@ -261,6 +261,7 @@ def test_a_given_rate_leaves_the_level_open(ran):
     assert ran.closes("seeps")
 
 
+@pytest.mark.starts_ranks
 def test_on_two_ranks(ran, tmp_path):
     """The same to round-off."""
     names = ("held", "condensed", "swings explicit", "filled condensed")
