@@ -1,7 +1,7 @@
 """fracflow: fluid flow in systems of deformable fractured rock, after UC SESM 76-5 (Hilber and Taylor, 1976).
 
-From Python: ``load`` a scene, ``run`` it, or ``open`` the folder of a run; what ``run`` and ``open`` give is a ``Run``;
-``converge`` runs it on finer meshes and estimates errors.
+From Python: ``load`` a scene, ``run`` it, or ``open`` the folder of a run. Both ``run`` and ``open`` give a ``Run``.
+``converge`` runs a scene on finer meshes and estimates errors.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ _EVENT = {
 
 @dataclass(frozen=True)
 class Run:
-    """What a run left in its ``folder``; n is the number of states on record, the initial one with them.
+    """The results of a run in its ``folder``; n is the number of recorded states, the initial one included.
 
     Numbers are in the scene's own units. Histories are read when first asked for, and then kept: open a folder again
     to see how far a run has got meanwhile.
@@ -54,12 +54,12 @@ class Run:
 
     @property
     def energy(self) -> Arrays:
-        """Energy books by entry, (n,) each: running totals per unit thickness [force length / length]."""
+        """Energy balance by entry, (n,) each: running totals per unit thickness [force length / length]."""
         return self._part("energy/")
 
     @property
     def steps(self) -> Arrays:
-        """What each step cost and how it ended, (n,) each: dt, stage, kind, newton, slipping, open, ..."""
+        """Cost and outcome of each step, (n,) each: dt, stage, kind, newton, ...; meanings in ``scene.quantities``."""
         return self._part("step/")
 
     @property
@@ -70,13 +70,12 @@ class Run:
         )
 
     def probe(self, name: str) -> Arrays:
-        """Histories of a probe by quantity; raises InputError for a name that is none.
+        """Histories of a probe by quantity. Raises InputError for an unknown name.
 
-        (n, 2), x and y: displacement, displacement_bottom [length], velocity [length/time], acceleration.
-        (n,) on fractures: slip, plastic_slip, opening, aperture, head [length], slip_rate [length/time],
-        shear_traction, normal_traction (effective, tension positive), strength, pressure [stress], flow_rate
-        [length**3/time], over the whole flow_depth.
-        (n, 4) in the rock, xx, yy, zz, xy: strain (xy half the engineering shear) and total stress [stress].
+        The command ``fracflow schema`` prints all
+        quantities with dimension and meaning at probe[].quantities. Scalars are (n,); vectors (n, 2), x and y; of slip and
+        shear traction (n,), in space (n, 2) along the fracture; strain and stress (n, 4), xx, yy, zz, xy. Tension is positive,
+        tractions are effective.
         """
         found = self._part(f"probe/{name}/")
         if not found:
@@ -85,19 +84,18 @@ class Run:
 
     @property
     def events(self) -> NDArray[Any]:
-        """What slipped or opened: a structured array (events,).
+        """The events of slip and opening: a structured array (events,).
 
         kind ("slip" or "open"), fracture, node, probe, x, y [length], start and end [time] (end nan while under
-        way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there,
-        else the beginning of the step in which it slips or opens, and start_latest the end of that step (nan in rows of kind
-        "event"); end is that of the first step without it.
-        Of a stage auto also kind "event", from the first section that slides to the last that sticks: place of the first,
-        largest slip, and, nan in other rows, sections, length, mean_slip [length], mean stress_drop [stress], moment G slip
-        length [stress length**2], magnitude (with output.event_length); energies radiated by absorbing sides, dissipated by
-        friction, dropped at the return to rest [force length / length], share of them by which the books do not close
-        (unclosed); injected, the net volume that wells brought before it [length**3]. One under way when
-        the run ended or was stopped has what it came to until then.
-        Raises InputError if there is no events.csv.
+        way), slip [length], peak_slip_rate [length/time]. start is the instant where it begins if steps are cut there, else
+        the beginning of the step in which it slips or opens. start_latest is the end of that step (nan in rows of kind
+        "event"); end is that of the first step without it. A stage auto has kind "event" too, from the first section that
+        slides to the last that sticks. It has place of the first, largest slip, and, nan in other rows, sections, length,
+        mean_slip [length], mean stress_drop [stress], moment G slip length [stress length**2], magnitude (with
+        output.event_length); energies radiated by absorbing sides, dissipated by friction, dropped at the return to rest
+        [force length / length]. unclosed is the share of them that the energy balance lacks; injected is the net volume that
+        wells brought before it [length**3]. An event under way at the end has its values so far. Raises InputError if there is
+        no events.csv.
         """
         rows = read_events(self.folder / "events.csv")
         longest = {key: max([1, *(len(row[key]) for row in rows)]) for key in _TEXTS}
@@ -107,7 +105,7 @@ class Run:
 
     @property
     def status(self) -> str:
-        """How the run stands: running, ended, stopped, failed or cut off (killed); empty where the folder does not tell."""
+        """How the run stands: running, ended, stopped, failed or cut off (killed); empty where the folder does not state it."""
         return read_status(self.folder).word
 
     @property
@@ -117,7 +115,7 @@ class Run:
 
     @property
     def card(self) -> list[dict[str, Any]]:
-        """The scene card: ten numbers with limit, place and remedy. Raises InputError without plan.json."""
+        """The pre-run checks: ten numbers with limit, place and remedy. Raises InputError without plan.json."""
         return self._planned("card")
 
     def _planned(self, key: str) -> list[dict[str, Any]]:
@@ -163,7 +161,7 @@ def load(path: str | Path, overrides: tuple[str, ...] | list[str] = (), trust: b
 def run(scene: Scene, out: str | Path | None = None, trust: bool = False) -> Run:
     """Run a scene and give what it left in the folder ``out``, by default runs/<name of the scene>.
 
-    Under mpirun every rank must call it, and may use what it gives. What an earlier run left in the folder is replaced; no
+    Under mpirun every rank must call it, and may use what it gives. An earlier run in the folder is replaced; no
     pictures are drawn (``fracflow picture FOLDER``). ``trust`` is as in ``load``.
     Raises, on every rank, InputError, SolveError (``open`` gives what was reached) and Interrupted.
     """
@@ -188,9 +186,9 @@ def converge(
     """Run a scene on ``levels`` meshes, each with cells and time steps half as large as the one before, and compare.
 
     Leaves the runs in level-0, level-1, ... of the folder ``out``, by default runs/<name of the scene>-converge, beside
-    converge.csv, converge.json and converge.png; runs that are complete there are not made again. Gives the finest
-    run, and for each quantity its observed order and estimated error, in the scene's units, with a warning where these are
-    not to be trusted. Under mpirun every rank must call it. ``trust`` is as in ``load``. Raises as ``run`` does.
+    converge.csv, converge.json and converge.png. Runs that are complete there are not made again. Gives the finest run,
+    and for each quantity its observed order and estimated error, in the scene's units. A warning is given where these
+    are not reliable. Under mpirun every rank must call it. ``trust`` is as in ``load``. Raises as ``run`` does.
     """
     from fracflow._petsc import MPI
     from fracflow.simulation.refinement import converge

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 LONGEST = 1500  # letters of a message
+MOST_TOLD = 5  # names that a message lists
 
 
 class InputError(Exception):
@@ -41,7 +42,7 @@ class NotConverged(SolveError):
         return self
 
 
-class Restless(NotConverged):
+class StatusCycling(NotConverged):
     """Joint sections kept changing their status, whatever the linear solver; a shorter step may converge."""
 
 
@@ -49,7 +50,7 @@ class Unsolved(NotConverged):
     """A linear solve left too much."""
 
 
-class PutBack(Exception):
+class ReductionInvalid(Exception):
     """Something that the plan left out may matter: the run begins anew with it. ``undone``: "part, stage" -> when and why."""
 
     def __init__(self, decision: str, time: float, why: str) -> None:
@@ -82,4 +83,4 @@ def is_alone() -> bool:
     return error is not None and not isinstance(error, _AGREED)
 
 
-_AGREED = (InputError, SolveError, DiskError, PutBack, Interrupted, GeneratorExit)
+_AGREED = (InputError, SolveError, DiskError, ReductionInvalid, Interrupted, GeneratorExit)

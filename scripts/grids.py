@@ -44,7 +44,7 @@ def edges_of(nodes: Ints) -> Ints:
 
 
 def rims(node: Ints) -> dict[str, Ints]:
-    """What of rows and columns lies along each of SIDES."""
+    """The rows and columns along each of SIDES."""
     return dict(zip(SIDES, (node[0], node[-1], node[:, 0], node[:, -1]), strict=True))
 
 

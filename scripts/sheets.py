@@ -1,4 +1,4 @@
-"""What all figures share: style, sheets with a title, PNG and CSV, bars and their table."""
+"""Common parts of all figures: style, sheets with a title, PNG and CSV, bars and their table."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def pytest_configure(config):
 def pytest_sessionstart(session):
     reporter = session.config.pluginmanager.getplugin("terminalreporter")
     if RANK > 0 and reporter is not None:
-        # What fails on this rank is printed by rank 0, see pytest_runtest_makereport.
+        # A failure on this rank is printed by rank 0, see pytest_runtest_makereport.
         reporter._tw._file = open(os.devnull, "w")
 
 

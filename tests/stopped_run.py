@@ -81,7 +81,7 @@ def flip(path, name, at=0, bit=0):
 
 
 def flat(found):
-    """What was read, as a text that is the same for the same bits."""
+    """The values read, as a text that is the same for the same bits."""
     if isinstance(found, np.ndarray):
         return f"{found.dtype}{found.shape}{found.tobytes().hex()}"
     if isinstance(found, dict):

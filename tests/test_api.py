@@ -1,6 +1,8 @@
 """The program from Python, and the histories that it writes as CSV."""
 
 import csv
+import importlib
+import pkgutil
 import subprocess
 import sys
 
@@ -140,3 +142,12 @@ assert fracflow.run is function is fracflow.api.run and loop is not function
 assert set(fracflow.__all__) <= {name for name in fracflow.__all__ if getattr(fracflow, name)}
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.serial
+def test_packages_have_all_that_they_say_they_have():
+    names = [each.name for each in pkgutil.walk_packages(fracflow.__path__, "fracflow.") if each.ispkg]
+    packages = [fracflow, *map(importlib.import_module, names)]
+    said = [(each.__name__, name) for each in packages for name in getattr(each, "__all__", ())]
+    assert len(said) > 30
+    assert [pair for pair in said if not hasattr(sys.modules[pair[0]], pair[1])] == []

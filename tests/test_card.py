@@ -9,8 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.diagnostics import film, scene_card
-from fracflow.diagnostics.number import FilmStage
+from fracflow.diagnostics import fracture_flow as film
+from fracflow.diagnostics import pre_run_checks
+from fracflow.diagnostics.number import FlowStage
 from fracflow.errors import InputError
 from fracflow.model.setup import place
 from fracflow.reduction.prepare import prepare, read_split
@@ -24,7 +25,7 @@ REPORT_5_3 = "meshes/report_5_3/scene.toml"
 def card_of(file, *overrides):
     scene = load(file, list(overrides))
     mesh = read_split(scene)
-    return {number.name: number for number in scene_card(scene, mesh, place(scene, mesh).wells)}
+    return {number.name: number for number in pre_run_checks(scene, mesh, place(scene, mesh).wells)}
 
 
 def test_report_example_3_has_the_published_numbers():
@@ -33,7 +34,7 @@ def test_report_example_3_has_the_published_numbers():
     assert card["joint/rock stiffness"].value == pytest.approx(188, abs=0.5)
     assert card["joint length scale"].value == pytest.approx(188, abs=0.5)
     assert card["coupling, steady"].value == pytest.approx(0.09, abs=0.0005)
-    assert 0.005 < card["film ringing"].value < 0.02
+    assert 0.005 < card["pressure ringing"].value < 0.02
     assert card["fluid inertia"].value == pytest.approx(0.69, abs=0.005)
     assert card["fluid compressibility"].value == pytest.approx(0.022, abs=0.0005)
     assert card["nucleation length"].value == 0.0
@@ -63,7 +64,7 @@ def test_joint_time_step_takes_the_mass_of_the_walls_there_are():
 
 @pytest.mark.parametrize(("length", "published"), [(1000, 53.9), (2000, 216), (4000, 865)])
 def test_coupling_factor_is_the_published_one_where_walls_send_off_waves(length, published):
-    stage, kappa = FilmStage("", 0.01, 200.0, 4e4, True), np.pi / length
+    stage, kappa = FlowStage("", 0.01, 200.0, 4e4, True), np.pi / length
     modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
     stiff = film.wall_stiffness(1e8, modulus, kappa, stage, 5.12 * wave / 2, 0.0)
     assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(published, rel=2e-3)
@@ -72,7 +73,7 @@ def test_coupling_factor_is_the_published_one_where_walls_send_off_waves(length,
 @pytest.mark.parametrize(("length", "depth", "measured"), [(1000, 125, 53.4), (2000, 250, 203), (4000, 500, 734)])
 def test_coupling_factor_with_the_mass_of_cells_is_that_measured(length, depth, measured):
     """Measured in 2-D with eight cells along the fault; at 0.01 s a wave is still in its cell of the longest."""
-    stage, kappa = FilmStage("", 0.01, 200.0, 4e4, True), np.pi / length
+    stage, kappa = FlowStage("", 0.01, 200.0, 4e4, True), np.pi / length
     modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
     stiff = film.wall_stiffness(1e8, modulus, kappa, stage, 5.12 * wave / 2, 5.12 * depth / 4)
     assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(measured, rel=0.012)
@@ -85,7 +86,7 @@ def test_coupling_factor_of_the_card_is_that_of_the_matrices():
     held = np.zeros(ops.layout.solid_count, dtype=bool)
     held[np.concatenate([part.numbers for part in model.loads.supports])] = True
     walls = np.linalg.inv((_dense_tangent(ops) + 4e4 * _dense(ops.mass))[~held][:, ~held])
-    push = _dense(ops.flow.push)[~held]
+    push = _dense(ops.flow.pressure_load)[~held]
     pressure = ops.layout.flow_vector()
     network, each = np.zeros((5, 5)), 0.01**3 / (12 * 0.235e-4 * 1000)
     for ends in ops.blocks.joints.flow:
@@ -109,9 +110,9 @@ def test_coupling_factor_of_the_card_is_that_of_the_matrices():
             "method.conductance=report",
             "fracture.fault.aperture={along = [0, 4000], value = [0.01, 0.002]}",
         ], "exact"),
-        ("film ringing", ["stage.failure.time_step=10"], "time_step below"),
-        ("film ringing", [
-            "stage.failure.kind=quasi-static", "stage.failure.time_step=10", "method.film=trapezoid",
+        ("pressure ringing", ["stage.failure.time_step=10"], "time_step below"),
+        ("pressure ringing", [
+            "stage.failure.kind=quasi-static", "stage.failure.time_step=10", "method.flow_integrator=trapezoid",
         ], "backward-euler"),
     ],
 )  # fmt: skip
@@ -128,7 +129,7 @@ def test_what_takes_care_of_divergence_is_no_warning(setting):
 
 
 def test_backward_euler_does_not_ring():
-    found = card_of(REPORT_5_3, "stage.failure.kind=quasi-static", "stage.failure.time_step=10")["film ringing"]
+    found = card_of(REPORT_5_3, "stage.failure.kind=quasi-static", "stage.failure.time_step=10")["pressure ringing"]
     assert found.value > 1 and not found.out_of_range
 
 
@@ -148,11 +149,11 @@ def test_where_pressure_is_prescribed_no_film_rings_and_no_fluid_has_inertia(giv
         "stage": [{"kind": "dynamic", "time_step": 1e-3, "end": 1.0}],
     })  # fmt: skip
     mesh = read_split(scene)
-    card = {number.name: number for number in scene_card(scene, mesh, {})}
-    for name in ("film ringing", "fluid inertia"):
+    card = {number.name: number for number in pre_run_checks(scene, mesh, {})}
+    for name in ("pressure ringing", "fluid inertia"):
         assert card[name].out_of_range == (given != "both"), card[name]
         assert card[name].where.partition(",")[0] == {"neither": "wide", "wide": "narrow", "both": ""}[given]
-    assert (card["film ringing"].note == "pressure is prescribed everywhere") == (given == "both")
+    assert (card["pressure ringing"].note == "pressure is prescribed everywhere") == (given == "both")
 
 
 def test_without_a_drop_of_strength_slip_needs_no_length():
@@ -180,7 +181,7 @@ def test_lengths_of_a_fault_that_weakens_with_slip():
     """mu* = 42.7 GPa, dtau = 0.152 x 120 MPa: Lambda_0 = (9 pi/32) mu* D_c/dtau = 828 m and L_c = 1.158 mu* D_c/dtau."""
     scene = Scene.from_data(FAULT)
     mesh = read_split(scene)
-    card = {number.name: number for number in scene_card(scene, mesh, {})}
+    card = {number.name: number for number in pre_run_checks(scene, mesh, {})}
     ratio = 80.1e9 / 2.5 / 0.75 * 0.4 / (0.152 * 120e6)
     zone, nucleation = card["cohesive zone"], card["nucleation length"]
     assert zone.value == pytest.approx(9 * np.pi / 32 * ratio / 200.0, rel=1e-6)
@@ -189,7 +190,7 @@ def test_lengths_of_a_fault_that_weakens_with_slip():
     assert nucleation.limit == pytest.approx(1000.0) and not nucleation.out_of_range
     assert card["dissimilar rock"].value is None
     shorter = FAULT | {"fracture": {"fault": FAULT["fracture"]["fault"] | {"slip_weakening_distance": 0.3}}}
-    card = {number.name: number for number in scene_card(Scene.from_data(shorter), mesh, {})}
+    card = {number.name: number for number in pre_run_checks(Scene.from_data(shorter), mesh, {})}
     assert card["cohesive zone"].out_of_range and card["nucleation length"].out_of_range
     length = 9 * np.pi / 32 * ratio
     finer, longer = 0.75 * length / 4.0, 0.4 * 800.0 / length
@@ -257,7 +258,7 @@ def test_the_card_is_printed_logged_and_stored(tmp_path):
     shown = CliRunner().invoke(app, ["run", REPORT_5_3, "-o", str(tmp_path / "run"), *asked])
     assert shown.exit_code == 0
     lines = shown.output.splitlines()
-    start = next(n for n, line in enumerate(lines) if "Scene card" in line)
+    start = next(n for n, line in enumerate(lines) if "Pre-run checks" in line)
     rows = lines[start + 2 : start + 14]
     assert sum(row.startswith("!") for row in rows) == 4
     assert "joint time step" in rows[5] and "1.98" in rows[5] and "fault, failure" in rows[5]
@@ -270,7 +271,7 @@ def test_the_card_is_printed_logged_and_stored(tmp_path):
     assert ran.card[0]["name"] == "joint/rock stiffness" and len(ran.card) == 12
     assert {decision["part"] for decision in ran.plan} >= {"flow", "inertia"}
     log = (tmp_path / "run" / "log.txt").read_text().splitlines()
-    assert sum(line.startswith("card: ") for line in log) == 12
+    assert sum(line.startswith("check: ") for line in log) == 12
 
 
 def _dense(matrix):
@@ -278,7 +279,7 @@ def _dense(matrix):
 
 
 def _dense_tangent(ops):
-    rest = ops.joints.respond(np.zeros((len(ops.joints.weights), 2)), ops.joints.rest())
+    rest = ops.joints.evaluate(np.zeros((len(ops.joints.weights), 2)), ops.joints.initial_history())
     total = _dense(ops.stiffness)
     for unknowns, blocks in ops.joints.tangent(rest.tangent):
         for numbers, block in zip(unknowns, blocks, strict=True):

@@ -1,4 +1,4 @@
-"""What a run keeps for itself while it runs."""
+"""The memory that a run holds while it runs."""
 
 import gc
 from pathlib import Path
@@ -22,8 +22,8 @@ MESHES = Path(__file__).parents[1] / "meshes"
         ("report_5_3", ["method.coupling=fixed-point", "fracture.fault.aperture=0.2 ft", "stage.failure.steps=3"]),
         ("report_5_3", ["method.coupling=condensed", "stage.failure.steps=20"]),
         ("crossings", ["initial.velocity=[1e-6, 0]", "stage.0={kind = 'equilibrate', steps = 2}"]),
-        ("failures/f6a_closing", ["accuracy.max_iterations=6"]),
-        ("failures/f2b_no_outlet", ["stage.0={kind = 'dynamic', time_step = 1e-6, steps = 5}"]),
+        ("failures/closing_joint", ["accuracy.max_iterations=6"]),
+        ("failures/no_outlet", ["stage.0={kind = 'dynamic', time_step = 1e-6, steps = 5}"]),
     ],
     ids=["default", "fixed-point", "condensed", "equilibrate", "halved", "enclosed"],
 )

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 from fracflow.advance.error_control import step_error
-from fracflow.advance.events import take_part
-from fracflow.advance.excitation import next_kink, shaken, why_inertia
+from fracflow.advance.events import EventLocated
+from fracflow.advance.excitation import excitations, next_kink, why_inertia
 from fracflow.advance.instability import patch_at_limit
-from fracflow.advance.prescribed import prescribed
+from fracflow.advance.outcome import Log
+from fracflow.advance.prescribed_times import prescribed
 from fracflow.advance.regime import (
     LONG,
     RADIATED,
     SETTLED,
-    Course,
+    EventState,
     Slipped,
     Tried,
     begin,
@@ -22,24 +23,22 @@ from fracflow.advance.regime import (
     slipped,
     weak_waves,
 )
-from fracflow.advance.step import Progress, Step, Stepping, stepper_of
-from fracflow.advance.substeps import CALM, Attempted, Place, Rules, in_parts, most_halvings
+from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
+from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
-from fracflow.elements import joint
-from fracflow.errors import NotConverged, PutBack
-from fracflow.integrators import Explicit
+from fracflow.errors import NotConverged, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
+from fracflow.solve.request import LoadStep, StepRequest
 
 NEAR = 1e-9  # of a step: times so near are one
-ROUND_OFF = 1e-14  # of a time
+TIME_ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
-TOLD = 4  # trials rejected on the way to one step: the log tells of so many
+TOLD = 4  # trials rejected on the way to one step from which on the log reports them
 REST, WAVES = "quasi-static", "dynamic"
-Log = Callable[[str], None]
 
 
 def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
@@ -47,15 +46,18 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
 
     With "moving" in it a stage before has left ``state`` in motion, and ``progress`` is that stage's.
 
-    A change of regime is a step of no length: where inertia comes in, the state is in balance but for what no state at rest
-    balances, which alone starts the motion; where it goes, kinetic energy is dropped, and booked.
+    A change of regime is a step of no length. Where inertia comes in, the state is in balance except for forces that no
+    state at rest balances; these alone start the motion. Where it goes, the kinetic energy is counted as dissipated by
+    switching.
     """
     model, stage = stepping.model, stepping.model.scene.stage[number]
     goes_on = bool(progress) and "moving" not in progress
-    course, place = (Course.of(progress), Place.of(progress)) if goes_on else (begin(model, state, stage), Place())
-    regimes = _Regimes(stepping, number, log, course.least, course.period)
-    method = model.scene.method
-    damps = method.stepper == "generalised-alpha" and method.rho_infinity < 1.0
+    course, place = (
+        (EventState.of(progress), SubstepCursor.of(progress))
+        if goes_on
+        else (begin(model, state, stage), SubstepCursor())
+    )
+    regimes = _Regimes(stepping, number, log, course, place)
     if not goes_on:
         log(
             f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
@@ -73,107 +75,111 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
             state = stepping.enter(state, regimes.still)
             yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
     assert stage.end is not None
-    while stage.end - state.time > max(NEAR * course.least, ROUND_OFF * abs(stage.end)):
-        if not course.moves:
-            found, report, course = regimes.slow_step(state, course)
-            if found is None:
-                entered = stepping.enter(state, regimes.waves, course.least)
-                period = longest_period(model.operators, model.loads, state.sections)
-                course = course.onset(entered, period, weak_waves(model, state, period))
-                yield Step(entered, number, 0.0, report, course.as_progress(), WAVES)
-                state = entered
-                continue
-            dt, state = found.time - state.time, found
-            yield Step(state, number, dt, report, course.as_progress(), REST)
-            continue
-        if not place.fraction and course.is_quiet(state, stage) and not regimes.is_shaken(state.time):
-            settled, course = regimes.rest(state, course)
-            if settled is not None:
-                state, place = settled, Place()
-                yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
-                continue
-        for part, dt in regimes.wave_step(state, course, place):
-            before = state.time
-            state, place = part.state, part.place.next_step() if part.is_last else part.place
-            course = replace(course.moved_to(state, stage.at_rest), count=course.count + part.is_last)
-            if told := course.restless(before, state.time, bool(model.scene.absorbing), damps):
+    spent, waves = StepReport(), regimes.waves
+    while waves.place.fraction or stage.end - state.time > max(NEAR * course.least, TIME_ROUND_OFF * abs(stage.end)):
+        if course.moves:
+            if not waves.place.fraction and course.is_quiet(state, stage) and not regimes.is_excited(state.time):
+                settled, course, trials = regimes.return_to_quasi_static(state, course)
+                yield from (Step(state, number, 0.0, StepReport(), trial=trial) for trial in trials)
+                if settled is not None:
+                    state, waves.place = settled, SubstepCursor()
+                    yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
+                    continue
+            before, step = state.time, regimes.wave_step(state, course)
+            found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
+            state = found.state
+            course = replace(course.moved_to(state, stage.at_rest), count=course.count + (found.reached == 1.0))
+            if told := course.is_unstable(
+                before, state.time, any(term.absorbs for term in model.scene.terms), regimes.moving.damps
+            ):
                 log(f"time {state.time:.9g}: {told}")
-            yield Step(state, number, dt, regimes.counted(part.report), course.as_progress(place), WAVES)
+            report = regimes.counted(found.report)
+            yield Step(state, number, found.length, report, course.as_progress(waves.place), WAVES)
+            continue
+        if why := regimes.is_excited(state.time):
+            log(f"time {state.time:.9g}: an event begins: {why}")
+        else:
+            tried = regimes.slow_step(state, course)
+            if tried.state is not None:
+                course, state = regimes.accepted(state.time, course, tried, spent), tried.state
+                report, spent = tried.report.after_trials(spent), StepReport()
+                yield Step(state, number, tried.length, report, course.as_progress(), REST)
+                continue
+            spent = spent.with_rejected(tried.newton)
+            yield Step(state, number, 0.0, StepReport(), trial=Trial(state.time, tried.length, tried.why))
+            if min(tried.length, course.step) > course.least * (1.0 + NEAR):
+                course = replace(course, step=max(0.5 * tried.length, course.least), calm=0.0)
+                continue
+            regimes.tell_onset(state, course.trials + spent.rejected, tried.why)
+        entered = stepping.enter(state, regimes.moving, course.least)
+        period = longest_period(model.operators, model.loads, state.sections)
+        course = course.onset(entered, period, weak_waves(model, state, period))
+        yield Step(entered, number, 0.0, spent, course.as_progress(), WAVES)
+        state, spent = entered, StepReport()
 
 
 def in_words(spent: StepReport) -> str:
-    """How many trials were thrown away, and at what cost, in words."""
+    """Number of rejected trials and their cost, in words."""
     return f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
 
 
 class _Regimes:
     """Steps of both regimes of one stage."""
 
-    def __init__(self, stepping: Stepping, number: int, log: Log, least: float, period: float) -> None:
-        scene = stepping.model.scene
-        self.stepping, self.model, self.log, self.scene, self.stage = (
-            stepping,
-            stepping.model,
-            log,
-            scene,
-            scene.stage[number],
-        )
-        share = scene.accuracy.tolerance or SEEN
-        self.prescribed = prescribed(scene, inertia=False, splits=True, share=share)
-        self.still, self.waves = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        stepping.explicit.tell(self.waves, least)
-        locates = stepping.explicit.locates(self.waves, least) and scene.method.events != "at-step-ends"
-        if not isinstance(self.waves, Explicit):
-            stepping.couplings.expect(self.waves, least)
-        slow = self.model.slow.get(number)
+    def __init__(self, stepping: Stepping, number: int, log: Log, course: EventState, place: SubstepCursor) -> None:
+        model, scene, least = stepping.model, stepping.model.scene, course.least
+        self.stepping, self.model, self.log, self.scene, self.stage = stepping, model, log, scene, scene.stage[number]
+        self.prescribed = prescribed(scene, inertia=False, splits=True, share=scene.accuracy.tolerance or SEEN)
+        self.still, self.moving = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
+        stepping.explicit.tell(self.moving, least)
+        locates = stepping.explicit.locates(self.moving, least) and scene.method.events != "at-step-ends"
+        if not self.moving.explicit:
+            stepping.couplings.expect(self.moving, least)
+        events = scene.accuracy.max_events if locates else 0
+        step = stepping.by(self.moving)
+        step = EventLocated(step, stepping) if events else step
+        self.waves = Substepped(step, Rules(most_halvings(scene), 0, events), log, place)
+        slow = model.slow.get(number)
         self.most = None if slow is None else slow.error
         self.decision = "" if slow is None else slow.name
-        self.period = period
+        self.period = course.period
         self.vain = StepReport()
         self.coarse: dict[str, tuple[str, ...]] | None = None
-        self.shaken = () if self.most is not None else shaken(scene, period)
+        self.shaken = () if self.most is not None else excitations(scene, course.period)
         shakes = {span.start for span in self.shaken}
         self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
-        self.rules = Rules(most_halvings(scene), 0, scene.accuracy.max_events if locates else 0)
 
-    def slow_step(self, state: State, course: Course) -> tuple[State | None, StepReport, Course]:
-        """The longest step without inertia that may be taken; no state where none may be. Collective."""
-        assert self.stage.time_step is not None and self.stage.end is not None
-        if why := self.is_shaken(state.time):
-            self.log(f"time {state.time:.9g}: an event begins: {why}")
-            return None, StepReport(), course
-        spent = StepReport()
-        while True:
-            time, jumps = self._target(state.time, course.step)
-            dt = time - state.time
-            ends = jumps or time >= self.stage.end
-            ahead = 0.0 if ends else self._target(time, course.step)[0] - time
-            tried = self._attempt(state, time, ahead=ahead)
-            if not tried.why:
-                break
-            spent = spent.with_rejected(tried.newton)
-            self.stepping.tell_trial(state.time, dt, tried.why)
-            if min(dt, course.step) <= course.least * (1.0 + NEAR):
-                done = f"an event begins, after {course.trials + spent.rejected:.0f} trials rejected"
-                self.log(f"time {state.time:.9g}: {done}: {tried.why}{self._coarse(state)}")
-                if patch := patch_at_limit(self.model, state):
-                    self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
-                return None, spent, course
-            course = replace(course, step=max(0.5 * dt, course.least), calm=0.0)
+    def slow_step(self, state: State, course: EventState) -> Tried:
+        """A step without inertia of the planned length, or the reason why it may not be taken. Collective."""
+        assert self.stage.end is not None
+        time, jumps = self._target(state.time, course.step)
+        ends = jumps or time >= self.stage.end
+        ahead = 0.0 if ends else self._target(time, course.step)[0] - time
+        return replace(self._attempt(state, time, ahead=ahead), jumps=jumps)
+
+    def accepted(self, time: float, course: EventState, tried: Tried, spent: StepReport) -> EventState:
+        """The course after a step without inertia from a time, with the trials rejected on the way to it."""
+        assert self.stage.time_step is not None and tried.state is not None
         if spent.rejected >= TOLD:
-            self.log(f"time {state.time:.9g}: {in_words(spent)}; the step of {dt:.3g} is taken")
+            self.log(f"time {time:.9g}: {in_words(spent)}; the step of {tried.length:.3g} is taken")
         course = replace(course, calm=course.calm + 1.0, trials=course.trials + spent.rejected)
         if course.calm > CALM and tried.may_double:
             course = replace(course, step=min(2.0 * course.step, max(self.stage.time_step, course.least)), calm=0.0)
-        if jumps:
+        if tried.jumps:
             after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
             course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
-        return tried.state, tried.report.after_trials(spent), course
+        return course
+
+    def tell_onset(self, state: State, trials: float, why: str) -> None:
+        """Log that an event begins as no step without inertia may be taken. Collective."""
+        done = f"an event begins, after {trials:.0f} trials rejected"
+        self.log(f"time {state.time:.9g}: {done}: {why}{self._coarse(state)}")
+        if patch := patch_at_limit(self.model, state):
+            self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
 
     def _where(self, slip: Slipped) -> str:
-        """Fracture and place of the section that slips the most, so far as anyone resists it. Collective."""
-        natural = joint.RULES[self.scene.method.quadrature][0]
-        return places_of(self.model.operators.blocks, slip.worst, natural)
+        """Fracture and place of the section that slips the most against its strength. Collective."""
+        return places_of(self.model.operators.blocks, slip.worst, self.model.operators.joints.natural)
 
     def _coarse(self, state: State) -> str:
         """Which fractures slide whose lengths of slip the mesh does not resolve, in words; empty if none. Collective."""
@@ -193,12 +199,12 @@ class _Regimes:
         return f"; of what slides the mesh does not resolve {', '.join(said)}" if said else ""
 
     def counted(self, report: StepReport) -> StepReport:
-        """The report of a step that is recorded, with the trials at rest that were thrown away since the one before."""
+        """The report of a recorded step, with the trials without inertia that were rejected since the one before."""
         vain, self.vain = self.vain, StepReport()
         return report.after_trials(vain)
 
-    def is_shaken(self, time: float) -> str:
-        """What shakes the rock from a time on, or has not ended; empty if nothing."""
+    def is_excited(self, time: float) -> str:
+        """The excitation that begins at a time or has not ended; empty if there is none."""
         assert self.stage.time_step is not None
         slack = max(3.0 * NEAR * self.stage.time_step, 3e-11 * abs(time))  # steps end just before a jump
         now = (
@@ -207,14 +213,14 @@ class _Regimes:
         return next(now, "")
 
     def _must_not_matter(self, old: State, new: State) -> None:
-        """Raise PutBack, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
+        """Raise ReductionInvalid, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
         if self.most is None:
             return
         assert self.stage.end is not None
         left = next_kink(self.scene, new.time, self.stage.end) - new.time
         if why := why_inertia(old, new, self.period, left, self.most):
             new.destroy()
-            raise PutBack(self.decision, old.time, why)
+            raise ReductionInvalid(self.decision, old.time, why)
 
     def _target(self, time: float, step: float) -> tuple[float, bool]:
         """Where a step ends: just before the next jump of what is prescribed; and whether it is there.
@@ -244,18 +250,25 @@ class _Regimes:
     ) -> Tried:
         """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective.
 
-        iterations  as ``most`` in ``Stepping.step``
+        iterations  as ``StepRequest.max_iterations``
         ahead       length of the step after it, as it is foreseen
         """
         dt, allowed = time - state.time, self.scene.accuracy.step_error
+        request = StepRequest(
+            time,
+            dt,
+            state.controls,
+            self.model.loads,
+            next_length=ahead,
+            expects_failure=True,
+            max_iterations=iterations,
+        )
         try:
-            new, report = self.stepping.step(
-                state, self.still, time, dt, state.controls, ahead=ahead, brief=True, most=iterations
-            )
+            new, report = self.stepping.step(state, request, self.still)
         except NotConverged as failure:
             if self.most is not None:
-                raise PutBack(self.decision, state.time, "there is no step without it") from failure
-            return Tried(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton)
+                raise ReductionInvalid(self.decision, state.time, "there is no step without it") from failure
+            return Tried(str(failure).removeprefix(f"time {time:.6g}: ").partition(";")[0], failure.newton, length=dt)
         self._must_not_matter(state, new)
         slip = slipped(self.model, state, new, dt)
         why = slip.why_not(radiated)
@@ -265,43 +278,36 @@ class _Regimes:
         elif why:
             why += f", most in {self._where(slip)}"
         if not why:
-            return Tried("", report.newton, new, report, slip.may_double)
+            return Tried("", report.newton, new, report, slip.may_double, dt)
         new.destroy()
-        return Tried(why, report.newton)
+        return Tried(why, report.newton, length=dt)
 
-    def wave_step(self, state: State, course: Course, place: Place) -> Iterator[tuple]:
-        """The parts of a step with inertia, from a place in it, and their lengths. Collective."""
+    def wave_step(self, state: State, course: EventState) -> LoadStep:
+        """The step with inertia that a state is in."""
         assert self.stage.end is not None
         start = course.begun + course.count * course.least
         whole = min(course.least, self.stage.end - start)
+        return LoadStep(start, 1, whole, whole, whole, state.controls, self.model.loads, in_halves=False)
 
-        def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
-            length = (end - begin) * whole
+    def return_to_quasi_static(self, state: State, course: EventState) -> tuple[State | None, EventState, list[Trial]]:
+        """The state taken over without inertia, if a step without inertia keeps the sliding sections; and the step tried.
 
-            def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
-                time, ahead = start + to * whole, whole * (1.0 - to if to < 1.0 else 1.0)
-                return self.stepping.step(old, self.waves, time, share * length, old.controls, hold=hold, ahead=ahead)
-
-            return take_part(self.stepping, state, reach, begin, end, length, may_stop)
-
-        for part in in_parts(attempt, state, self.rules, self.log, place):
-            yield part, whole * (part.end - part.start)
-
-    def rest(self, state: State, course: Course) -> tuple[State | None, Course]:
-        """The state as it is taken over without inertia, if a step without it keeps what slips as it is. Collective."""
+        Collective.
+        """
+        trials: list[Trial] = []
         if not may_rest(self.model, state):
-            return None, course
+            return None, course, trials
         entered, still, lasted = self.stepping.enter(state, self.still), course.at_rest(), state.time - course.begun
-        # of what has come to rest long ago Newton's method may find no balance for the length of the step alone
+        # long after motion has stopped, Newton's method may fail only because the step is so long
         for length in (still.step, course.least) if lasted > LONG * course.period else (still.step,):
             time = self._target(entered.time, length)[0]
             tried = self._attempt(entered, time, SETTLED * RADIATED, self.scene.accuracy.max_iterations)
             if tried.state is not None:
                 tried.state.destroy()
                 self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
-                return entered, replace(still, step=length)
+                return entered, replace(still, step=length), trials
             why, self.vain = tried.why, self.vain.with_rejected(tried.newton)
-            self.stepping.tell_trial(state.time, time - state.time, why)
+            trials.append(Trial(state.time, time - state.time, why))
         entered.destroy()
         self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {why}")
-        return None, replace(course, loud=state.time)
+        return None, replace(course, loud=state.time), trials

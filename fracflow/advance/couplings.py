@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
+from fracflow.advance.outcome import Log
 from fracflow.integrators import Stepper
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
@@ -21,8 +21,8 @@ MOST_KEPT = (
 class Couplings:
     """Makes the coupling of each set of loads when a step first needs it."""
 
-    def __init__(self, model: Model, log: Callable[[str], None]) -> None:
-        """Plan which steps are condensed; where any are, the first coupling that is made tells the log. Collective."""
+    def __init__(self, model: Model, log: Log) -> None:
+        """Plan which steps are condensed; where any are, the first coupling that is made writes to the log. Collective."""
         self.model, self.log, self._told = model, log, False
         operators = model.operators
         self._unknowns = int(operators.layout.solid_starts[-1])
@@ -33,7 +33,7 @@ class Couplings:
         self._kept: dict[Loads, Coupling] = {}  # the one used last comes last
 
     def expect(self, stepper: Stepper, dt: float) -> None:
-        """Prepare for steps by a rule of inertia of which nobody knows how many events will take. Collective."""
+        """Prepare for steps by a rule of inertia, whose number in events is unknown. Collective."""
         key = key_of(stepper.alphas(dt), self._damps)
         self._planned = replace(self._planned, steps={**self._planned.steps, key: math.inf})
         for coupling in self._kept.values():
@@ -55,7 +55,7 @@ class Couplings:
         return coupling
 
     def forget_closures(self) -> None:
-        """Free solvers for parts of the network that are no more. Collective."""
+        """Free solvers for network components that exist no longer. Collective."""
         for loads in [each for each in self._kept if each.closures]:
             self._kept.pop(loads).destroy()
 
@@ -69,7 +69,7 @@ class Couplings:
         return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
 
     def _as_line(self) -> str:
-        """Which stages are condensed, from what to what, and from how many steps on that pays."""
+        """Stages that are condensed, the numbers of unknowns, and the number of steps from which on condensing pays."""
         scene, plan = self.model.scene, self._planned
         is_asked = scene.method.coupling == "condensed"
         stages = [

@@ -1,37 +1,37 @@
-"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status, a pump its pace."""
+"""Instants at which motions stay and accelerations jump: a stage begins, a joint changes its status, a well its rate."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.advance.network import Network
+from fracflow.advance.network import FlowNetwork
+from fracflow.advance.sampling import sides_of
 from fracflow.integrators import Alphas, Stepper
 from fracflow.mesh.data import Bools
-from fracflow.model.energy import book, compressed, dissipated, jumped, pushed, switch
+from fracflow.model.energy import compressed, dissipated, jumped, pushed, switch, update_balance
 from fracflow.model.energy_motion import Scheme, kinetic_energy
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
-from fracflow.model.state import Memory, Motion, Past, State
-from fracflow.scene.time_table import Around
+from fracflow.model.state import Motion, PreviousStep, SectionHistory, State
 from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
 from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 
 KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off
 
 
-def enter(model: Model, network: Network, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
+def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, stepper: Stepper, dt: float) -> State:
     """A new state, as a stage takes it over. Collective.
 
     With inertia what is prescribed holds from the first instant, and (4.1e) gives its pressures and accelerations.
-    Pressures of a compressible fluid stay as they are, and the balance gives what it takes up; those prescribed jump, and
-    go on at their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is prescribed
-    arrives during the first step.
+    Pressures of a compressible fluid stay as they are, and the balance gives its rate of uptake. Prescribed pressures jump.
+    They then follow their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is
+    prescribed arrives during the first step.
     """
     ops, old = model.operators, state.motion
     motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
@@ -44,13 +44,13 @@ def enter(model: Model, network: Network, loads: Loads, state: State, stepper: S
             forces.anchor.destroy()
             forces = replace(forces, anchor=None)
         kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
-        return replace(kept, memory=Memory(), uptake=None)
+        return replace(kept, previous_step=PreviousStep(), uptake=None)
     for moved in model.loads.supports if dt > 0.0 else ():
         motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
     energy = pushed(energy, kinetic_energy(ops, motion.velocity))
     was, around = state.sections, (0.0, dt)
-    begun = replace(state, motion=motion, uptake=None, energy=energy, around=around)
-    start = _first_instant(model, network, loads, begun, was.past, dt)
+    begun = replace(state, motion=motion, uptake=None, energy=energy, adjacent_steps=around)
+    start = _first_instant(model, network, loads, begun, was.history, dt)
     # nothing moved in an instant: no section came nearer to a choice
     sections = replace(start.sections, strain=was.strain, blur=was.blur, record=was.record, margin=was.margin)
     start = replace(start, sections=sections)
@@ -59,39 +59,32 @@ def enter(model: Model, network: Network, loads: Loads, state: State, stepper: S
     return replace(start, energy=jumped(start.energy, compressed(ops, state, start)))
 
 
-def change(model: Model, network: Network, loads: Loads, state: State, leaving: Bools) -> State:
+def change(model: Model, network: FlowNetwork, loads: Loads, state: State, leaving: Bools) -> State:
     """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective.
 
-    Displacements and velocities stay, tractions drop, and accelerations follow; what the drop frees is dissipated.
+    Displacements and velocities stay, tractions drop, and accelerations follow. The energy that the drop frees is dissipated.
     """
     ops = model.operators
-    branch = ops.joints.flip(state.sections.strain, state.sections.past, leaving)
+    branch = ops.joints.with_other_status(state.sections.strain, state.sections.history, leaving)
     old = state.motion
     motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
     new = _first_instant(model, network, loads, replace(state, motion=motion), branch)
-    # they stand at their threshold because they were brought there, not by chance
+    # they were brought to their threshold on purpose
     settled = replace(new.sections, margin=np.where(leaving, np.inf, state.sections.margin))
-    new = replace(new, sections=settled, energy=book(ops, state, new, 0.0, Scheme()))
+    new = replace(new, sections=settled, energy=update_balance(ops, state, new, 0.0, Scheme()))
     new = replace(new, friction=dissipated(state, new))
     return new if state.uptake is None else replace(new, uptake=state.uptake.copy())
 
 
-def keep_pace(
-    model: Model,
-    network: Network,
-    loads: Loads,
-    state: State,
-    step: tuple[float, float],
-    controls: Mapping[str, float],
-    around: Around,
-) -> State | None:
-    """The state as the walls of parts that nothing drains take up what wells pump in a ``step`` (end, length). Collective.
+def keep_pace(model: Model, network: FlowNetwork, state: State, request: StepRequest, stepper: Stepper) -> State | None:
+    """The state in which the walls of undrained components take up the volume that wells pump in a step. Collective.
 
     The sum of (3.20) over such a part, w v = sum Q, has a rate, w a = sum Q', that jumps where Q bends; the level of its
-    pressures jumps with it. A rule that looks back on a would swing about both for ever, as nothing else settles them.
-    Motions are as they were; None where all have the pace of the step.
+    pressures jumps with it. A rule that uses the previous acceleration would oscillate about both for ever, as nothing else
+    damps them. Motions are as they were; None where all walls already move at the rate of the step.
     """
-    ops, dt = model.operators, step[1]
+    ops, loads, dt = model.operators, request.loads, request.length
+    around = sides_of(stepper, dt, request.next_length)
     parts = network.enclosed(loads, state, 0.0)
     if not parts:
         return None
@@ -99,9 +92,9 @@ def keep_pace(
         source, speed = ops.layout.flow_vector(), state.motion.velocity.copy()
         for thing in (source, speed, *(part.walls for part in parts)):
             done.callback(thing.destroy)
-        loads.source(step[0], controls, source, around)
+        loads.source(request.time, request.controls, source, around)
         for moved in loads.supports:
-            speed.getArray()[moved.numbers] = moved.speed(step[0], around)
+            speed.getArray()[moved.numbers] = moved.speed(request.time, around)
         here = np.zeros((len(parts), 3))
         for row, part in zip(here, parts, strict=True):
             pumped, taken = source.getArray()[part.nodes], part.walls.getArray() * speed.getArray()
@@ -125,16 +118,16 @@ def keep_pace(
         acceleration.axpy(1.0, moves)
         motion = Motion(state.motion.displacement.copy(), state.motion.velocity.copy(), acceleration)
         assert ops.flow is not None
-        ops.flow.push.mult(level, push)
+        ops.flow.pressure_load.mult(level, push)
         ops.mass.mult(moves, reaction)
         forces, held = state.forces.copy(), loads.held
         forces.support.getArray()[held] += reaction.getArray()[held] - push.getArray()[held]
     uptake = None if state.uptake is None else state.uptake.copy()
-    return replace(state, motion=motion, pressure=pressure, forces=forces, uptake=uptake, memory=Memory())
+    return replace(state, motion=motion, pressure=pressure, forces=forces, uptake=uptake, previous_step=PreviousStep())
 
 
 def _first_instant(
-    model: Model, network: Network, loads: Loads, begun: State, branch: Past, dt: float | None = None
+    model: Model, network: FlowNetwork, loads: Loads, begun: State, branch: SectionHistory, dt: float | None = None
 ) -> State:
     """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
 
@@ -146,14 +139,15 @@ def _first_instant(
         failed.callback(motion.destroy)
         closed = loads
         if ops.flow is not None:
-            network.look_at(begun)
+            network.update(begun)
             closed = network.level(loads, begun)
         now, rate = Alphas(a4=-1.0), None  # no change of displacement, velocity and pressure rate as they are
         known, anchor = begun.forces.anchor, carried_on(ops, loads, begun)
         if anchor is not None and anchor is not known:
             done.callback(anchor.destroy)
         begun = replace(begun, forces=replace(begun.forces, anchor=anchor))
-        problem = StepProblem(ops, closed, begun, now, begun.time, begun.controls, around=begun.around)
+        request = StepRequest(begun.time, 0.0, begun.controls, closed)
+        problem = StepProblem(ops, begun, request, StepRule(now, begun.adjacent_steps, inertia=True))
         done.callback(problem.destroy)
         problem.branch = branch
         problem.evaluate()
@@ -178,4 +172,4 @@ def _first_instant(
         forces = problem.forces(motion)
         failed.pop_all()
         start = replace(begun, pressure=problem.pressure.copy(), sections=problem.sections, forces=forces)
-    return replace(start, memory=Memory(), uptake=rate)
+    return replace(start, previous_step=PreviousStep(), uptake=rate)

@@ -1,30 +1,47 @@
-"""The stage that finds equilibrium: fractures past their strength slip, what nothing holds gives way."""
+"""The stage that finds equilibrium: fractures past their strength slip, and blocks without support move."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.advance.initial_state import imbalance
+from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.step import DONE, Progress, Step, Stepping
-from fracflow.advance.substeps import Attempted, Rules, in_parts, most_halvings
+from fracflow.advance.substeps import Rules, Substepped, most_halvings
 from fracflow.integrators import Steady
-from fracflow.model.loads import Loads, Prescribed
+from fracflow.model.loads import Loads, PrescribedValues
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.time_table import AT_ONCE
+from fracflow.solve.request import LoadStep, StepRequest
 
 
-def equilibrate(
-    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
-) -> Iterator[Step]:
-    """Let go of the initial state in equal increments, the fluid kept at its initial pressure. Collective.
+@dataclass(frozen=True)
+class Restrained:
+    """Advances under the remainder of a ``force`` that is removed in equal increments."""
 
-    The force that held the state out of balance is taken away; what it does meanwhile is booked as work of boundaries.
+    inner: Advance
+    force: PETSc.Vec
+    left: PETSc.Vec
+    count: int
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same at the end of a request. Raises SolveError, on every rank. Collective."""
+        assert request.step is not None
+        self.force.copy(self.left)
+        self.left.scale(1.0 - (request.step.number - 1 + request.end) / self.count)
+        return self.inner.advance(state, replace(request, restraint=self.left))
+
+
+def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
+    """Release the initial state in equal increments, the fluid kept at its initial pressure. Collective.
+
+    The force that held the state out of balance is taken away; its work meanwhile counts as work of boundaries.
     Raises SolveError where no equilibrium is found. The caller owns the states.
     """
     if "done" in progress:
@@ -35,21 +52,20 @@ def equilibrate(
     held_back = imbalance(model, state.motion.displacement, state.sections.traction, state.pressure)
     model.loads.standing().release(held_back)
 
-    def attempt(state: State, begin: float, end: float, _: bool) -> Attempted:
-        held_back.copy(restraint)
-        restraint.scale(1.0 - (n - 1 + end) / count)
-        new, report = stepping.step(state, Steady(), state.time, 0.0, state.controls, loads, restraint)
-        return Attempted(new, report, end)
-
-    restraint = held_back.duplicate()
+    left = held_back.duplicate()
+    parts = Substepped(
+        Restrained(stepping.by(Steady()), held_back, left, count), Rules(most_halvings(model.scene)), log
+    )
+    n = 0
     try:
-        for n in range(1, count + 1):
-            for part in in_parts(attempt, state, Rules(most_halvings(model.scene)), log):
-                state = part.state
-                yield Step(state, number, 0.0, part.report, DONE if n == count and part.is_last else None)
+        while n < count:
+            step = LoadStep(state.time, n + 1, 0.0, 0.0, 0.0, state.controls, loads)
+            found = parts.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
+            state, n = found.state, n + (found.reached == 1.0)
+            yield Step(state, number, 0.0, found.report, DONE if n == count else None)
     finally:
         held_back.destroy()
-        restraint.destroy()
+        left.destroy()
     log(f"equilibrium: {_summary(model, state)}")
 
 
@@ -60,7 +76,7 @@ def _resting_fluid(model: Model) -> Loads:
         return loads
     points = ops.blocks.flow.points
     initial = initial_pressure(model.scene, points)
-    kept = Prescribed(np.arange(len(points)), lambda time, around=AT_ONCE: initial)
+    kept = PrescribedValues(np.arange(len(points)), lambda time, around=AT_ONCE: initial)
     everywhere = ops.layout.flow_numbers(np.arange(ops.layout.flow_starts[-1]))
     return replace(loads, pressures=(kept,), fixed_flow=everywhere, limits=())
 

@@ -1,27 +1,31 @@
-"""How accurate a step is, estimated from its two ends, and what the scene asks."""
+"""The error of a step, estimated from its two ends, and the tolerance of the scene."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.advance.prescribed import AT_A_TIME, bends_of, latest
+from fracflow.advance.explicit import ExplicitSteps
+from fracflow.advance.outcome import Advance, Outcome
+from fracflow.advance.prescribed_times import AT_A_TIME, bends_of, latest
 from fracflow.advance.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
 from fracflow.errors import SolveError
-from fracflow.integrators import Rates, Stepper, storage_error
+from fracflow.integrators import FilmRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import compression_of
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
+from fracflow.solve.request import StepRequest
 
-FINEST = 24  # halvings of a step that a tolerance may ask for: a film that a jump of pressure enters begins so
-LATE = 2.0  # as much less a film may be wrong, over what is allowed at the end of a stage, than as it begins
+FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
+LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
 LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
 
 
@@ -31,8 +35,8 @@ def step_error(
     """Largest local error of a node's displacement over a step, relative to the largest displacement.
 
     dt       length of the step, or of the equal parts that it is taken in, whose errors add up [time]
-    largest  that of earlier states [length]; by default the end of the step is all there is
-    Both are lengths of vectors at nodes, those of rigid bodies too: they know neither axes nor units. Collective.
+    largest  that of earlier states [length]; by default that of the end of the step
+    Both are lengths of nodal vectors, and depend on neither axes nor units. Collective.
     """
     wrong = new.motion.displacement.duplicate()
     wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
@@ -43,7 +47,7 @@ def step_error(
 
 
 def largest_displacement(operators: Operators, state: State) -> float:
-    """How far the node has moved that has moved the most [length]. Collective."""
+    """Largest displacement of any node [length]. Collective."""
     return _longest(operators, state.motion.displacement)
 
 
@@ -58,7 +62,7 @@ def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
 
 @dataclass(frozen=True)
 class _Tried:
-    """End of a part, its size and error as ``Judge`` measures them, and what it follows where it is very short."""
+    """End of a substep, its size and error as in ``ErrorEstimator``, and the vibration that makes it very short."""
 
     time: float
     size: float
@@ -66,17 +70,17 @@ class _Tried:
     follows: Vibration
 
 
-class Judge:
-    """Whether the parts of a stage's steps are as accurate as asked, and relative to how much.
+class ErrorEstimator:
+    """Whether the substeps of a stage are as accurate as the scene requires, and relative to which size.
 
-    With ``accuracy.step_error`` the error that a part adds is held to that. With ``accuracy.tolerance`` it is held to a
-    share of it: with inertia dt/(length of the stage), for what is wrong stays wrong, and errors add up; without, where
-    only what the fractures store remembers, dt/(time since the stage began), for a film drains, and forgets the earlier
-    errors as it goes on, and down to a third of that towards the end of the stage, as errors made there stay; where
-    something prescribed jumps or bends in it, from there on anew. Neither: nothing is judged.
+    ``accuracy.step_error`` limits the error that a substep adds; ``accuracy.tolerance`` allows it a share of itself. With
+    inertia errors stay and add up: the share is dt/(length of the stage). Without inertia only storage in the fractures has a
+    history: the share is dt/(time since the stage began), as fracture flow drains and earlier errors decay. That time restarts
+    where a prescribed value jumps or bends. The share falls to a third towards the end of the stage, as errors made there
+    stay. With neither key there is no estimate.
 
-    A part's own end, and what was refused, show how far the motion will go; but that is believed only until what is
-    accepted has come as far, for a long part may end on the peak of a load that is over at once.
+    The end of a substep, and of rejected ones, shows how far the motion will go. That holds only until accepted states have
+    come as far: a long substep may end on the peak of a short load.
     """
 
     def __init__(
@@ -88,7 +92,7 @@ class Judge:
         self.by_step, self.tolerance = asked.step_error, asked.tolerance
         by_sum = self.by_step is None and self.tolerance is not None
         self.of_film = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
-        # where a film begins anew, for what was before says nothing of what follows
+        # where fracture flow begins anew, since earlier steps do not predict later ones
         self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_film and self.tolerance else {}
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
@@ -106,20 +110,20 @@ class Judge:
 
     @property
     def told(self) -> str:
-        """By what, and of what, for the log."""
+        """The tolerance and the size to which it is relative, for the log."""
         of = "volume stored in fractures" if self.of_film else "displacements"
         return f"accuracy.tolerance = {self.tolerance:g} of {of}"
 
     @property
-    def last_words(self) -> str:
-        """What was reached, for the log."""
+    def summary(self) -> str:
+        """The estimated error of the stage, for the log."""
         assert self.tolerance is not None
         reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
         of = "volume stored in fractures" if self.of_film else "displacement"
         missed = (
             ""
             if reached <= self.tolerance
-            else (", more than asked: parts were judged against a motion that did not come, or could not be shorter")
+            else ", more than asked: substeps could not be shorter, or the motion stayed smaller than expected"
         )
         return (
             f"time steps made an error of {reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
@@ -127,7 +131,7 @@ class Judge:
         )
 
     def error(self, dt: float, part: float, old: State, new: State) -> float:
-        """Error of a step over what is allowed; ``part`` is the length of the equal parts of ``dt``. Collective."""
+        """Error of a step over the allowed one; ``part`` is the length of the equal substeps of ``dt``. Collective."""
         if self.order == 0:
             return 0.0
         if self.by_step is not None:
@@ -146,17 +150,17 @@ class Judge:
         return error / max(allowed, float(np.finfo(float).tiny))
 
     def _span(self, begin: float, end: float) -> float:
-        """Time over which a film's part gets its share of what is allowed; anew from each bend, by its size."""
+        """Time over which a substep of fracture flow gets its share of the allowed error; anew from each bend, by its size."""
         since, bend = end - self.start, latest(self.bends, begin)
         anew = since if bend is None or bend < self.start else (end - bend) / self.bends[bend]
         return min(since, anew) * (1.0 + LATE * since / (self.length or np.inf))
 
     def _left(self, time: float, dt: float) -> float:
-        """Parts of such a length that are left of the stage; 0 where the number is not known."""
+        """Number of substeps of such a length that remain in the stage; 0 where it is not known."""
         return 0.0 if self.length is None else (self.start + self.length - time) / dt
 
     def _followed(self, dt: float, part: float, old: State, new: State) -> Vibration:
-        """The motion that a part is short for, where very many are left. Collective."""
+        """The motion that makes a substep short, where very many remain. Collective."""
         if not self._left(new.time, dt) > MOST_PARTS:
             return Vibration()
         return (
@@ -164,17 +168,17 @@ class Judge:
         )
 
     def outlook(self, time: float) -> str:
-        """A line on how much is left of a stage whose parts have long been very short; "" elsewhere.
+        """A line on the remainder of a stage whose substeps have long been very short; "" elsewhere.
 
-        Raises SolveError, on every rank, where they follow a vibration that is smaller than what may be wrong: errors of
-        its phase are counted as if they added up, but come to twice its amplitude at most. A run that is resumed goes on.
+        Raises SolveError, on every rank, where they follow a vibration smaller than the allowed error. Errors of its
+        phase are counted as if they added up, but come to twice its amplitude at most. A run that is resumed goes on.
         """
         if self.follows.parts != WATCHED or self.tolerance is None:
             return ""
         amplitude, period = swing_of(self.follows.acceleration, self.follows.jerk)
         largest = max(self.largest, self.guess)
         asked = (
-            f"time {time:.6g}: {self.told} asks for parts as short as {self.last:.2g}, about"
+            f"time {time:.6g}: {self.told} needs substeps as short as {self.last:.2g}, about"
             f" {self._left(time, self.last):.1g} more of them"
         )
         if not math.isfinite(amplitude):
@@ -191,7 +195,7 @@ class Judge:
         )
 
     def _refuse(self) -> None:
-        """Learn from what was tried last and not followed: of two parts that end alike the later, shorter one knows more."""
+        """Use the last rejected trial: of two substeps with the same end the later, shorter one is more accurate."""
         if self.tried is not None:
             ends_last = self.tried.time >= self.until
             self.guess = self.tried.size if ends_last else max(self.guess, self.tried.size)
@@ -199,7 +203,7 @@ class Judge:
             self.tried = None
 
     def follow(self, state: State, dt: float) -> None:
-        """Take over the state that a part of length ``dt`` led to. Collective."""
+        """Accept the state at the end of a substep of length ``dt``. Collective."""
         self.last = dt
         if self.order:
             self.largest = max(self.largest, self._size(state))
@@ -214,7 +218,7 @@ class Judge:
             self.guess = 0.0
 
     def as_progress(self) -> dict[str, float]:
-        """What a checkpoint keeps of it."""
+        """The numbers that a checkpoint stores."""
         return {
             "farthest": self.largest,
             "last": self.last,
@@ -226,7 +230,7 @@ class Judge:
         }
 
     def _size(self, state: State) -> float:
-        """Largest displacement, or the volume that has gone in or out anywhere."""
+        """Largest displacement, or the volume that fractures have taken up or released."""
         if not self.of_film:
             return largest_displacement(self.operators, state)
         gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
@@ -238,18 +242,18 @@ class Judge:
         return self._sum(gone)
 
     def _film_error(self, dt: float, old: State, new: State) -> float:
-        """Volume that a part leaves where it does not belong [volume per thickness]. Collective."""
+        """Volume that a substep puts in the wrong place [volume per thickness]. Collective."""
         before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
         last, passing, passed = self.last, after, before
         if self.stepper.memory:
-            last = old.memory.time_step
-            passing = new.memory.velocity, new.memory.uptake
-            passed = (old.memory.velocity, old.memory.uptake) if last > 0.0 else before
+            last = old.previous_step.time_step
+            passing = new.previous_step.velocity, new.previous_step.uptake
+            passed = (old.previous_step.velocity, old.previous_step.uptake) if last > 0.0 else before
         bend = latest(self.bends, old.time)
         if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
             last = 0.0
         rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
-        wrong: Floats = storage_error(self.stepper, dt, rates)
+        wrong: Floats = storage_error(cast(FilmRule, self.stepper), dt, rates)
         wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
         return self._sum(wrong)
 
@@ -262,10 +266,27 @@ class Judge:
     def _room(self, walls: PETSc.Vec) -> Floats:
         assert self.operators.flow is not None
         room = self.operators.layout.flow_vector()
-        self.operators.flow.squeeze.multTranspose(walls, room)
+        self.operators.flow.storage_coupling.multTranspose(walls, room)
         found: Floats = room.getArray().copy()
         room.destroy()
         return found
 
     def _sum(self, at_nodes: Floats) -> float:
         return float(self.operators.layout.comm.allreduce(float(np.abs(at_nodes).sum()), op=MPI.SUM))
+
+
+@dataclass(frozen=True)
+class ErrorControlled:
+    """Adds the estimated error of a substep, over the allowed one, to its outcome."""
+
+    inner: Advance
+    judge: ErrorEstimator
+    explicit: ExplicitSteps
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same with its error. Raises SolveError, on every rank. Collective."""
+        found, judge = self.inner.advance(state, request), self.judge
+        assert request.step is not None
+        length = request.step.length * (found.reached - request.begin)
+        error = judge.error(length, self.explicit.part(judge.stepper, length), state, found.state)
+        return replace(found, error=error)

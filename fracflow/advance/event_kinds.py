@@ -1,8 +1,8 @@
-"""Where inside a step the first joint sections begin or end to slide, part or meet.
+"""Where inside a step the first joint sections begin or end to slide, open or close.
 
-Between two states that a rule for motions connects with all statuses held, strains are taken as the cubic through both ends'
-strains and rates (Hermite), which for the trapezoidal rule is its own parabola. A wall without mass goes its way in the
-measure in which that of its mass has been gone.
+Two states are connected by an integrator with all statuses held. Between them strains are the cubic through both ends'
+strains and rates (Hermite), which for the trapezoidal rule is its own parabola. A wall without mass moves in proportion to the
+nodes that carry its mass.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.laws import LawStep
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.joints import Joints
-from fracflow.model.state import Past, State
+from fracflow.model.state import State
 
 SAMPLES = 8  # instants at which a step is looked at: what leaves and returns between two of them is not seen
 NARROW, MOST = 1e-12, 80  # of the step: how well a root is known, and evaluations for it
@@ -43,7 +44,7 @@ def first_event(joints: Joints, old: State, new: State, dt: float, until: float 
     ``new`` was reached with the statuses of ``old``. None where there is none. Collective.
     """
     path = _path(joints, old, new, dt)
-    friction, contact = _first_roots(joints, path, old.sections.past, until).T
+    friction, contact = _first_roots(joints, path, old, dt, until).T
     comm = joints.jump.getComm().tompi4py()
     here = min(friction.min(initial=np.inf), contact.min(initial=np.inf))
     first = comm.allreduce(float(here), op=MPI.MIN)
@@ -62,7 +63,7 @@ Path = Callable[[Floats], tuple[Floats, Floats]]
 def _path(joints: Joints, old: State, new: State, dt: float) -> Path:
     start: Floats = old.sections.strain
     change: Floats = new.sections.strain - start
-    # what a straight path lacks of the rates at either end
+    # difference of a straight path's rate from the rates at either end
     left, right = (change - dt * joints.strain(state.motion.velocity) for state in (old, new))
     if joints.massless is not None:
         start, change, left, right = _without_mass(joints, (old, new), dt, (start, change, left, right))
@@ -77,7 +78,7 @@ def _path(joints: Joints, old: State, new: State, dt: float) -> Path:
 
 
 def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tuple[Floats, ...]) -> tuple[Floats, ...]:
-    """The path with that of walls without mass, which go their way as what carries their mass goes its own. Collective.
+    """The path with that of walls without mass, which move in proportion to the nodes that carry their mass. Collective.
 
     Closed, they follow it by a share, as the joint lets them; open, all the way. Where they part or meet on the way, the
     path is that of the open wall, which passes there at the same instant.
@@ -88,7 +89,12 @@ def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tu
     whole, (start, change, *_) = at_new - at_old, path
     follows = np.abs(change) <= np.abs(whole)
     share = np.where(follows, change, 0.0) / np.where(follows & (whole != 0.0), whole, 1.0)
-    gap = [joints.approach(state.sections.strain, change, old.sections.past)[:, CONTACT] for state in ends]
+    gap = [
+        joints.approach(state.sections.strain, change, old.sections.history, LawStep(state.time, length, True))[
+            :, CONTACT
+        ]
+        for state, length in zip(ends, (0.0, dt), strict=True)
+    ]
     opens, closes = (gap[0] < 0.0) & (gap[1] > 0.0), (gap[0] > 0.0) & (gap[1] < 0.0)
     free = np.zeros(start.shape, dtype=bool)
     free[:, -1] = opens | closes
@@ -99,13 +105,14 @@ def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tu
     return tuple(np.where(joints.massless.components, its, other) for its, other in zip(found, path, strict=True))
 
 
-def _first_roots(joints: Joints, path: Path, past: Past, until: float) -> Floats:
+def _first_roots(joints: Joints, path: Path, old: State, dt: float, until: float) -> Floats:
     """Fractions (s, 2) of the step at which a distance falls through zero, for contact either way; inf where it does not."""
     count = len(joints.weights)
     signs = np.ones((count, 2))
 
     def distances(fraction: Floats) -> Floats:
-        return signs * joints.approach(*path(fraction), past)
+        step = LawStep(old.time + fraction * dt, fraction * dt, inertia=True)
+        return signs * joints.approach(*path(fraction), old.sections.history, step)
 
     times = np.linspace(0.0, until, SAMPLES + 1)
     values = np.stack([distances(np.full(count, time)) for time in times])

@@ -2,119 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.advance.event_kinds import Event, first_event
+from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.step import Stepping
-from fracflow.advance.substeps import Attempted
 from fracflow.errors import NotConverged
-from fracflow.model.state import State, StepReport
+from fracflow.model.state import State
+from fracflow.solve.request import StepRequest
 
 NEAR = 1e-4  # of the step: how well the time of an event is known
 REFINEMENTS = 6
 BEYOND = 1.25  # a step towards an event looks so far past its own end for it
 MANY = 16  # sliding sections: a crack, whose front passes sections one by one, and no block that sticks and slips
 
-Take = Callable[[State, float, bool], tuple[State, StepReport]]
-"""(state, fraction of the step, hold) -> the state there, with every status held or free to change."""
-Reach = Callable[[State, float, float, bool], tuple[State, StepReport]]
-"""(state, fraction of the part, the same as a fraction of the step, hold) -> the state there."""
 
+@dataclass(frozen=True)
+class EventLocated:
+    """Ends a substep at the first event in it.
 
-def take_part(
-    stepping: Stepping, state: State, reach: Reach, begin: float, end: float, dt: float, may_stop: bool
-) -> Attempted:
-    """The part of a step, ``dt`` long, between two fractions of it, or up to the first event in it if it may stop there.
-
-    Raises SolveError, on every rank. Collective.
+    The substep is computed with all statuses held, then again up to where the first section changes its status. The section
+    changes there, and accelerations follow. A section that would change as the substep begins does so at once, but once only.
+    If it would change back, statuses change as they do without location.
     """
 
-    def place(share: float) -> float:
-        return end if share == 1.0 else begin + share * (end - begin)
+    inner: Advance
+    stepping: Stepping
 
-    def take(old: State, share: float, hold: bool) -> tuple[State, StepReport]:
-        return reach(old, share, place(share), hold)
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The state at the first event, after it, or at the end where there is none.
 
-    new, report, share = to_first_event(stepping, state, take, dt) if may_stop else (*take(state, 1.0, False), 1.0)
-    return Attempted(new, report, place(share))
-
-
-def to_first_event(stepping: Stepping, state: State, take: Take, dt: float) -> tuple[State, StepReport, float]:
-    """The state at the first event of a step of length ``dt``, after it, or at the end where there is none.
-
-    The step is taken with all statuses held, and again to where the first section leaves its own; there the section
-    changes, and accelerations follow. One that would leave as the step begins does so at once, but once only: should it
-    want to return, statuses change as they do without location. Raises SolveError, on every rank. Collective.
-    """
-    if not _are_sought(stepping, state):
-        return *take(state, 1.0, False), 1.0
-    start = state
-    try:
+        Raises SolveError, on every rank. Collective.
+        """
+        if not request.may_stop or not _are_sought(self.stepping, state):
+            return self.inner.advance(state, request)
+        start, held, joints = state, replace(request, hold=True), self.stepping.model.operators.joints
         try:
-            new, report = take(start, 1.0, True)
-        except NotConverged:  # where no state keeps every status
-            return *take(start, 1.0, False), 1.0
-        event = first_event(stepping.model.operators.joints, start, new, dt)
-        if event is not None and event.fraction <= NEAR:
-            new.destroy()
-            start = stepping.change(state, event.sections)
-            new, more = take(start, 1.0, True)
-            report = more.after(report)
-            event = first_event(stepping.model.operators.joints, start, new, dt)
+            try:
+                found = self.inner.advance(start, held)
+            except NotConverged:  # where no state keeps every status
+                return self.inner.advance(start, request)
+            event = first_event(joints, start, found.state, request.length)
             if event is not None and event.fraction <= NEAR:
-                new.destroy()
-                new, more = take(start, 1.0, False)
-                return new, more.after(report), 1.0
-        return (new, report, 1.0) if event is None else _approach(stepping, start, new, report, event, take, dt)
-    finally:
-        if start is not state:
-            start.destroy()
+                found.state.destroy()
+                start = self.stepping.change(state, event.sections)
+                found = _after(self.inner.advance(start, held), found)
+                event = first_event(joints, start, found.state, request.length)
+                if event is not None and event.fraction <= NEAR:
+                    found.state.destroy()
+                    return _after(self.inner.advance(start, request), found)
+            share, last = 1.0, event  # of the last substep, and the event at its end
+            for _ in range(REFINEMENTS):
+                if event is None:
+                    return found
+                last, aim = event, min(event.fraction * share, 1.0)
+                if abs(aim - share) <= NEAR:
+                    break
+                found.state.destroy()
+                if aim <= NEAR:  # it returned to where it began: there is no way to keep the statuses
+                    return _after(self.inner.advance(start, request), found)
+                found = _after(self.inner.advance(start, held.shortened(start.controls, aim)), found)
+                share = aim
+                event = first_event(joints, start, found.state, share * request.length, BEYOND)
+            return found if event is None or last is None else self._changed(found, last)
+        finally:
+            if start is not state:
+                start.destroy()
+
+    def _changed(self, found: Outcome, event: Event) -> Outcome:
+        """The same after the event that it ends at. Collective."""
+        count = self.stepping.model.operators.layout.comm.allreduce(int(event.sections.sum()), op=MPI.SUM)
+        if count == 0:
+            return found
+        try:
+            after = self.stepping.change(found.state, event.sections)
+        finally:
+            found.state.destroy()
+        return replace(found, state=after, report=replace(found.report, located=found.report.located + count))
+
+
+def _after(found: Outcome, earlier: Outcome) -> Outcome:
+    """The same with the cost of an earlier advance, whose state was discarded."""
+    return replace(found, report=found.report.after(earlier.report))
 
 
 def _are_sought(stepping: Stepping, state: State) -> bool:
     """Whether a step from here ends at events: always, or with events = "auto" where few sections slide. Collective.
 
-    How many are many grows with the mesh, so that refining it does not change the rule; rigid rock slides all at once.
+    The limit grows with the number of sections, so that refining the mesh does not change the rule; rigid rock slides all at
+    once.
     """
     scene = stepping.model.scene
     if scene.method.events == "located" or all(rock.rigid for rock in scene.rock.values()):
         return True
     sliding = int(np.count_nonzero(state.sections.is_sliding))
     return int(stepping.model.operators.layout.comm.allreduce(sliding, op=MPI.SUM)) < MANY * 2**scene.refine
-
-
-def _approach(
-    stepping: Stepping, start: State, new: State, report: StepReport, event: Event, take: Take, dt: float
-) -> tuple[State, StepReport, float]:
-    """From a state past an event to the one at it, by steps that hold every status; ``new`` is used up. Collective."""
-    reached = 1.0
-    leaving = np.zeros_like(event.sections)
-    for _ in range(REFINEMENTS):
-        aim = min(event.fraction * reached, 1.0)
-        leaving = event.sections
-        if abs(aim - reached) <= NEAR:
-            break
-        new.destroy()
-        if aim <= NEAR:  # it returned to where it began: there is no way to keep the statuses
-            new, more = take(start, 1.0, False)
-            return new, more.after(report), 1.0
-        new, more = take(start, aim, True)
-        report, reached = more.after(report), aim
-        found = first_event(stepping.model.operators.joints, start, new, aim * dt, BEYOND)
-        if found is None:
-            leaving = np.zeros_like(leaving)
-            break
-        event = found
-    comm = stepping.model.operators.layout.comm
-    count = comm.allreduce(int(leaving.sum()), op=MPI.SUM)
-    if count == 0:
-        return new, report, reached
-    try:
-        after = stepping.change(new, leaving)
-    finally:
-        new.destroy()
-    return after, replace(report, located=report.located + count), reached

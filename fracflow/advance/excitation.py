@@ -1,6 +1,6 @@
 """When what is prescribed shakes the rock: waves that come in, loads and supports that jump or change their rate fast.
 
-A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static answer (Biggs
+A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static response (Biggs
 1964, 2.3); changes within a period may add up.
 """
 
@@ -23,34 +23,37 @@ WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest p
 
 
 @dataclass(frozen=True)
-class Shaken:
-    """A time span in which something shakes the rock, which may be an instant, and what it is."""
+class Excitation:
+    """A time span, or an instant, in which the rock is excited, and the cause."""
 
     start: float
     end: float
     why: str
 
 
-def shaken(scene: Scene, period: float) -> tuple[Shaken, ...]:
-    """All of a scene's spans, by their start; ``period`` is the longest in which its rock vibrates."""
-    waves = [each.wave.velocity for each in scene.absorbing if each.wave is not None]
+def excitations(scene: Scene, period: float) -> tuple[Excitation, ...]:
+    """All of a scene's spans, by their start; ``period`` is the longest period of vibration of its rock."""
+    waves = [wave for each in scene.terms for wave in each.waves]
     loads = [table for table in scene.driving_tables if table not in waves]
-    found = [*(span for table in waves for span in _arrivals(table)), *(s for t in loads for s in _kicks(t, period))]
+    found = [
+        *(span for table in waves for span in _arrivals(table)),
+        *(s for t in loads for s in _rate_jumps(t, period)),
+    ]
     return tuple(sorted(found, key=lambda span: span.start))
 
 
-def _arrivals(table: TimeTable) -> Iterator[Shaken]:
+def _arrivals(table: TimeTable) -> Iterator[Excitation]:
     times, values = np.array(table.times), np.array(table.values)
     ends = [*times[1:], np.inf]
     for n, (start, end) in enumerate(zip(times, ends, strict=True)):
         after = values[min(n + 1, len(values) - 1)] if table.interpolation == "linear" else values[n]
         if values[n] != 0.0 or (after != 0.0 and end > start):
-            yield Shaken(float(start), float(end), WAVE)
+            yield Excitation(float(start), float(end), WAVE)
 
 
-def _kicks(table: TimeTable, period: float) -> Iterator[Shaken]:
+def _rate_jumps(table: TimeTable, period: float) -> Iterator[Excitation]:
     at, _ = table.jumps
-    yield from (Shaken(float(time), float(time), LOAD) for time in at)
+    yield from (Excitation(float(time), float(time), LOAD) for time in at)
     if table.interpolation == "step" or table.spread == 0.0:
         return
     times, values = np.array(table.times), np.array(table.values)
@@ -61,11 +64,11 @@ def _kicks(table: TimeTable, period: float) -> Iterator[Shaken]:
     at = np.append(times[:-1][moves], times[1:][moves][-1])
     total, last = np.concatenate([[0.0], np.cumsum(changes)]), np.searchsorted(at, at + period, side="right")
     for n in np.flatnonzero((total[last] - total[:-1] > SHAKES) & (changes > 0.0)):
-        yield Shaken(float(at[n]), float(at[last[n] - 1]), LOAD)
+        yield Excitation(float(at[n]), float(at[last[n] - 1]), LOAD)
 
 
 def why_inertia(old: State, new: State, period: float, left: float, most: float) -> str:
-    """Why a step that the plan leaves without inertia should have it: something fails, or swings; empty if nothing. Collective.
+    """Why a step planned without inertia needs it: joints slip or open, or a large vibration; else empty. Collective.
 
     ``left`` and the vibration as in ``swing``, which may come to ``most``.
     """

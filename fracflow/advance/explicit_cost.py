@@ -1,4 +1,4 @@
-"""Cost of the explicit steps of a scene, before they are made: their parts, the critical time step, and CPU time."""
+"""Cost of the explicit steps of a scene, before the run: their substeps, the critical time step, and CPU time."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.solve.explicit import ExplicitCoupling
 
-PRODUCTS = 16.0  # the time of a part of a step, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
+PRODUCTS = 16.0  # the time of a substep, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
 TIMED = 5  # products
 
 
 @dataclass(frozen=True)
 class ExplicitCost:
-    """Explicit steps of the stages whose number of steps is known, and the shorter parts that they are taken in.
+    """Explicit steps of the stages whose number of steps is known, and their substeps.
 
-    seconds   of CPU that a part takes on this process, but for what is the same in every step [s]
+    seconds   of CPU that a substep takes on this process, without the cost that every step has [s]
     critical  longest stable time step, by the rock alone; infinite where no rock deforms [time]
     told      a line for the user
     """

@@ -1,4 +1,4 @@
-"""Stages auto: how long steps with inertia are, how much slip one without it may have, and what changing costs."""
+"""Stages auto: length of steps with inertia, most slip of a step without inertia, and cost of a change between them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.errors import SolveError
 from fracflow.model.setup import Model
 from fracflow.model.state import State
@@ -25,8 +25,8 @@ LONGER = 3  # steps without inertia before they are twice as long
 def wave_step(model: Model, state: State, stage: Stage) -> tuple[float, float]:
     """Length of a step with inertia, and the longest period of vibration [time].
 
-    By default it is what a P wave takes through a typical joint, at most a share of the period. Raises SolveError where
-    nothing tells how long an event lasts. Collective.
+    By default it is the time of a P wave through a typical joint, at most a share of the period. Raises SolveError where
+    the duration of an event is unknown. Collective.
     """
     period = longest_period(model.operators, model.loads, state.sections)
     least = stage.dynamic_time_step or min(transit(model), period / PARTS)
@@ -40,7 +40,7 @@ def wave_step(model: Model, state: State, stage: Stage) -> tuple[float, float]:
 def transit(model: Model) -> float:
     """Time that a P wave takes through a joint of typical length; inf where no rock deforms, or without joints. Collective.
 
-    The mean of the joints' lengths, weighted by themselves: one small cell does not tell how long steps are to be.
+    The mean of the joints' lengths, weighted by themselves: one small cell does not determine the length of steps.
     """
     joints = model.operators.joints
     lengths = joints.weights.reshape(-1, joints.points).sum(axis=1)
@@ -61,15 +61,15 @@ def _p_speed(rock: Rock) -> float:
     return math.sqrt(young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / density)
 
 
-def foretold(model: Model, iteration: float, iterations: int) -> dict[str, str]:
+def estimated_cost(model: Model, iteration: float, iterations: int) -> dict[str, str]:
     """Time that events and slow slip of each stage auto take beside the steps planned, by the seconds of a Newton iteration.
 
     iterations  of a step
-    How many events there will be is not known: it is told of one. On one process.
+    The number of events is not known: the cost is that of one. On one process.
     """
     found = {}
     for stage in (stage for stage in model.scene.stage if stage.kind == "auto"):
-        state = rest(model)
+        state = equilibrium_state(model)
         try:
             least, period = wave_step(model, state, stage)
         except SolveError:

@@ -1,4 +1,4 @@
-"""The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
+"""(2.40) The state a run starts from: at rest in equilibrium, or moved away from it as the scene says."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
+from fracflow.elements import facet
 from fracflow.errors import InputError
+from fracflow.laws.base import HELD
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
-from fracflow.model.energy import book, dissipated, empty_books, put_in
+from fracflow.model.energy import close_initial_balance, dissipated, empty_balance, update_balance
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.joints import implied_tractions
 from fracflow.model.operators import Operators
@@ -26,14 +27,14 @@ EQUILIBRIUM = 1e-9  # of the natural force of a joint
 ANYTHING = 1e30  # times the natural force: more than any joint has
 
 
-def settle(model: Model) -> None:
+def refuse_imbalance(model: Model) -> None:
     """Refuse an initial state out of balance; take up in the rock what two rules of integration differ by.
 
-    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them
-    differ by gradient times length squared a node: an error of the mesh, and no reason to move at the start. The
-    operator ``prestress`` changes by it, so a run that goes on is settled too. So it does by whatever fractures lack of
-    balance where the scene says that the rock carries it. A scene with a stage ``equilibrate`` is
-    left as it is. Raises InputError, on every rank. Collective.
+    Under a stress that changes with depth the joints' rule and the exact integral over the rock beside them differ. The
+    difference, gradient times length squared a node, is an error of the mesh and must not start a motion. The operator
+    ``prestress`` changes by it, also in a run that is restarted. It also changes by the imbalance of fractures where the scene
+    lets the rock carry it. A scene with a stage ``equilibrate`` is left as it is. Raises InputError, on every rank.
+    Collective.
     """
     if model.scene.equilibrates:
         return
@@ -63,7 +64,7 @@ def settle(model: Model) -> None:
 
 
 def _uncarried(scene: Scene) -> str:
-    """What is missing to div sigma_0 + b = 0, of each rock."""
+    """The force that is missing to div sigma_0 + b = 0, of each rock."""
     given = scene.initial_stress
     xy, yy = (given.gradient.xy, given.gradient.yy) if given is not None else (0.0, 0.0)
     found = []
@@ -75,17 +76,18 @@ def _uncarried(scene: Scene) -> str:
     return f" ({'; '.join(found)})" if found else ""
 
 
-def rest(model: Model) -> State:
-    """The state before the first step, of a model that was settled. Collective.
+def equilibrium_state(model: Model) -> State:
+    """The state before the first step, of a model whose imbalance was refused or taken up. Collective.
 
-    Fractures past their strength carry their initial tractions all the same: only a scene with a stage
-    ``equilibrate``, or one whose rock carries what does not balance, comes here with any.
+    Fractures past their strength keep their initial tractions. Only a scene with a stage ``equilibrate``, or one whose rock
+    carries the imbalance, has any here.
     """
     ops, scene = model.operators, model.scene
     motion, sections, pressure = _unmoved(model)
     controls = {name: control.initial for name, control in scene.control.items()}
     holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
-    state = State(0.0, motion, pressure, sections, holding, controls, empty_books(), friction=friction)
+    state = State(0.0, motion, pressure, sections, holding, controls, empty_balance(ops.terms), friction=friction)
+    state = replace(state, left={term.name: 0.0 for term in ops.terms if term.drains})
     return state if scene.initial is None else _moved(model, state)
 
 
@@ -95,12 +97,12 @@ def _unmoved(model: Model) -> tuple[Motion, Sections, PETSc.Vec]:
     pressure = layout.flow_vector()
     if ops.flow is not None:
         pressure.setArray(initial_pressure(model.scene, ops.blocks.flow.points))
-    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest(), hold=True)
+    sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history(), HELD)
     return motion, sections, pressure
 
 
 def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.Vec) -> Forces:
-    """What holds a start: reactions of the supports, and beside the loads whatever is missing to balance. Collective."""
+    """Forces that hold a start: reactions of the supports, and any force that the loads lack to balance. Collective."""
     layout = model.operators.layout
     load = imbalance(model, motion.displacement, sections.traction, pressure)
     support, initial = load.copy(), layout.solid_vector()
@@ -113,7 +115,7 @@ def _holding(model: Model, motion: Motion, sections: Sections, pressure: PETSc.V
 
 
 def _moved(model: Model, state: State) -> State:
-    """The start that [initial] describes; what it holds more than the state at rest is booked as put in. Collective."""
+    """The start that [initial] describes; its energy above that at rest counts as added at the start. Collective."""
     ops, initial = model.operators, model.scene.initial
     assert initial is not None
     motion = Motion(ops.layout.solid_vector(), ops.layout.solid_vector(), ops.layout.solid_vector())
@@ -122,10 +124,12 @@ def _moved(model: Model, state: State) -> State:
     pressure = state.pressure.copy()
     if initial.pressure is not None:
         pressure.set(initial.pressure)
-    sections = ops.joints.respond(ops.joints.strain(motion.displacement), ops.joints.rest())
+    sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history())
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
-    energy = put_in(book(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False)))
+    energy = close_initial_balance(
+        update_balance(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False))
+    )
     friction = dissipated(state, new)
     state.destroy()
     return replace(new, energy=energy, friction=friction)
@@ -163,7 +167,7 @@ def _affine(given: InitialMotion, key: str, points: Floats) -> Floats:
 
 
 def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure: PETSc.Vec) -> PETSc.Vec:
-    """Inner forces less the loads of the initial state, on all unknowns. The caller destroys it. Collective."""
+    """Inner forces of tractions (s, dim) less the initial loads, on all unknowns. The caller destroys it. Collective."""
     initial = model.operators.layout.solid_vector()
     model.loads.initial_force(initial)
     balance = static_balance(model.operators, displacement, traction, pressure, initial)
@@ -172,16 +176,16 @@ def imbalance(model: Model, displacement: PETSc.Vec, traction: Floats, pressure:
 
 
 def _slack(model: Model) -> PETSc.Vec:
-    """What the rules of integration may differ by on each unknown. Collective.
+    """Difference that two rules of integration may have on each unknown. Collective.
 
     Over a joint of length L tractions linear between t_1 and t_2 give each end L (2 t_1 + t_2)/6, and L t_1/2 by the
     nodal rule: |t_2 - t_1| L/6 apart at most, likewise the pressures. A joint whose given tractions are not those that
     stress and pressure imply has no slack, unless the scene lets the rock carry what is missing.
     """
     ops, scene = model.operators, model.scene
-    joints, dim, natural = ops.blocks.joints, ops.blocks.sizes.dim, joint.RULES[scene.method.quadrature][0]
+    joints, dim, natural = ops.blocks.joints, ops.blocks.sizes.dim, ops.joints.natural
     ends = ops.blocks.solid.points[joints.bottom]
-    frame, length = joint.frame(ends)
+    frame, length = facet.frame(ends)
     stress = initial_stress(scene, ends)[..., :dim, :dim]
     change = np.abs(np.einsum("jki,ji->jk", stress[:, 1] - stress[:, 0], frame[:, -1]))
     change += np.abs(np.diff(initial_pressure(scene, ends), axis=1) * frame[:, -1])

@@ -1,20 +1,19 @@
-"""Limit points: where slip in a stage without inertia has no state at rest to go on to, and what is told of it.
+"""Limit points: where slip in a stage without inertia has no further equilibrium, and the message on it.
 
 Strength that falls with slip lets a slipping patch grow at rest up to a length of its own; past it no state at rest is near.
-A step that comes to another one, farther away, has jumped: it slips far on the length over which strength falls, and is
-unstable somewhere on its way. Such a step is refused and halved, and where no short one is left the stage ends.
+A step that ends in a distant state at rest has jumped: it slips a large share of the length over which strength falls. Slip is
+unstable somewhere within it. Such a step is refused and halved; the stage ends where no shorter step is allowed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.advance.substeps import PartOfStep
+from fracflow.advance.outcome import Advance, Outcome
 from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.slip import critical_length
 from fracflow.errors import NotConverged, SolveError
@@ -22,31 +21,33 @@ from fracflow.model.properties import on_joints
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import Sections, State
 from fracflow.scene.scene import Scene
+from fracflow.solve.request import StepRequest
 from fracflow.solve.stability import Weakening, largest_share, of_state, of_step
 
 RESOLVED = 0.1  # of the slip over which strength falls: in a shorter step it cannot have jumped
 LIMITS = ((1.0, 0.7), (0.95, 1.0))
-"""Least shares of a state that may have nowhere to go: of what slides, which grows by a joint; with what all but slides."""
+"""Least shares of a state without a near equilibrium: of the sliding patch, which grows by a joint; of one that also counts
+the sections that almost slide."""
 REMEDY = '; slip goes on with inertia: set kind = "auto", or let a stage of kind = "dynamic" follow'
 MOST_HALVED = 40  # times: a step of a year is a millisecond then
 SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
 
 
-class Jumped(NotConverged):
-    """A step without inertia came to a state that slip does not reach at rest; with what slid on its way."""
+class UnstableStep(NotConverged):
+    """A step without inertia reached a state that stable slip cannot reach; with the sections that slid."""
 
     def __init__(self, message: str, newton: int, sections: Sections, weakening: Weakening) -> None:
-        """Of the sections as they would be at its end, after so many iterations."""
+        """Keep the sections at the end of that step, and its Newton iterations."""
         super().__init__(message, newton)
         self.sections, self.weakening = sections, weakening
 
 
 class LimitPoint(SolveError):
-    """A stage without inertia has come to where slip goes on by itself. The state is the last one at rest."""
+    """A stage without inertia has reached unstable slip. The state is the last one at rest."""
 
     @property
     def told(self) -> str:
-        """Without what to change."""
+        """The message without its remedy."""
         return str(self).removesuffix(REMEDY)
 
 
@@ -54,8 +55,8 @@ class LimitPoint(SolveError):
 class Patch:
     """The patch that slips as a limit point is reached.
 
-    share     of what rock takes up that the falling strength gives; unstable from 1 on
-    is_sharp  whether all its digits are known that are told
+    share     of weakening over the stiffness of the rock; unstable from 1 on
+    is_sharp  whether all its printed digits are known
     fracture  its name
     place     of the most slip (dim,) [length]
     length    of what weakens as it slips, along that fracture [length]
@@ -82,7 +83,7 @@ class Patch:
 
 
 def refuse_unstable_slip(model: Model, old: State, new: State, newton: int) -> None:
-    """Free ``new`` and raise Jumped, on every rank, where slip may not have come to it from ``old`` at rest. Collective.
+    """Free ``new`` and raise UnstableStep, on every rank, where slip may not have come to it from ``old`` at rest. Collective.
 
     ``newton`` is the number of iterations that led there
     """
@@ -95,7 +96,7 @@ def refuse_unstable_slip(model: Model, old: State, new: State, newton: int) -> N
         new.destroy()
         fast = f"{'' if is_sharp else 'about '}{share:.3g} times as fast as rock unloads"
         told = f"slip of {slipped:.3g} of the distance over which strength falls, {fast}"
-        raise Jumped(f"time {new.time:.6g}: {told}", newton, new.sections, weakening)
+        raise UnstableStep(f"time {new.time:.6g}: {told}", newton, new.sections, weakening)
 
 
 def weakens(model: Model) -> bool:
@@ -108,10 +109,10 @@ def weakens(model: Model) -> bool:
 
 
 def weakened(model: Model, old: Sections, new: Sections) -> float:
-    """Most slip of a step over the length of its law, of sections whose strength fell with it. Collective."""
+    """Largest slip of a step over the weakening length of its law, of sections whose strength fell. Collective."""
     slipped = np.linalg.norm((new.inelastic - old.inelastic)[:, :-1], axis=1)
     most = 0.0
-    for group, past in zip(model.operators.joints.laws, old.past, strict=True):
+    for group, past in zip(model.operators.joints.laws, old.history, strict=True):
         here = group.sections
         falls = np.maximum(group.law.softening(old.traction[here], past), group.law.softening(new.traction[here], past))
         length = np.where(falls > 0.0, group.law.slip_length(len(here)), np.inf)
@@ -120,7 +121,7 @@ def weakened(model: Model, old: Sections, new: Sections) -> float:
 
 
 def patch_of(model: Model, sections: Sections, weakening: Weakening) -> Patch | None:
-    """The patch that is nearest to slip by itself; None where no strength falls with slip. Collective."""
+    """The patch nearest to instability; None where no strength falls with slip. Collective."""
     share, mode, is_sharp = largest_share(model.operators, model.loads, sections, weakening)
     if share == 0.0:
         return None
@@ -164,29 +165,53 @@ def to_the_next(scene: Scene, number: int, step: float) -> int:
     return min(MOST_HALVED, math.ceil(math.log2(step / after.time_step)))
 
 
-def to_limit_point(model: Model, state: State, parts: Iterator[PartOfStep], least: float) -> Iterator[PartOfStep]:
-    """The parts of a step without inertia from a state, up to where there is no other: at a limit point or not.
+@dataclass(frozen=True)
+class StableSlip:
+    """Refuses steps without inertia in which slip goes on by itself; where strength falls over a length of slip.
 
-    least  length of the shortest part [time]
-
-    Raises LimitPoint or NotConverged, on every rank. Collective.
+    shortest  fraction of the step, above which a substep that fails is halved at small cost
     """
-    try:
-        for part in parts:
-            yield part
-            state = part.state
-    except NotConverged as failure:
-        error = limit_point(model, state, failure, least)
-        if error is None:
-            raise
-        raise error from failure
+
+    inner: Advance
+    model: Model
+    shortest: float
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same. Raises UnstableStep, on every rank. Collective."""
+        halves = request.end - request.begin > self.shortest or is_near(self.model, state)
+        found = self.inner.advance(state, replace(request, expects_failure=halves))
+        refuse_unstable_slip(self.model, state, found.state, found.report.newton)
+        return found
+
+
+@dataclass(frozen=True)
+class UpToLimitPoint:
+    """Distinguishes a limit point from other failures of a stage without inertia.
+
+    halvings  of a step, at most
+    """
+
+    inner: Advance
+    model: Model
+    halvings: int
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same, or LimitPoint in the place of NotConverged is raised, on every rank. Collective."""
+        try:
+            return self.inner.advance(state, request)
+        except NotConverged as failure:
+            assert request.step is not None
+            error = limit_point(self.model, state, failure, request.step.length * 0.5**self.halvings)
+            if error is None:
+                raise
+            raise error from failure
 
 
 def limit_point(model: Model, state: State, failure: NotConverged, least: float) -> LimitPoint | None:
     """The limit point that a failed step of ``least`` length after a state is taken for; None for another one. Collective."""
     cause = failure.__cause__ or failure
     patch = patch_at_limit(model, state)
-    if patch is None and isinstance(cause, Jumped):
+    if patch is None and isinstance(cause, UnstableStep):
         patch = patch_of(model, cause.sections, cause.weakening)
     if patch is None:
         return None
@@ -201,7 +226,7 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
 
 
 def patch_at_limit(model: Model, state: State) -> Patch | None:
-    """The patch that slips, or that all but slips, if it may have nowhere to go at rest. Collective."""
+    """The patch that slips or almost slips, if it may have no equilibrium nearby. Collective."""
     for almost, least in LIMITS:
         patch = patch_of(model, state.sections, of_state(model.operators, state.sections, almost))
         if patch is not None and patch.share >= least:
@@ -210,7 +235,7 @@ def patch_at_limit(model: Model, state: State) -> Patch | None:
 
 
 def is_near(model: Model, state: State) -> bool:
-    """Whether there is one, for less. Collective."""
+    """Whether there is such a patch, at lower cost. Collective."""
     return any(
         largest_share(
             model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost)

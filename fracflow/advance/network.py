@@ -1,25 +1,32 @@
-"""Follows which parts of the network exchange fluid, and closes those that nothing drains."""
+"""Finds the connected components of the network, and closes those that nothing drains."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.errors import SolveError
+from fracflow.advance.outcome import Log
+from fracflow.errors import MOST_TOLD, SolveError
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
-from fracflow.model.network_parts import Part, close, conducting, find_parts, give_way, holding
+from fracflow.model.network_parts import (
+    NetworkComponent,
+    change_volume,
+    close,
+    conducting,
+    find_components,
+    holding,
+    leaving,
+)
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
-from fracflow.solve.initial_rates import Enclosed
+from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
-MOST_TOLD = 5  # parts that the log lists
 BALANCED = 1e-12  # of the sum of the flow rates' sizes
 AGREES = (
     1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has fewer digits
@@ -28,23 +35,24 @@ AGREES = (
 
 @dataclass(frozen=True)
 class _Closed:
-    """Loads with the parts closed that nothing drains, and the wells of each."""
+    """Loads with the undrained components closed, and the wells of each."""
 
     loads: Loads
-    parts: tuple[tuple[Part, tuple[str, ...], bool], ...]
+    parts: tuple[tuple[NetworkComponent, tuple[str, ...], bool], ...]
 
 
-class Network:
-    """The parts of a model's network as they are now."""
+class FlowNetwork:
+    """The present components of a model's network."""
 
-    def __init__(self, model: Model, log: Callable[[str], None] = lambda line: None) -> None:
-        """No part is known before the first step."""
+    def __init__(self, model: Model, log: Log = lambda line: None) -> None:
+        """Start without components, which the first step finds. Collective."""
         self.model, self.log = model, log
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
+        self._leaves = leaving(model.operators)
         self._told: np.ndarray | None = None
         self._told_digits = False
-        self._parts: tuple[Part, ...] = ()
+        self._parts: tuple[NetworkComponent, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
 
@@ -55,33 +63,35 @@ class Network:
         self._told_digits = True
 
     def close(self, loads: Loads, stores: bool) -> Loads:
-        """The same loads with the parts closed that nothing drains, where nothing is stored. Collective.
+        """The same loads with the undrained components closed, where nothing is stored. Collective.
 
         stores  the walls' motion takes part in the balance, so that it settles the pressures of a part
         """
         return self._found(loads, stores).loads if self.model.operators.flow is not None else loads
 
     def level(self, loads: Loads, state: State) -> Loads:
-        """The same loads for the first instant of a stage with inertia: parts that nothing drains keep their mean pressure.
+        """The same loads for the first instant of a stage with inertia: undrained components keep their mean pressure.
 
         The walls have their velocities then, and leave the level open. Raises SolveError, on every rank, naming a part
         into which wells pump from that instant what its walls do not take up. Collective.
         """
         found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
+        lost = self._lost_at(state) if found.parts else np.zeros(0)
         for part, wells, _ in found.parts:
-            rates = [loads.demanded(well, state.time, state.controls, state.around) for well in wells]
+            rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
+            rates.append(-depth * float(lost[part.nodes].sum()))
             taken, moved = self._taken(part, state)
             if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
                 raise SolveError(
-                    f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, sum(rates))} from the first instant in"
+                    f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, rates)} from the first instant in"
                     f" {part}, which no pressure drains, and its walls, as they move, take up {depth * taken:.6g}: let flow"
                     " rates start at what the stage before ends with, or at 0, or give a [[well]] with a pressure there"
                 )
         return found.loads
 
-    def _taken(self, part: Part, state: State) -> tuple[float, float]:
-        """Rate at which the walls of a part make room, and the sum of its sizes [area/time]. Collective."""
+    def _taken(self, part: NetworkComponent, state: State) -> tuple[float, float]:
+        """Rate of volume that the walls of a component open, and the sum of its absolute values [area/time]. Collective."""
         closure = close(self.model.operators, part, len(part.nodes) > 1)
         walls, speed = closure.weights, state.motion.velocity
         if closure.by != "walls":
@@ -94,7 +104,7 @@ class Network:
         sizes.destroy()
         return taken, moved
 
-    def enclosed(self, loads: Loads, state: State, dt: float) -> list[Enclosed]:
+    def enclosed(self, loads: Loads, state: State, dt: float) -> list[EnclosedComponent]:
         """The parts whose level the walls settle, with what wells begin to pump in the first ``dt``. The caller owns them.
 
         Collective.
@@ -102,7 +112,7 @@ class Network:
         layout = self.model.operators.layout
         fluid = self.model.scene.fluid
         depth = fluid.flow_depth if fluid is not None else 1.0
-        first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[Enclosed]()
+        first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[EnclosedComponent]()
         for part, wells, moves in self._found(loads, True, at_start=True).parts:
             if not moves or len(part.nodes) == 1:
                 continue
@@ -111,7 +121,7 @@ class Network:
             for time, sign, side in ends if dt > 0.0 else ():
                 rate += sign * sum(loads.demanded(well, time, state.controls, side) for well in wells) / (dt * depth)
             nodes = part.nodes[(part.nodes >= first) & (part.nodes < first + count)] - first
-            found.append(Enclosed(nodes, close(self.model.operators, part, True).weights, rate))
+            found.append(EnclosedComponent(nodes, close(self.model.operators, part, True).weights, rate))
         return found
 
     def overfull(self, loads: Loads, stores: bool, problem: StepProblem) -> frozenset[Limit]:
@@ -122,17 +132,21 @@ class Network:
         found: set[Limit] = set()
         parts = self._found(loads, stores).parts if self.model.operators.flow is not None else ()
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
-        numbers = self.model.operators.layout.flow_numbers
+        lost = self._lost(problem.conduction) if parts else np.zeros(0)
+        numbers, fluid = self.model.operators.layout.flow_numbers, self.model.scene.fluid
+        depth = fluid.flow_depth if fluid is not None else 1.0
         for part, wells, gives in parts:
             rates = [
-                loads.demanded(well, problem.time, problem.controls, problem.around, problem.rates) for well in wells
+                loads.demanded(well, problem.time, problem.controls, problem.rule.adjacent, problem.rule.rates)
+                for well in wells
             ]
+            rates.append(-depth * float(lost[part.nodes].sum()))
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
                 inside = numbers(part.nodes)
                 limits = [each for each in loads.limits if each.node in inside and each.sign * total > 0.0]
                 if not limits:
-                    self._refuse(part, wells, total, gives, problem.time)
+                    self._refuse(part, wells, rates, gives, problem.time)
                 found.add(min(limits, key=lambda limit: limit.sign * limit.pressure))
             if self._holds[part.nodes].any():
                 continue
@@ -157,14 +171,14 @@ class Network:
             self._closed[key] = self._make(loads, stores, at_start)
         return self._closed[key]
 
-    def look_at(self, state: State) -> None:
-        """See what conducts at a state. Collective."""
+    def update(self, state: State) -> None:
+        """Find the components at a state. Collective."""
         ops = self.model.operators
         assert ops.flow is not None
-        opening = ops.joints.openings(state.sections.strain)
-        self.look(ops.flow.conduct(state.motion.displacement, state.pressure, opening))
+        walls = ops.joints.walls(state.sections, ops.flow.law)
+        self.check(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
 
-    def look(self, conduction: Conduction) -> None:
+    def check(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
         operators, before = self.model.operators, self._conducts
         now, holds = conducting(operators, conduction.conductance), holding(operators, conduction.compression)
@@ -172,10 +186,10 @@ class Network:
         if not operators.layout.comm.allreduce(same, op=MPI.LAND):
             self.destroy()
             self.version += 1
-            self._conducts, self._parts, self._holds = now, find_parts(operators, now), holds
+            self._conducts, self._parts, self._holds = now, find_components(operators, now), holds
 
     def tell(self, time: float) -> None:
-        """Log what has begun or ceased to conduct since the last time, and what no pressure reaches. Collective."""
+        """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""
         before, now = self._told, self._conducts
         if now is None:
             return
@@ -189,7 +203,7 @@ class Network:
             ]
             self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
         drained = self._drained(self.model.loads)
-        gives = give_way(self.model.operators, self._parts, self.model.loads.fixed_solid)
+        gives = change_volume(self.model.operators, self._parts, self.model.loads.fixed_solid)
         fluid = self.model.scene.fluid
         stores = fluid is not None and fluid.compressibility > 0.0
         cut_off = [
@@ -206,12 +220,12 @@ class Network:
     def _drained(self, loads: Loads) -> np.ndarray:
         layout = self.model.operators.layout
         numbers = layout.flow_numbers(np.arange(int(layout.flow_starts[-1])))
-        return np.isin(numbers, loads.fixed_flow)
+        return np.isin(numbers, loads.fixed_flow) | self._leaves
 
     def _make(self, loads: Loads, stores: bool, at_start: bool) -> _Closed:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
-        drained, gives = self._drained(loads), give_way(operators, self._parts, loads.fixed_solid)
+        drained, gives = self._drained(loads), change_volume(operators, self._parts, loads.fixed_solid)
         parts, closures = [], []
         nodes = {
             name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
@@ -230,21 +244,43 @@ class Network:
         here = np.flatnonzero(local) + vector.getOwnershipRange()[0]  # type: ignore[attr-defined]
         return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
 
-    def _refuse(self, part: Part, wells: tuple[str, ...], total: float, moves: bool, time: float) -> None:
+    def _refuse(
+        self, part: NetworkComponent, wells: tuple[str, ...], rates: list[float], moves: bool, time: float
+    ) -> None:
         why = "in a steady stage its walls store nothing" if moves else "its walls cannot move"
         other = 'use kind = "quasi-static", whose walls store the fluid' if moves else "give fluid.compressibility"
         raise SolveError(
-            f"time {time:.6g}: {self._sum_of(wells, total)} in {part}, which no pressure drains, and {why}: give a [[well]]"
+            f"time {time:.6g}: {self._sum_of(wells, rates)} in {part}, which no pressure drains, and {why}: give a [[well]]"
             f" with a pressure there, let the flow rates add up to zero, or {other}"
         )
 
-    def _sum_of(self, wells: tuple[str, ...], total: float) -> str:
-        system = self.model.scene.unit_system
+    def _sum_of(self, wells: tuple[str, ...], rates: list[float]) -> str:
+        """Rates of wells and, last, of all terms, in words."""
+        system, flow = self.model.scene.unit_system, self.model.operators.flow
         unit = system.unit("length**3/time") if system.name != "none" else ""
-        return f"flow rates of {', '.join(wells)} add up to {total:.6g} {unit}".rstrip()
+        names = (*wells, *(term.name for term in flow.terms)) if flow is not None and rates[-1] else wells
+        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g} {unit}".rstrip()
+
+    def _lost_at(self, state: State) -> Floats:
+        """Rates by which fluid leaves by terms at a state at all flow nodes (n,) [volume rate per thickness]. Collective."""
+        ops = self.model.operators
+        assert ops.flow is not None
+        walls = ops.joints.walls(state.sections, ops.flow.law)
+        return self._lost(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
+
+    def _lost(self, conduction: Conduction | None) -> Floats:
+        """The same of a trial; zero where it conducts nothing yet. Collective."""
+        layout, network = self.model.operators.layout, self.model.operators.flow
+        assert network is not None
+        nodes = layout.flow_vector()
+        if conduction is not None and conduction.leaving is not None:
+            network.taken_up(conduction.leaving.rate, nodes)
+        found = np.concatenate(layout.comm.allgather(nodes.getArray().copy()))
+        nodes.destroy()
+        return found
 
     def destroy(self) -> None:
-        """Forget the closed loads. Collective."""
+        """Free the closed loads. Collective."""
         for found in self._closed.values():
             for closure in found.loads.closures:
                 closure.weights.destroy()
@@ -252,14 +288,11 @@ class Network:
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:
-    """What the walls have made room for in a step at all flow nodes (n,), and their largest motion. Collective.
-
-    Of a compressible fluid, which need not fill the room, what has been there before.
-    """
+    """Volume that the walls have opened in a step at all flow nodes (n,), and their largest motion. Collective."""
     network, room = problem.operators.flow, problem.operators.layout.flow_vector()
     assert network is not None
     if problem.fluid_before is None:
-        network.squeeze.multTranspose(problem.increment, room)
+        network.storage_coupling.multTranspose(problem.increment, room)
     else:
         network.taken_up(-problem.fluid_before.weight / network.compressibility, room)
     found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))

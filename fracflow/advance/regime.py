@@ -1,4 +1,4 @@
-"""Where slip has no quasi-static continuation, and where motion has come to rest: when a stage auto changes its regime."""
+"""When a stage auto changes its regime: slip has no quasi-static continuation, or motion has come to rest."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.advance.inertial_steps import SHARE, deforming, wave_step
-from fracflow.advance.substeps import Place
+from fracflow.advance.substeps import SubstepCursor
 from fracflow.mesh.data import Bools
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
@@ -21,22 +21,22 @@ RADIATED = 1e-3  # of the strength: what rho c_s v/2 of slip without inertia may
 SETTLED = 0.3  # of that: what slip may radiate as inertia goes
 FLOOR = 0.1  # of the largest traction: strength of what pressure has all but opened, in what slip radiates of it
 LONG = 20.0  # longest periods: an event that has lasted so long may have nothing that ends it
-CREEP = 2.0  # times the kinetic energy at the onset: no more than slow slip goes on with
+CREEP = 2.0  # times the kinetic energy at the onset: slow slip goes on with no more
 
 
 @dataclass(frozen=True)
-class Course:
+class EventState:
     """Where a stage auto is, all of it numbers, for checkpoints.
 
     least   step with inertia, and shortest without [time]
     period  longest period of vibration, as at the last onset [time]
     step    length of the next step without inertia [time]
-    calm    steps in a row that could have been longer
+    calm    accepted steps in a row that could have been longer
     begun   onset of the event under way; ``moves`` 1 during one
     count   whole steps with inertia since then
     creep   kinetic energy that slow slip and weak waves may have, as at the onset [energy per thickness]
     peak    largest one since
-    trials  steps without inertia that were tried and thrown away since the last event
+    trials  steps without inertia that were rejected since the last event
     loud    when it was last above the share of its peak that counts as rest [time]
     """
 
@@ -52,23 +52,23 @@ class Course:
     loud: float = 0.0
     trials: float = 0.0
 
-    def as_progress(self, place: Place | None = None) -> dict[str, float]:
-        """What a checkpoint keeps of it, and of the place in a step with inertia."""
-        return {**vars(self), **(place or Place()).as_progress()}
+    def as_progress(self, place: SubstepCursor | None = None) -> dict[str, float]:
+        """The numbers that a checkpoint stores of it, and of the place in a step with inertia."""
+        return {**vars(self), **(place or SubstepCursor()).as_progress()}
 
     @classmethod
-    def of(cls, progress: Mapping[str, float]) -> Course:
+    def of(cls, progress: Mapping[str, float]) -> EventState:
         """The one that a checkpoint kept."""
         return cls(**{name: progress[name] for name in cls.__dataclass_fields__ if name in progress})
 
-    def onset(self, state: State, period: float, weak: float) -> Course:
-        """As an event begins from a state whose books have its kinetic energy; ``weak`` waves have less than that."""
+    def onset(self, state: State, period: float, weak: float) -> EventState:
+        """As an event begins from a state whose energy balance has its kinetic energy; ``weak`` waves have less than that."""
         energy = state.energy["kinetic"]
         begun = replace(self, moves=1.0, begun=state.time, count=0.0, period=period)
         return replace(begun, creep=max(CREEP * energy, weak), peak=energy, loud=state.time)
 
-    def moved_to(self, state: State, at_rest: float) -> Course:
-        """After a step, or a part of one, with inertia."""
+    def moved_to(self, state: State, at_rest: float) -> EventState:
+        """After a step or substep with inertia."""
         energy = state.energy["kinetic"]
         peak = max(self.peak, energy)
         is_loud = energy > max(at_rest * peak, self.creep)
@@ -78,7 +78,7 @@ class Course:
         """Whether kinetic energy has been low for long enough."""
         return state.time - self.loud >= stage.rest_periods * self.period
 
-    def restless(self, before: float, now: float, absorbs: bool, damps: bool) -> str:
+    def is_unstable(self, before: float, now: float, absorbs: bool, damps: bool) -> str:
         """The line of the log on an event when it has lasted ``LONG`` periods: ``now``, and not yet ``before``; else nothing.
 
         absorbs, damps  the scene has sides that absorb, or damps by its stepper already, which is then no remedy
@@ -94,16 +94,16 @@ class Course:
             f" damps its waves it never is: {', or '.join(remedies)}"
         )
 
-    def at_rest(self) -> Course:
+    def at_rest(self) -> EventState:
         """As an event ends: the first step without inertia lasts a period."""
         return replace(self, moves=0.0, step=max(self.period, self.least), calm=0.0, trials=0.0)
 
 
-def begin(model: Model, state: State, stage: Stage) -> Course:
-    """The course at the start of a stage. Raises SolveError where nothing tells how long an event lasts. Collective."""
+def begin(model: Model, state: State, stage: Stage) -> EventState:
+    """The course at the start of a stage. Raises SolveError where the duration of an event is unknown. Collective."""
     least, period = wave_step(model, state, stage)
     assert stage.time_step is not None
-    return Course(least, period, max(stage.time_step, least))
+    return EventState(least, period, max(stage.time_step, least))
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Slipped:
     drops     some strength drops at once
     share     of the distance over which strength falls: the largest of the sections that still weaken [1]
     radiated  of the strength: rho c_s v/2, in the mean over all that slips [1]
-    worst     (s,) the section of all ranks that does most against its strength
+    worst     (s,) the section of all ranks that dissipates most against its strength
     """
 
     drops: bool
@@ -144,7 +144,9 @@ class Tried:
     why         it may not be taken; empty where it may
     newton      iterations spent on it
     state       that it led to, with its ``report``; None where it may not be taken
-    may_double  whether one twice as long may follow, as far as its slip tells
+    may_double  whether one twice as long may follow, by its slip
+    length      of it [time]
+    jumps       something prescribed jumps just behind its end
     """
 
     why: str
@@ -152,23 +154,25 @@ class Tried:
     state: State | None = None
     report: StepReport = field(default_factory=StepReport)
     may_double: bool = False
+    length: float = 0.0
+    jumps: bool = False
 
 
 def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
     """How fast and how far sections slip in a step without inertia. Collective.
 
-    Strength that drops at once leaves no equilibrium at all; where it falls with slip a step must resolve that; and the
-    power that slip radiates, the sum of rho c_s v^2/2, is to be small beside its power against strength, the sum of v R. Sums
-    are over all that slips, by area: fast slip outweighs slow. Pressure may take all strength from a section, which then
-    resists nothing and radiates as little: R is the strength, or FLOOR of the largest traction since the start if that is
-    more; and a fall of strength counts over the fall under that pressure.
+    Strength that drops at once leaves no equilibrium; where it falls with slip a step must resolve the fall. The power that
+    slip radiates, the sum of rho c_s v^2/2, must be small beside its power against strength, the sum of v R. Sums are over all
+    sliding sections, by area, so that fast slip outweighs slow slip. Pressure may take all strength from a section, which then
+    has no resistance and radiates little. So R is the strength, or FLOOR times the largest traction since the start if that is
+    more. A fall of strength counts relative to the fall under that pressure.
     """
     joints, comm = model.operators.joints, model.operators.layout.comm
     before, after = old.sections, new.sections
     far = np.linalg.norm((after.inelastic - before.inelastic)[:, :-1], axis=1)
     scale = FLOOR * np.maximum(after.record, np.linalg.norm(before.traction, axis=1))
     drops, share = False, 0.0
-    for group, past in zip(joints.laws, before.past, strict=True):
+    for group, past in zip(joints.laws, before.history, strict=True):
         here = group.sections
         pressed = np.maximum(-after.traction[here, -1], 0.0)
         drop, length = group.law.strength_drop(pressed), group.law.slip_length(len(here))
@@ -191,7 +195,7 @@ def slipped(model: Model, old: State, new: State, dt: float) -> Slipped:
 
 
 def weak_waves(model: Model, state: State, period: float) -> float:
-    """Kinetic energy of waves of a stress ``RADIATED`` times the strength, wherever they come in a period. Collective.
+    """Kinetic energy of waves of a stress ``RADIATED`` times the strength, over their reach in a period. Collective.
 
     s^2/(2 mu) per area, on (c_s T)^2; nothing where no rock deforms [energy per thickness].
     """

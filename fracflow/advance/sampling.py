@@ -1,4 +1,4 @@
-"""How a step samples what is tabled in time, so that it takes in all that the tables bring.
+"""How a step samples tables in time, so that their whole integral enters the solution.
 
 With inertia, forces and flow rates are sampled so that the trapezoid's sum over the steps is the table's integral, and jumps
 of pressures likewise. Without it what is prescribed holds as just before the end of the step: what jumps there comes in the
@@ -8,11 +8,11 @@ step after it. Flow rates are then sampled as the rule takes the derivative of w
 from __future__ import annotations
 
 from fracflow.integrators import Alphas, Stepper
-from fracflow.model.loads import Loads
 from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
+from fracflow.solve.request import StepRequest, StepRule
 
-MOST_GROWTH = 1e3  # of steps, beyond which the last one tells nothing
+MOST_GROWTH = 1e3  # of steps, beyond which the last one has no influence
 
 
 def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
@@ -22,18 +22,26 @@ def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
     return JUST_BEFORE if dt > 0.0 else JUST_AFTER
 
 
-def begins_anew(rule: Stepper, loads: Loads, state: State, dt: float, ahead: float | None) -> bool:
-    """Whether a step of a rule that remembers goes without its memory, by backward Euler.
+def rule_of(stepper: Stepper, state: State, request: StepRequest, follows: Stepper) -> StepRule:
+    """How a step by a rule, which another ``follows``, takes rates and samples what is tabled."""
+    dt, ahead, last = request.length, request.next_length, state.previous_step.time_step
+    alphas = stepper.alphas(dt, last) if last > 0.0 else stepper.alphas(dt)
+    rates = rates_of(stepper, alphas, state, dt, ahead, follows)
+    return StepRule(alphas, sides_of(stepper, dt, ahead), rates, stepper.inertia)
 
-    There is none, or that of a step so short that round-off is all of it; or the length of the step after this one is not
-    known, with which a rule that weighs both ends would share what a table leaves within this one; or a rate jumps as it
-    begins, which such a rule would take by half.
+
+def begins_anew(rule: Stepper, state: State, request: StepRequest) -> bool:
+    """Whether a step of a multistep rule is taken by backward Euler, without the previous step.
+
+    There is no previous step, or one so short that it is round-off. Or the next length is not known, by which a rule that
+    weighs both ends divides the integral of a table. Or a rate jumps as the step begins, of which such a rule would take half.
     """
-    if not rule.memory or state.memory.time_step == 0.0 or dt > MOST_GROWTH * state.memory.time_step:
+    dt, ahead = request.length, request.next_length
+    if not rule.memory or state.previous_step.time_step == 0.0 or dt > MOST_GROWTH * state.previous_step.time_step:
         return True
     if rule.alphas(dt).a4 == 0.0:
         return False
-    tables = [well.value for well in loads.wells if isinstance(well.value, TimeTable)]
+    tables = [well.value for well in request.loads.wells if isinstance(well.value, TimeTable)]
     if any(state.time < time < state.time + 0.5 * dt for table in tables for time in table.jumps[0]):
         return True
     return ahead is None and any(state.time < time < state.time + dt for table in tables for time in table.times)
@@ -46,8 +54,8 @@ def rates_of(
 
     Backward Euler takes their mean over the step; BDF2 combines it with that over the last step as it does those of the
     walls' velocities. Of a well that has a limit the last mean is of the rate that went through it, whatever its table says.
-    The trapezoid takes the value at the end with what its sum leaves of the integral of the step; where it begins by
-    backward Euler, that step makes up for the half by which the next one counts its end.
+    The trapezoid takes the value at the end, with the difference of its sum from the integral of the step. Where it begins by
+    backward Euler, that step corrects for the half by which the next one counts its end.
 
     follows  the rule of the steps after it
     """
@@ -60,8 +68,8 @@ def rates_of(
     if follows.alphas(dt).a4 > 0.0 and ahead:
         share = 0.5 * ahead / (dt + 0.5 * ahead)
         return Rates(now=1.0 - share, share=share, around=(0.0, ahead), begin=state.time)
-    last = state.memory.time_step
+    last = state.previous_step.time_step
     if alphas.a6 > 0.0 and last > 0.0:
-        before, factors, through = state.time - last, (alphas.a1 * dt, alphas.a6), state.memory.through
+        before, factors, through = state.time - last, (alphas.a1 * dt, alphas.a6), state.previous_step.through
         return Rates(*factors, 0.0, begin=state.time, before=before, controls=state.controls, through=through)
     return Rates(now=1.0, share=0.0, begin=state.time)

@@ -1,135 +1,62 @@
-"""Step after step: the search for incipient failure, and the stages of a scene."""
+"""The stages of a scene, step after step: composed of ways to advance, one for each task that a step may need."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
-from fracflow._petsc import MPI
-from fracflow.advance.error_control import Judge
-from fracflow.advance.events import take_part
-from fracflow.advance.instability import is_near, refuse_unstable_slip, to_limit_point, to_the_next, weakens
-from fracflow.advance.prescribed import prescribed
+from fracflow.advance.error_control import ErrorControlled, ErrorEstimator
+from fracflow.advance.events import EventLocated
+from fracflow.advance.incipient import search_incipient, utilisation
+from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
+from fracflow.advance.outcome import Advance, Log, Outcome
+from fracflow.advance.prescribed_times import PrescribedTimes, prescribed
 from fracflow.advance.step import DONE, Progress, Step, Stepping, stepper_of
-from fracflow.advance.substeps import (
-    AT_A_JUMP,
-    Attempted,
-    Place,
-    Rules,
-    in_parts,
-    most_halvings,
-    next_jump,
-    on_the_way,
-    still_lacking,
-    to_next,
-)
-from fracflow.errors import SolveError
-from fracflow.integrators import Steady, Stepper
-from fracflow.model.setup import Model
-from fracflow.model.state import State, StepReport, forgetful
+from fracflow.advance.substeps import Rules, SubstepCursor, Substepped, most_halvings
+from fracflow.integrators import Stepper
+from fracflow.model.state import State, forgetful
 from fracflow.scene.boundary import Stage
+from fracflow.solve.request import LoadStep, StepRequest, to_next
 
-DOUBLINGS = 60
 JUST_OVER = 1.5  # times the shortest part: longer ones are halved where they fail
-SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
 
 
-def utilisation(model: Model, state: State) -> float:
-    """Largest |f_s| / f_sy over all sections; 1 where one slides. Collective."""
-    here = float(state.sections.utilisation.max(initial=0.0))
-    if state.sections.is_sliding.any():
-        here = max(here, 1.0)
-    return float(model.operators.layout.comm.allreduce(here, op=MPI.MAX))
+@dataclass(frozen=True)
+class SplitAtJumps:
+    """Ends substeps where a prescribed value jumps or bends, and takes the state over anew after a jump.
 
-
-class _Search:
-    """How far the control may rise: states tried from one start, and how far each is from the strength sought."""
-
-    def __init__(self, stepping: Stepping, state: State, stage: Stage, log: Callable[[str], None]) -> None:
-        assert stage.control is not None
-        self.log = log
-        self.stepping, self.state, self.stage, self.control = stepping, state, stage, stage.control
-        self.tried: dict[float, tuple[State, StepReport]] = {}
-        self.failure: SolveError | None = None
-
-    def excess(self, value: float) -> float:
-        """Utilisation over what is sought, positive where there is no such state. Collective."""
-        if value not in self.tried:
-            controls = {**self.state.controls, self.control: value}
-            try:
-                self.tried[value] = self.stepping.step(self.state, Steady(), self.state.time, 0.0, controls)
-            except SolveError as error:
-                self.failure = error
-                self.log(f"no state found at control.{self.control} = {value:.12g}, taken as past failure: {error}")
-                return self.stage.tolerance
-        return min(utilisation(self.stepping.model, self.tried[value][0]), 1.0) - (1.0 - self.stage.tolerance)
-
-    def between(self, low: float, high: float) -> float:
-        """The last value in a bracket that was tried and slides nowhere. Collective."""
-        if self.excess(low) < 0.0:
-            from scipy.optimize import brentq  # imports much
-
-            brentq(self.excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15)
-        model = self.stepping.model
-        below = {v: u for v, (new, _) in self.tried.items() if (u := utilisation(model, new)) < 1.0}
-        sought = 1.0 - self.stage.tolerance
-        best = min(below, key=lambda value: abs(below[value] - sought), default=low)
-        if not below or below[best] < 1.0 - 2.0 * self.stage.tolerance:
-            reached = f"|f_s|/f_sy = {below[best]:.9g}" if below else "no state"
-            raise SolveError(
-                f"stage {_name(self.stage)}: the search for incipient failure ended at control.{self.control} = {best:.9g}"
-                f" with {reached}, sought 1 - {self.stage.tolerance:g}; beyond it {self.failure or 'sections slide at once'}"
-            )
-        return best
-
-    def destroy(self) -> None:
-        """Free the states that were not taken out of ``tried``."""
-        for state, _ in self.tried.values():
-            state.destroy()
-
-
-def _name(stage: Stage) -> str:
-    return stage.name or stage.kind
-
-
-def search_incipient(
-    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
-) -> Iterator[Step]:
-    """Raise the control until max |f_s| / f_sy = 1 - tolerance; yields the elastic states on the way.
-
-    Raises SolveError, on every rank, where no state is that near to the strength. Collective.
+    renews  pressures and accelerations are computed anew then; else the rule only drops the previous step
     """
-    model, stage = stepping.model, stepping.model.scene.stage[number]
-    control = stage.control
-    assert control is not None
-    low = state.controls[control]
-    if utilisation(model, state) >= 1.0 - stage.tolerance:
-        log(f"stage {_name(stage)}: already at incipient failure")
-        return
-    increment = progress.get("increment", model.scene.control[control].increment)
-    for _ in range(DOUBLINGS):
-        search, high = _Search(stepping, state, stage, log), low + increment
-        if search.excess(high) >= 0.0:
-            break
-        state, report = search.tried.pop(high)
-        low, increment = high, 2.0 * increment
-        yield Step(state, number, 0.0, report, {"increment": increment})
-    else:
-        raise SolveError(
-            f"stage {_name(stage)}: control.{control} raised to {low:.6g} and no fracture came to its"
-            " strength: do the wells it drives reach one?"
-        )
-    try:
-        value = search.between(low, high)
-        best = search.tried.pop(value)
-    finally:
-        search.destroy()
-    log(f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - utilisation(model, best[0]):.3e}")
-    yield Step(best[0], number, 0.0, best[1], DONE)
+
+    inner: Advance
+    stepping: Stepping
+    stepper: Stepper
+    renews: bool
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The same up to the first such time. Raises SolveError, on every rank. Collective."""
+        step, begin = request.step, request.begin
+        assert step is not None
+        cut = step.first(step.ends, begin, request.end)
+        if cut is None:
+            return self.inner.advance(state, request)
+        part = replace(step.part(state.controls, begin, cut), may_stop=request.may_stop)
+        jumps = step.first(step.jumps, begin, cut) is not None
+        found = self.inner.advance(state, replace(part, next_length=0.0) if jumps else part)
+        if found.reached < cut:
+            return found
+        if not jumps or (cut == 1.0 and step.following == 0.0):
+            return replace(found, foreseen=True)
+        left, ahead = found.state, step.after(cut)
+        try:
+            new = self.stepping.enter(left, self.stepper, ahead) if self.renews else forgetful(left)
+        finally:
+            left.destroy()
+        return replace(found, state=new, foreseen=True)
 
 
-def first_part(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) -> float:
-    """Length of a stage's first part, as it is foreseen: up to the first jump, where parts with inertia end there."""
+def first_substep(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) -> float:
+    """Planned length of a stage's first substep: up to the first jump, where substeps with inertia end there."""
     length, scene = stage.step_length(time), stepping.model.scene
     if stage.kind == "auto" or not stepper.inertia or not _splits(stepping, stepper, length):
         return length
@@ -137,14 +64,14 @@ def first_part(stepping: Stepping, stage: Stage, stepper: Stepper, time: float) 
 
 
 def _events(stepping: Stepping, stepper: Stepper, dt: float) -> int:
-    """Events that parts of one step of length ``dt`` may end at; none without inertia. Collective."""
+    """Number of events at which substeps of one step of length ``dt`` may end; 0 without inertia. Collective."""
     scene = stepping.model.scene
     locates = stepper.inertia and scene.method.events != "at-step-ends" and stepping.explicit.locates(stepper, dt)
     return scene.accuracy.max_events if locates else 0
 
 
 def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
-    """Whether parts of steps of length ``dt`` end where something prescribed jumps. Collective.
+    """Whether substeps of steps of length ``dt`` end where a prescribed value jumps. Collective.
 
     Jumps that may come in any step are sampled by means, as all are where events are not located.
     """
@@ -153,9 +80,29 @@ def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
     return _events(stepping, stepper, dt) > 0 and not stepping.model.scene.jumps_anywhere
 
 
-def run_stage(
-    stepping: Stepping, state: State, number: int, log: Callable[[str], None], progress: Progress
-) -> Iterator[Step]:
+def composed(
+    stepping: Stepping,
+    stepper: Stepper,
+    number: int,
+    judge: ErrorEstimator,
+    given: PrescribedTimes,
+    place: SubstepCursor,
+    log: Log,
+) -> Substepped:
+    """The way to advance through the steps of a stage by a rule, from a place in one of them."""
+    model, whole = stepping.model, stepping.model.scene.stage[number].time_step or 0.0
+    hurries, most = weakens(model) and not stepper.inertia, most_halvings(model.scene)
+    most = max(most, to_the_next(model.scene, number, whole)) if hurries else most
+    rules = Rules(most, judge.order, _events(stepping, stepper, whole), judge.finest, judge.of_film)
+    step = stepping.by(stepper)
+    step = EventLocated(step, stepping) if rules.events else step
+    step = StableSlip(step, model, JUST_OVER * 0.5**most) if hurries else step
+    step = ErrorControlled(step, judge, stepping.explicit) if judge.order else step
+    step = SplitAtJumps(step, stepping, stepper, stepper.inertia or judge.finest > 0) if given.ends else step
+    return Substepped(step, rules, log, place, given)
+
+
+def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
     """All steps of a stage, or those after the one with ``progress``. The caller owns the states. Collective."""
     model = stepping.model
     stage = model.scene.stage[number]
@@ -168,103 +115,35 @@ def run_stage(
     controls, control = dict(state.controls), stage.control or ""
     start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
-    count, whole_step = stage.step_count(start), stage.time_step or 0.0
-    dt = whole_step
-    place = Place.of(progress)
-    judge = Judge(model, stage, stepper, start, progress)
-    stepping.explicit.tell(stepper, dt)
+    count, whole = stage.step_count(start), stage.time_step or 0.0
+    judge = ErrorEstimator(model, stage, stepper, start, progress)
+    stepping.explicit.tell(stepper, whole)
     if judge.finest and not progress:
-        log(f"stage {_name(stage)}: parts of steps by {judge.told}")
-    hurries = weakens(model) and not stepper.inertia
-    most = most_halvings(model.scene)
-    rules = Rules(
-        max(most, to_the_next(model.scene, number, whole_step)) if hurries else most,
-        judge.order,
-        _events(stepping, stepper, dt),
-        judge.finest,
-        judge.of_film,
-    )
-    fills = stepper.storage and model.operators.flow is not None
-    shortest = JUST_OVER * 0.5**rules.most
-    given = prescribed(
-        model.scene, stepper.inertia, _splits(stepping, stepper, dt), judge.tolerance if judge.finest else None
-    )
-    anew = stepper.inertia or judge.finest > 0  # else a rule that remembers forgets, and no more is needed
-
-    def following(n: int, to: float) -> float:
-        """Length of the part after the fraction ``to`` of step ``n``, as it is foreseen: up to the next jump."""
-        if whole_step == 0.0 or (to == 1.0 and n == count):
-            return 0.0
-        length, now = stage.step_length(start, n + 1) if to == 1.0 else (1.0 - to) * dt, moment(n, to)
-        return to_next(given.ends, now, length)
-
-    def moment(n: int, to: float) -> float:
-        return start + (n - 1 + to * (dt / whole_step)) * whole_step if whole_step > 0.0 else start
-
-    def attempt(state: State, begin: float, end: float, may_stop: bool) -> Attempted:
-        at = start + (n - 1) * whole_step
-        cut = next_jump(given.ends, at, dt, begin, end)
-        end = end if cut is None else cut
-        jumps = cut is not None and next_jump(given.jumps, at, dt, begin, end) is not None
-        whole, arrives = dt * (end - begin), next_jump(given.jumps, at, dt, begin, 1.0) or 1.0
-        brief = hurries and (end - begin > shortest or is_near(model, state))
-
-        def reach(old: State, share: float, to: float, hold: bool) -> tuple[State, StepReport]:
-            # what jumps while a film fills is there at once: spread over a halved step, it would come half a step late
-            lacking = 0.0 if stepper.inertia or fills else still_lacking(begin, to, arrives)
-            now = on_the_way(old.controls, controls, begin, to)
-            ahead = following(n, to)
-            if jumps and to == end:  # which is then no matter of means
-                ahead = 0.0
-            elif share == 1.0 and to < 1.0:
-                ahead = min(ahead, share * whole)
-            return stepping.step(
-                old, stepper, moment(n, to), share * whole, now, lacking=lacking, hold=hold, ahead=ahead, brief=brief
-            )
-
-        found = take_part(stepping, state, reach, begin, end, whole, may_stop)
-        new, length = found.state, dt * (found.fraction - begin)
-        if hurries:
-            refuse_unstable_slip(model, state, new, found.report.newton)
-        error = judge.error(length, stepping.explicit.part(stepper, length), state, new)
-        if found.fraction == end and jumps and not (n == count and end == 1.0):
-            left = new
-            try:
-                new = stepping.enter(left, stepper, following(n, end)) if anew else forgetful(left)
-            finally:
-                left.destroy()
-        return replace(found, state=new, error=error, foreseen=cut is not None and found.fraction == end)
-
-    def is_straight(begin: float, end: float) -> bool:
-        at = start + (n - 1) * whole_step
-        cut = next_jump(given.ends, at, dt, begin, end)
-        inside = begin + 2.0 * AT_A_JUMP, (end if cut is None else cut) - 2.0 * AT_A_JUMP
-        return given.is_straight(*(at + fraction * dt for fraction in inside))
-
-    while count is None or n < count:
-        n += 1
-        dt = stage.step_length(start, n)
+        log(f"stage {stage.title}: parts of steps by {judge.told}")
+    splits = _splits(stepping, stepper, whole)
+    given = prescribed(model.scene, stepper.inertia, splits, judge.tolerance if judge.finest else None)
+    parts = composed(stepping, stepper, number, judge, given, SubstepCursor.of(progress), log)
+    method: Advance = parts if stepper.inertia else UpToLimitPoint(parts, model, parts.rules.most)
+    # a jump while a fracture fills is applied at once: spread over a halved step, it would come half a step late
+    fills = stepper.inertia or (stepper.storage and model.operators.flow is not None)
+    ends = False
+    while not ends and (count is None or n < count):
+        dt, following = stage.step_length(start, n + 1), 0.0 if n + 1 == count else stage.step_length(start, n + 2)
         if stage.control is not None and stage.increment_per_step is not None and not held:
-            controls[control] = base * (1.0 + n * stage.increment_per_step)
-        parts = in_parts(attempt, state, rules, log, place, is_straight)
-        for part in parts if stepper.inertia else to_limit_point(model, state, parts, dt * 0.5**rules.most):
-            state = part.state
-            failed = utilisation(model, state) >= 1.0
-            if failed and stage.then == "hold" and not held:
-                held = True
-                controls[control] = state.controls[control]
-                log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
-            judge.follow(state, dt * (part.end - part.start))
-            ends = stage.until == "incipient" and failed
-            place = part.place.next_step() if part.is_last else part.place
-            there: Progress = {"n": n if part.is_last else n - 1, "start": start, "base": base, "held": float(held)}
-            there = {**there, **place.as_progress(), **judge.as_progress()}
-            yield Step(state, number, dt * (part.end - part.start), part.report, DONE if ends else there)
-            if ends:
-                break
-            if line := judge.outlook(state.time):
-                log(f"stage {_name(stage)}: {line}")
-        if ends:
-            break
+            controls[control] = base * (1.0 + (n + 1) * stage.increment_per_step)
+        step = LoadStep(start, n + 1, whole, dt, following, dict(controls), model.loads, given.ends, given.jumps, fills)
+        found = method.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
+        state, n = found.state, n + (found.reached == 1.0)
+        failed = utilisation(model, state) >= 1.0
+        if failed and stage.then == "hold" and not held:
+            held, controls[control] = True, state.controls[control]
+            log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
+        judge.follow(state, found.length)
+        ends = stage.until == "incipient" and failed
+        there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
+        there = {**there, **parts.place.as_progress(), **judge.as_progress()}
+        yield Step(state, number, found.length, found.report, DONE if ends else there)
+        if not ends and (line := judge.outlook(state.time)):
+            log(f"stage {stage.title}: {line}")
     if judge.finest:
-        log(f"stage {_name(stage)}: {judge.last_words}")
+        log(f"stage {stage.title}: {judge.summary}")

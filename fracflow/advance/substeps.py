@@ -1,4 +1,4 @@
-"""A step is taken whole, or in parts: to where it converges, to where it is accurate, to its events.
+"""A step is taken whole, or in substeps: to where it converges, to where it is accurate, to its events.
 
 Parts are powers of 1/2 of a step, or of what is left of it after an event, each at a multiple of its own length.
 """
@@ -6,48 +6,32 @@ Parts are powers of 1/2 of a step, or of what is left of it after an event, each
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from fracflow.advance.outcome import Advance, Log, Outcome
+from fracflow.advance.prescribed_times import PrescribedTimes
 from fracflow.errors import NotConverged
 from fracflow.model.state import State, StepReport
 from fracflow.scene.scene import Scene
+from fracflow.solve.request import AT_A_JUMP, LoadStep, StepRequest
 
 CALM = 2  # parts in a row that could have been twice as long, before the next one is
 MARGIN = 0.75  # of what is allowed: a part is made twice as long where that is expected to be no more wrong
-LEAST_ORDER = 0.25  # that errors are expected to fall by: they fall with dt^(1/2) in a film that a jump enters
+LEAST_ORDER = 0.25  # by which errors are expected to fall: they fall with dt^(1/2) in a fracture that a jump enters
 DEEPEST = 6  # halvings at once
-HOPELESS = 1e100  # times what is allowed: errors beyond are as large as each other
-AT_A_JUMP = 1e-9  # of a step: times so near are one
-
-
-@dataclass(frozen=True)
-class Attempted:
-    """Where an attempt came to: state and cost, the fraction of the step, and its error over what is allowed.
-
-    foreseen  it ends early because something prescribed jumps or bends there, which is no event
-    """
-
-    state: State
-    report: StepReport
-    fraction: float
-    error: float = 0.0
-    foreseen: bool = False
-
-
-Attempt = Callable[[State, float, float, bool], Attempted]
-"""(state, from, to, may stop at an event) -> the state at a fraction of a step, or at an event before; raises NotConverged."""
+HOPELESS = 1e100  # times the allowed error: larger errors are treated alike
 
 
 @dataclass(frozen=True)
 class Rules:
-    """When a step is taken in parts.
+    """When a step is taken in substeps.
 
     most     times that it may be halved
     order    order of the local error in its length, 0 where nothing controls it
     events   events in a step that parts end at; later ones are taken as they fall
-    finest   times that it may be halved to be accurate, where that is not ``most``: it is then halved on from there, but
-             not from deeper, or parts would shrink for ever towards an instant past which there is no solution
+    finest   times that it may be halved to be accurate, where that is not ``most``; only from there on is it halved to
+             converge. Else substeps would shrink for ever towards an instant past which there is no solution
     prompt   the next part is twice as long as soon as it may be: no factors are kept that would serve again
     """
 
@@ -59,13 +43,13 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Place:
+class SubstepCursor:
     """Where in a step a run is, and how long its next part may be.
 
     base    fraction of the step at the last event in it
     part    of what was left there, a sum of powers of 1/2
     level   the next part is at most 2**-level of that
-    calm    parts in a row that could have been longer
+    calm    accepted substeps in a row that could have been longer
     events  of this step so far
     """
 
@@ -80,76 +64,66 @@ class Place:
         """Of the step."""
         return self.base + self.part * (1.0 - self.base) if self.part < 1.0 else 1.0
 
-    def next_step(self) -> Place:
+    def next_step(self) -> SubstepCursor:
         """At the start of the next step."""
-        return Place(level=self.level, calm=self.calm)
+        return SubstepCursor(level=self.level, calm=self.calm)
 
     def as_progress(self) -> dict[str, float]:
-        """What a checkpoint keeps of it."""
+        """The numbers that a checkpoint keeps of it."""
         return {f"place_{name}": float(value) for name, value in vars(self).items()}
 
     @classmethod
-    def of(cls, progress: Mapping[str, float]) -> Place:
-        """The place that a checkpoint kept."""
+    def of(cls, progress: Mapping[str, float]) -> SubstepCursor:
+        """The place that a checkpoint stored."""
         base, part = progress.get("place_base", 0.0), progress.get("place_part", 0.0)
         return cls(base, part, *(int(progress.get(f"place_{name}", 0)) for name in ("level", "calm", "events")))
 
 
-@dataclass(frozen=True)
-class PartOfStep:
-    """A state that was reached, the part of the step that led to it, and the place after it."""
-
-    state: State
-    report: StepReport
-    start: float
-    place: Place
-
-    @property
-    def end(self) -> float:
-        """Fraction of the step."""
-        return self.place.fraction
-
-    @property
-    def is_last(self) -> bool:
-        """Whether the step ends here."""
-        return self.end == 1.0
-
-
 def most_halvings(scene: Scene) -> int:
-    """How often a step may be halved: never where the report's own methods are to show how they fail."""
+    """How often a step may be halved: never where the scene chooses the report's own methods, which show how they fail."""
     return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
 
 
-def in_parts(
-    attempt: Attempt,
-    state: State,
-    rules: Rules,
-    log: Callable[[str], None],
-    place: Place | None = None,
-    is_straight: Callable[[float, float], bool] = lambda start, end: True,
-) -> Iterator[PartOfStep]:
-    """The whole step or the fewest parts of it that ``rules`` ask for, from ``place`` in it.
+class Substepped:
+    """Divides a step of a stage into the fewest substeps that ``rules`` allow, each taken by another way to advance.
 
-    A part that may be halved to be accurate is, untried, where what is prescribed in it is not straight.
-    Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
+    place       where in the step it goes on
+    prescribed  a part that may be halved to be accurate is, untried, where this is not straight in it
     """
-    place = place or Place()
-    while place.fraction < 1.0:
-        most = rules.most + min(place.level, rules.finest)
-        refused: list[tuple[int, float]] = []
-        spent = StepReport()
+
+    def __init__(
+        self,
+        inner: Advance,
+        rules: Rules,
+        log: Log,
+        place: SubstepCursor | None = None,
+        prescribed: PrescribedTimes | None = None,
+    ) -> None:
+        """From a place in the first step."""
+        self.inner, self.rules, self.log = inner, rules, log
+        self.place, self.prescribed = place or SubstepCursor(), prescribed or PrescribedTimes()
+
+    def advance(self, state: State, request: StepRequest) -> Outcome:
+        """The next substep of a requested step, from the place on.
+
+        Raises NotConverged, on every rank, with the last part's reason; a part that fails leaves no trace. Collective.
+        """
+        rules, place, step = self.rules, self.place, request.step
+        assert step is not None
+        most, refused, spent = rules.most + min(place.level, rules.finest), list[tuple[int, float]](), StepReport()
         for level, size in _sizes(place, max(most, rules.finest)):
             if rules.finest and level < place.level:
                 continue
             start, end = place.fraction, replace(place, part=place.part + size).fraction
-            if level < rules.finest and not is_straight(start, end):
+            if level < rules.finest and not self._is_straight(step, start, end):
                 place = replace(place, level=level + 1, calm=0)
                 continue
+            asked = replace(step.part(state.controls, start, end), may_stop=place.events < rules.events)
             try:
-                found = attempt(state, start, end, place.events < rules.events)
+                found = self.inner.advance(state, asked)
             except NotConverged as error:
                 spent = spent.with_rejected(error.newton)
-                log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
+                self.log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
                 if level < most:
                     continue
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
@@ -163,12 +137,18 @@ def in_parts(
                 continue
             break
         place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
-        yield PartOfStep(found.state, found.report.after_trials(spent), start, place)
-        state = found.state
+        self.place = place.next_step() if place.fraction == 1.0 else place
+        length = step.length * (found.reached - start)
+        return replace(found, report=found.report.after_trials(spent), length=length)
+
+    def _is_straight(self, step: LoadStep, begin: float, end: float) -> bool:
+        end = step.first(step.ends, begin, end) or end
+        inside = begin + 2.0 * AT_A_JUMP, end - 2.0 * AT_A_JUMP
+        return self.prescribed.is_straight(*(step.begin + fraction * step.length for fraction in inside))
 
 
 def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:
-    """How many more a part needs that had these errors, over what is allowed, at these levels: as they fell, they fall."""
+    """Further halvings of a substep with these errors, over the allowed one, at these levels, if they go on falling so."""
     level, error = refused[-1]
     falls = float(order)
     if len(refused) > 1:
@@ -176,19 +156,19 @@ def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:
     return max(1, min(DEEPEST, math.ceil(math.log2(error) / max(LEAST_ORDER, falls))))
 
 
-def _sizes(place: Place, most: int) -> Iterator[tuple[int, float]]:
+def _sizes(place: SubstepCursor, most: int) -> Iterator[tuple[int, float]]:
     """Lengths to try, with their levels: the longest that fits the place, and its halves."""
-    size = min(next_part(place.part), 0.5**place.level)
+    size = min(next_substep(place.part), 0.5**place.level)
     level = 0
     while 0.5**level > size:
         level += 1
     yield from ((n, 0.5**n) for n in range(level, max(most, level) + 1))
 
 
-def _after(place: Place, size: float, found: Attempted, end: float, rules: Rules) -> Place:
+def _after(place: SubstepCursor, size: float, found: Outcome, end: float, rules: Rules) -> SubstepCursor:
     """The place after a part: at an event the rest of the step is divided anew."""
-    if found.fraction < end:
-        return replace(place, base=found.fraction, part=0.0, events=place.events + (not found.foreseen))
+    if found.reached < end:
+        return replace(place, base=found.reached, part=0.0, events=place.events + (not found.foreseen))
     place = replace(place, part=place.part + size)
     if not rules.order:
         return place
@@ -199,36 +179,9 @@ def _after(place: Place, size: float, found: Attempted, end: float, rules: Rules
     return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)
 
 
-def next_part(start: float) -> float:
+def next_substep(start: float) -> float:
     """Size of the part that begins at ``start``: its last binary digit, 1 at 0."""
     if start == 0.0:
         return 1.0
     numerator, denominator = start.as_integer_ratio()
     return (numerator & -numerator) / denominator
-
-
-def next_jump(jumps: Sequence[float], start: float, time_step: float, begin: float, end: float) -> float | None:
-    """Fraction of the step from ``start`` at which something prescribed first jumps after ``begin``, up to ``end``."""
-    for jump in jumps:
-        place = (jump - start) / time_step
-        if begin + AT_A_JUMP < place <= end + AT_A_JUMP:
-            return end if place > end - AT_A_JUMP else place
-    return None
-
-
-def to_next(times: Sequence[float], now: float, length: float) -> float:
-    """Time to the next of some ascending times, or ``length``, if that is less."""
-    return min([length, *(time - now for time in times if time - now > AT_A_JUMP * length)])
-
-
-def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: float, end: float) -> dict[str, float]:
-    """Controls at the fraction ``end`` of a step that goes on to ``after``, from ``before`` at the fraction ``start``."""
-    if end == 1.0:
-        return dict(after)
-    share = (end - start) / (1.0 - start)
-    return {name: value + share * (after[name] - value) for name, value in before.items()}
-
-
-def still_lacking(start: float, end: float, arrives: float = 1.0) -> float:
-    """Share, at ``end``, of what the state at ``start`` lacks of the prescribed: by ``arrives`` all of it is there."""
-    return (arrives - end) / (arrives - start)

@@ -1,4 +1,4 @@
-"""The vibration that the parts of a step are short for, and whether anything is gained by following it."""
+"""The vibration that limits the substeps, and whether following it improves the result."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 
-MOST_PARTS = 1e5  # of what is left of a stage: more of them are worth a word
-WATCHED = 500  # parts in a row before it is said: some periods of what they follow
+MOST_PARTS = 1e5  # of the rest of a stage: more substeps are reported
+WATCHED = 500  # substeps in a row before the report: some periods of the vibration
 
 
 def swing_of(acceleration: float, jerk: float) -> tuple[float, float]:
@@ -30,7 +30,7 @@ def swing_of(acceleration: float, jerk: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Vibration:
-    """Largest acceleration and jerk, over parts in a row, of the node whose estimated error is the largest in each.
+    """Largest acceleration and jerk, over substeps in a row, of the node whose estimated error is the largest in each.
 
     parts  in a row that were so short that over ``MOST_PARTS`` were left; 0 where the last one was not
     place  of that node in the last part
@@ -53,7 +53,7 @@ class Vibration:
 
     @classmethod
     def of(cls, progress: Mapping[str, float]) -> Vibration:
-        """That which a checkpoint kept."""
+        """The one that a checkpoint stored."""
         parts, acceleration, jerk = (
             progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk")
         )
@@ -61,7 +61,7 @@ class Vibration:
 
 
 def vibration(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Vibration:
-    """How the node moves in a part of length ``dt`` whose displacement it leaves most wrong. Collective."""
+    """Motion of the node with the largest estimated error in a substep of length ``dt``. Collective."""
     wrong = new.motion.displacement.duplicate()
     wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
     sizes = np.linalg.norm(_nodal(operators, wrong), axis=1)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NoReturn
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import NotConverged
-from fracflow.integrators import Alphas
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import State
+from fracflow.solve.request import StepRequest, StepRule
 
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
 
@@ -20,25 +19,24 @@ def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
     found: dict[str, tuple[float, Limit]] = {}
     for limit in loads.limits:
         away = abs(at_node(limit, state.pressure) - limit.pressure)
-        if limit.well in state.limited and away <= found.get(limit.well, (math.inf, limit))[0]:
+        if limit.well in state.wells_at_limit and away <= found.get(limit.well, (math.inf, limit))[0]:
             found[limit.well] = (away, limit)
     return frozenset(limit for _, limit in found.values())
 
 
 def reached_after(
-    loads: Loads, reached: frozenset[Limit], trial: State, demanded: Callable[[str], float], depth: float
+    request: StepRequest, rule: StepRule, reached: frozenset[Limit], trial: State, depth: float
 ) -> frozenset[Limit]:
     """Limits at which wells have to be kept once a trial of a step is known. Collective.
 
-    ``demanded`` tells what a well asks for in the step. A well comes to a limit that its pressure has passed, and leaves it
-    when the limit lets more through than it asks for.
+    A well reaches a limit when its pressure passes it. It leaves the limit when more flows there than its flow_rate.
     """
     now = set(reached)
-    for limit in loads.limits:
+    for limit in request.loads.limits:
         pressure = at_node(limit, trial.pressure)
         if limit in reached:
             through = at_node(limit, trial.forces.source) * depth
-            asked = demanded(limit.well)
+            asked = rule.demanded(request, limit.well)
             if limit.sign * (through - asked) > CLOSE * abs(asked):
                 now.discard(limit)
         elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):
@@ -47,22 +45,16 @@ def reached_after(
 
 
 def through(
-    loads: Loads,
-    limited: Loads,
-    reached: frozenset[Limit],
-    old: State,
-    new: State,
-    alphas: Alphas,
-    dt: float,
-    demanded: Callable[[str], float],
-    depth: float,
+    request: StepRequest, rule: StepRule, reached: frozenset[Limit], old: State, new: State, depth: float
 ) -> dict[str, float]:
-    """Mean flow rate, over a step of length ``dt``, of each well that has a limit, as a rule with a memory takes it.
+    """Mean flow rate, over a step, of each well that has a limit, as a multistep rule takes it.
 
     Collective. A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls'
-    velocities. Of a well at a limit, q is what the limit lets through beside other wells there; else ``demanded`` tells it.
+    velocities. For a well that the loads of the request keep at a limit, q is the flow at the limit less that of other wells
+    there. Otherwise it is the demanded rate.
     """
-    kept, before = {limit.well: limit for limit in reached}, old.memory.through
+    loads, alphas = request.loads, rule.alphas
+    kept, before = {limit.well: limit for limit in reached}, old.previous_step.through
     found: dict[str, float] = {}
     for name in sorted({limit.well for limit in loads.limits}):
         if alphas.a6 > 0.0 and name not in before:
@@ -70,15 +62,16 @@ def through(
         if name in kept:
             limit = kept[name]
             rate = at_node(limit, new.forces.source) * depth
-            rate -= sum(at_node(limit, each.vector) * depth * demanded(str(each.well)) for each in limited.wells)
+            others = ((each.vector, str(each.well)) for each in loads.wells)
+            rate -= sum(at_node(limit, vector) * depth * rule.demanded(request, well) for vector, well in others)
         else:
-            rate = demanded(name)
-        found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * dt)
+            rate = rule.demanded(request, name)
+        found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * request.length)
     return found
 
 
 def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
-    """Raise NotConverged naming the wells that find neither rate nor limit, after so many iterations."""
+    """Raise NotConverged naming the wells that cycle between rate and limit, after so many iterations."""
     names = ", ".join(sorted({limit.well for limit in reached})) or "none"
     raise NotConverged(
         f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"

@@ -1,4 +1,4 @@
-"""The command line: fracflow run, resume, check, mesh, picture, export, schema."""
+"""The command line: fracflow run, resume, check, mesh, picture, export, schema, help."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 
 from fracflow.cli.exit import abort, stop
-from fracflow.cli.run import Terminal, run_levels, watched
+from fracflow.cli.run import Terminal, run_levels, run_with_progress
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def run_command(
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
-    from fracflow.cli.report import tell_card
+    from fracflow.cli.report import report_checks
     from fracflow.diagnostics import as_records
     from fracflow.model.setup import on_root
     from fracflow.output.folder import check_folder
@@ -76,19 +76,19 @@ def run_command(
         run_levels(given, output or Path("runs") / f"{given.name}-converge", converge, console, comm)
         return
     folder = output or Path("runs") / given.name
-    if output is None and folder.is_symlink():  # nobody has named it: what lies beside a scene may come from anybody
+    if output is None and folder.is_symlink():  # the user has not named it: files beside a scene may come from anybody
         raise InputError(f"{folder}: is a link; name the run folder with -o")
     on_root(comm, lambda: check_folder(folder))
     if (folder / "history.h5").exists():
         console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True, markup=False)
 
     def show_card(numbers: list[Number]) -> None:
-        tell_card(as_records(numbers), console)
+        report_checks(as_records(numbers), console)
 
     def say(line: str) -> None:
         console.print(f"note: {line}", soft_wrap=True, markup=False)
 
-    watched(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
+    run_with_progress(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
 
 
 @app.command("resume", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -110,7 +110,9 @@ def resume_command(
     console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     if on_root(comm, lambda: has_ended(folder)):
         console.print(f"note: the run in {folder} has ended; this is what it left", soft_wrap=True, markup=False)
-    watched(load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust))
+    run_with_progress(
+        load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust)
+    )
 
 
 @app.command()
@@ -122,7 +124,7 @@ def check(
 ) -> None:
     """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
     from fracflow.cli.check import set_up
-    from fracflow.cli.report import tell_card, tell_plan
+    from fracflow.cli.report import report_checks, report_plan
     from fracflow.diagnostics import as_records as card_records
     from fracflow.output.folder import to_json
     from fracflow.reduction import as_records
@@ -138,8 +140,8 @@ def check(
         typer.echo(to_json(told, indent=1))
         return
     console = Console(highlight=False, width=WIDTH)
-    tell_card(card_records(numbers), console)
-    tell_plan(as_records(decisions), console)
+    report_checks(card_records(numbers), console)
+    report_plan(as_records(decisions), console)
     for key, value in found.items():
         typer.echo(f"{key}: {shown(value)}")
     for note in notes:
@@ -209,21 +211,46 @@ def export(
 
 
 @app.command()
-def schema(as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False) -> None:
+def schema(
+    as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False,
+    as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
+) -> None:
     """Every key of a scene: its values or dimension, its default, its meaning."""
     from rich.markup import escape
     from rich.table import Table
 
     from fracflow.scene.scene import Scene
-    from fracflow.scene.schema import rows
+    from fracflow.scene.schema import markdown, rows
 
     if as_json:
         typer.echo(json.dumps(Scene.json_schema(), indent=1))
+        return
+    if as_markdown:
+        typer.echo(markdown(Scene.json_schema()), nl=False)
         return
     table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
     for row in rows(Scene.json_schema()):
         table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
     Console(highlight=False, width=WIDTH).print(table)
+
+
+@app.command("help")
+def help_command(
+    context: typer.Context,
+    as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
+) -> None:
+    """Every command; with --markdown its arguments and options too."""
+    from fracflow.cli.reference import markdown
+
+    if as_markdown:
+        typer.echo(markdown(commands()), nl=False)
+    elif context.parent is not None:
+        typer.echo(context.parent.get_help(), nl=False)
+
+
+def commands() -> dict[str, Any]:
+    """The commands by name, each with its help and parameters."""
+    return typer.main.get_command(app).commands  # type: ignore[attr-defined, no-any-return]
 
 
 def petsc_options(petsc: object, words: list[str]) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow.advance.explicit_cost import explicit_cost
-from fracflow.advance.inertial_steps import foretold
-from fracflow.advance.initial_state import settle
-from fracflow.diagnostics import Number, scene_card
+from fracflow.advance.inertial_steps import estimated_cost
+from fracflow.advance.initial_state import refuse_imbalance
+from fracflow.diagnostics import Number, pre_run_checks
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
 from fracflow.model.setup import Model, geometry_of
@@ -28,7 +28,7 @@ OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what
 
 
 @dataclass(frozen=True)
-class Network:
+class NetworkCheck:
     """Traces that meet and traces that do not, for JSON.
 
     snap         what is nearer is one [length]; None of a mesh file
@@ -41,13 +41,13 @@ class Network:
     well_parts: list[dict[str, object]]
 
 
-def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[Decision], Network]:
+def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[Decision], NetworkCheck]:
     """Set a scene up as a run does, on one rank: sizes and cost, what was moved to fit, card, plan and network.
 
     InputError where it cannot be run.
     """
     model = prepare(scene, MPI.COMM_SELF)
-    settle(model)
+    refuse_imbalance(model)
     assert model.mesh is not None
     layout, start, steps = model.operators.layout, 0.0, 0
     for stage in scene.stage:
@@ -64,20 +64,20 @@ def set_up(scene: Scene) -> tuple[dict[str, Any], list[str], list[Number], list[
     pays = break_even(unknowns, sections)
     if sections and fits(unknowns, sections) and pays < math.inf and next(solved(model.scene), None) is not None:
         found["steps from which a condensed rock pays"] = pays
-    card, notes = scene_card(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
+    card, notes = pre_run_checks(scene, model.mesh, model.placed.wells), [*model.mesh.notes, *model.placed.notes]
     network = _network(model)
     model, facts = planned(model)
     found |= _cost(model, steps, any(stage.kind == "auto" or stage.until for stage in scene.stage))
     return found, notes, card, decide(facts.with_card(card)), network
 
 
-def _network(model: Model) -> Network:
+def _network(model: Model) -> NetworkCheck:
     assert model.mesh is not None
     parts = [part.as_record() for part in parts_with_wells(model.mesh, model.placed.wells)]
     if model.scene.geometry is None or not model.scene.geometry.fracture:
-        return Network(None, [], parts)
+        return NetworkCheck(None, [], parts)
     _, snap, misses = network_of(geometry_of(model.scene))
-    return Network(snap, [miss.as_record() for miss in misses], parts)
+    return NetworkCheck(snap, [miss.as_record() for miss in misses], parts)
 
 
 def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
@@ -105,7 +105,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
         lasted = seconds_of_factors(model.operators)
         each = lasted * (1.0 + BESIDES) + OWN
         seconds += steps * ITERATIONS * each
-        found |= foretold(model, each, ITERATIONS)
+        found |= estimated_cost(model, each, ITERATIONS)
         told.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
     without = ", without those of events and searches" if more else ""
     found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(told)}"

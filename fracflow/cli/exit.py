@@ -10,6 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fracflow.storage.files import shown_plain
+
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
 
@@ -35,14 +37,15 @@ while True:
 if last:
     os.write(2, last + b"\\n")
 """
-"""It keeps the last line that it was told, and prints it when a rank or its input ends; an empty line sends it away."""
+"""It keeps the last line of its input, and prints it when a rank or its input ends; an empty line ends it."""
 
 
-class LastWords:
+class ExitReport:
     """The line on the terminal where ranks are killed: MPI then ends the others before they could say a thing.
 
-    Another process says it, in a session of its own that mpirun does not end: the launcher leaves ranks a second, and one that
-    waits for another cannot speak. Only of several ranks; one alone is seen to be killed by whoever started it.
+    Another process prints it, in a session of its own that mpirun does not end. The launcher leaves ranks a second, and
+    a rank that waits for another cannot print. Only of several ranks; one alone is seen to be killed by whoever started
+    it.
     """
 
     def __init__(self, comm: MPI.Comm, folder: Path) -> None:
@@ -70,11 +73,11 @@ class LastWords:
             f" go on with: fracflow resume {self._folder}"
         )
 
-    def __enter__(self) -> LastWords:
+    def __enter__(self) -> ExitReport:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """The run has ended in a way that is told otherwise."""
+        """The run has ended in a way that is reported otherwise."""
         self._tell("")
         if self._watcher is not None and self._watcher.stdin is not None:
             with suppress(OSError):
@@ -112,11 +115,11 @@ def stop(message: str, code: int) -> None:
 
     if code == 2:
         PETSc.Options().delValue("options_left")  # what has not begun has used few of its options
-    line = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
-    if MPI.COMM_WORLD.rank == 0:
-        print(f"fracflow: {line}", file=sys.stderr, flush=True)
-    if not _all_come(MPI.COMM_WORLD):
-        print(f"fracflow: rank {MPI.COMM_WORLD.rank} alone: {line}", file=sys.stderr, flush=True)
+    line = shown_plain(" ".join(message.split()))
+    rank, come = MPI.COMM_WORLD.rank, _all_come(MPI.COMM_WORLD)
+    if rank == 0 or not come:
+        print(f"fracflow: {line if come else f'rank {rank} alone: {line}'}", file=sys.stderr, flush=True)
+    if not come:
         MPI.COMM_WORLD.Abort(code)
     sys.exit(code)
 

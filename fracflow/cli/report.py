@@ -1,4 +1,4 @@
-"""The end of a run in words: the energy books and what slipped."""
+"""The report of a run: its energy balance and slip."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import LATEST, read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
-from fracflow.output.handed import told_handed
 from fracflow.output.history import read_attributes, read_history, read_units
+from fracflow.output.slip_at_crossings import told_handed
 from fracflow.storage.files import shown_plain
 
 BOOKS = (
@@ -26,7 +26,7 @@ BOOKS = (
     "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
 MOST_EVENTS = 20
-OPEN = 1e-6  # of the largest entry of the books
+OPEN = 1e-6  # of the largest entry of the energy balance
 COARSE = 1e-2  # the same, of what closed forms of the stored energies leave
 
 
@@ -56,37 +56,38 @@ def _began(event: Mapping[str, Any]) -> str:
 
 
 def _told_books(left: float, closed: float, most: float, noise: float) -> Iterator[str]:
-    """Lines on books that stay open: by ``left``, by ``closed`` with closed forms, beside the largest entry ``most``.
+    """Lines on an open energy balance: by ``left``, by ``closed`` with closed forms, beside the largest entry ``most``.
 
     noise  round-off of sums of forces times displacements, of which nothing is known [energy per thickness]
     """
     if left > max(OPEN * most, noise):
         yield (
-            f"! energy books: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
+            f"! energy balance: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
             " wrong unit, very wide beside very narrow fractures, or a loose tolerance"
         )
     if closed > max(COARSE * most, noise):
         yield (
-            f"! energy books: with the closed forms of what joints store {closed / most:.1e} of the largest entry is left over:"
-            " steps are too long for the joints, or unstable; compare with a shorter time_step"
+            f"! energy balance: with the closed forms of what joints store {closed / most:.1e} of the largest entry is left"
+            " over: steps are too long for the joints, or unstable; compare with a shorter time_step"
         )
     if 0.0 < most <= noise:
         yield (
-            f"energy books: all entries are round-off, below {noise:.1e}, which is the machine's precision of what the initial"
-            " stresses store: nothing moved that could be told from it"
+            f"energy balance: all entries are round-off, below {noise:.1e}, the machine's precision of the energy that the"
+            " initial stresses store; no motion exceeds round-off"
         )
 
 
-def tell(folder: Path, console: Console, failed: bool = False) -> None:
-    """Print books and events of a run folder; of a run that ``failed`` without what more steps might bring."""
+def report(folder: Path, console: Console, failed: bool = False) -> None:
+    """Print energy balance and events of a run folder; no advice if it ``failed``. Raises InputError without a history."""
     history = read_history(folder / "history.h5")
     about = read_attributes(folder / "history.h5")
     units = read_units(folder / "history.h5", about)
     length, time, force = (shown_plain(units.get(key, "")) for key in ("length", "time", "force"))
-    title = "Energy books" + (f" [{force} {length} per {length} of thickness]" if length else "")
+    title = "Energy balance" + (f" [{force} {length} per {length} of thickness]" if length else "")
     table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
     books = [name for name in BOOKS if f"energy/{name}" in history]  # earlier versions had fewer
-    for name in books:
+    others = [key.removeprefix("energy/") for key in history if key.startswith("energy/")]
+    for name in [*(name for name in others if name not in BOOKS), *books]:  # first those of terms
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)
@@ -106,7 +107,7 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         return
     heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
     slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")
-    slips.title = "What slipped and when"
+    slips.title = "Slip and opening"
     shown = sorted(events, key=lambda event: -abs(event["slip"]))[:MOST_EVENTS]
     for event in sorted(shown, key=lambda event: event["start"]):
         end = "" if event["end"] is None else f"{event['end']:.6g}"
@@ -130,9 +131,9 @@ def tell(folder: Path, console: Console, failed: bool = False) -> None:
         )
 
 
-def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print the records of a scene card: ten lines, and a remedy for each number out of range."""
-    table = Table(title="Scene card", title_style="bold", box=None, pad_edge=False)
+def report_checks(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the records of the pre-run checks: ten lines, and a remedy for each number out of range."""
+    table = Table(title="Pre-run checks", title_style="bold", box=None, pad_edge=False)
     for head in ("", "number", "value", "limit", "where"):
         table.add_column(head, no_wrap=True)
     for number in numbers:
@@ -147,7 +148,7 @@ def tell_card(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
             console.print(f"! {number['name']}: {number['remedy']}", soft_wrap=True, markup=False)
 
 
-def tell_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
+def report_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
     """Print the records of a plan, what is left out first."""
     table = Table(title="Plan", title_style="bold", box=None, pad_edge=False)
     for head, share in (

@@ -1,4 +1,4 @@
-"""Runs at the command line: their progress in sight, and what they left told and drawn."""
+"""Runs at the command line, with a progress bar, a report and pictures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fracflow.cli.exit import LastWords
+from fracflow.cli.exit import ExitReport
 from fracflow.errors import InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fracflow.advance.step import Step
     from fracflow.scene.scene import Scene
     from fracflow.simulation.refinement import Level
-    from fracflow.simulation.run import Progress as Tick
+    from fracflow.simulation.run import OnStep as Tick
     from fracflow.simulation.totals import Totals
 
 
@@ -31,7 +31,7 @@ class Terminal(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
 
 
-def watched(
+def run_with_progress(
     scene: Scene,
     folder: Path,
     console: Console,
@@ -40,7 +40,7 @@ def watched(
     title: str = "",
     is_shown: bool = True,
 ) -> None:
-    """Do a job with its progress in sight, then tell and draw what it left. Raises what the job raises."""
+    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
     total, start = 0, 0.0
     for stage in scene.stage:
         count = stage.step_count(start) or 0
@@ -57,11 +57,11 @@ def watched(
     totals, failure = None, None
     screen = Terminal(stderr=True, quiet=comm.rank > 0)
     hidden = not screen.is_terminal
-    with LastWords(comm, folder) as words, Progress(*columns, console=screen, transient=True, disable=hidden) as bar:
+    with ExitReport(comm, folder) as words, Progress(*columns, console=screen, transient=True, disable=hidden) as bar:
         name = title or scene.title or str(folder)
         task = bar.add_task(name, total=total or None)
         try:
-            sight = Sight(scene, name, lambda text, steps: bar.update(task, advance=steps, description=text))
+            sight = ProgressBar(scene, name, lambda text, steps: bar.update(task, advance=steps, description=text))
             sight.saved = words.saved
             totals = job(sight)
         except SolveError as error:
@@ -82,11 +82,11 @@ def watched(
             console.print(f"! {line}", soft_wrap=True, markup=False)
 
 
-class Sight:
+class ProgressBar:
     """The bar of a run: its steps, and the trials that were rejected, each as it is.
 
     update  is given a line, and how many steps more there are
-    saved   is told after how many steps the last state on disk is
+    saved   is given the number of steps up to the last state on disk
     """
 
     saved: Callable[[int], None]
@@ -116,26 +116,26 @@ def told(scene: Scene, step: Step) -> str:
 
 def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
     """Tell what a run folder holds, and draw it."""
-    from fracflow.cli.report import tell
+    from fracflow.cli.report import report
     from fracflow.output.pictures import draw
 
     paths: list[Path] = []
     try:
-        tell(folder, console, failed)
+        report(folder, console, failed)
         paths = draw(folder) if pictures else paths
     except (OSError, InputError) as error:  # of the files, or of a full disk; the run itself is whole
         why = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
         if isinstance(error, BrokenPipeError) or (isinstance(error, OSError) and not error.filename):
             raise
-        line = f"! told and drawn only in part: {why}; again with: fracflow picture {folder}"
+        line = f"! report and pictures incomplete: {why}; again with: fracflow picture {folder}"
         console.print(line, soft_wrap=True, markup=False)
     for path in paths:
         console.print(f"picture: {path}", soft_wrap=True, markup=False)
 
 
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
-    """Run a scene level by level, tell the finest run, and what the levels tell about its errors."""
-    from fracflow.output.convergence_look import tell
+    """Run a scene level by level, and report the finest run and its errors by comparison of levels."""
+    from fracflow.output.convergence_plot import tell
     from fracflow.scene.levels import order_in_time
     from fracflow.simulation.refinement import check_levels, converge, has_tips
 
@@ -144,7 +144,7 @@ def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: M
         console.print(f"level {level.number} of {count - 1}: {level.folder} {there}".rstrip(), soft_wrap=True)
         name = f"level {level.number} {scene.title}".rstrip()
         try:
-            watched(level.scene, level.folder, console, comm, level.run, name, is_last)
+            run_with_progress(level.scene, level.folder, console, comm, level.run, name, is_last)
         except Interrupted as error:
             raise Interrupted(
                 f"{str(error).partition(';')[0]} of level {level.number}; go on with the same command"

@@ -1,4 +1,4 @@
-"""The scene card: numbers that tell before a run where its methods may fail, each with its limit and what to change.
+"""Pre-run checks: numbers that show before a run where its methods may fail, each with its limit and a remedy.
 
 A limit warns only where the scene uses the method that it is about; else the number is there as information.
 """
@@ -9,24 +9,25 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from math import isfinite
 
-from fracflow.diagnostics import film, rock, slip
+from fracflow.diagnostics import fracture_flow as film
+from fracflow.diagnostics import slip
 from fracflow.diagnostics.joints import gather
-from fracflow.diagnostics.number import Number, View
+from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.mesh.data import SplitMesh
 from fracflow.scene.scene import Scene
 
-__all__ = ["Number", "as_lines", "as_records", "scene_card"]
+__all__ = ["Number", "as_lines", "as_records", "pre_run_checks"]
 
 NUMBERS = (
-    rock.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,
-    rock.joint_step, film.fluid_inertia, film.compressibility, slip.nucleation, film.contrast,
+    slip.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,
+    slip.joint_step, film.fluid_inertia, film.compressibility, slip.nucleation, film.contrast,
     slip.cohesive_zone, slip.dissimilar_rock,
 )  # fmt: skip
 
 
-def scene_card(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
+def pre_run_checks(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
     """The numbers of a scene on its mesh; ``wells`` name -> flow node. On one process."""
-    view = View(scene, gather(scene, mesh, wells))
+    view = CheckInput(scene, gather(scene, mesh, wells))
     return [number(view) for number in NUMBERS]
 
 
@@ -34,7 +35,7 @@ def as_lines(numbers: list[Number]) -> list[str]:
     """For the log."""
     lines = []
     for number in numbers:
-        text = f"card: {number.name}, {number.formula}: "
+        text = f"check: {number.name}, {number.formula}: "
         text += "none" if number.value is None else f"{number.value:.4g}"
         text += f", limit {number.limit:.4g}" if number.limit is not None else ""
         text += f" ({number.note})" if number.note else ""

@@ -1,4 +1,4 @@
-"""What the scene card needs of every joint, gathered once from the scene and its split mesh, on one process."""
+"""Values of every joint that the pre-run checks need, gathered once from the scene and its split mesh, on one process."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from fracflow.elements import joint
+from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.model.properties import initial_pressure, initial_stress
@@ -20,7 +20,7 @@ Bools = np.ndarray
 
 
 @dataclass(frozen=True)
-class CardJoints:
+class CheckJoints:
     """Values of all joints (j,), or at their two ends (j, 2); NaN where the scene does not say.
 
     names, fracture  names of the fractures, and the one of each joint
@@ -43,7 +43,7 @@ class CardJoints:
                      equal cells of depth h [stress time^2/length]
     component        hydraulic component
     reach            of its component, the longest way along the network to a prescribed pressure; inf where none is [length]
-    is_held          (j,) whether its fracture has a prescribed pressure, so that its film has no equation
+    is_held          (j,) whether its fracture has a prescribed pressure, so that its flow has no equation
     """
 
     names: tuple[str, ...]
@@ -69,7 +69,7 @@ class CardJoints:
     is_held: Bools
 
 
-def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoints:
+def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CheckJoints:
     """The joints of a mesh; ``wells`` name -> flow node."""
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=-1)
 
@@ -86,7 +86,7 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CardJoint
     drop, distance = _weakening(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
-    return CardJoints(
+    return CheckJoints(
         mesh.fractures,
         mesh.joint_fracture,
         length,
@@ -117,7 +117,7 @@ def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:
     if not len(ends):
         return np.abs(given)
     sigma = initial_stress(scene, ends)[..., :2, :2]
-    frame = np.repeat(joint.frame(ends)[0], 2, axis=0)
+    frame = np.repeat(facet.frame(ends)[0], 2, axis=0)
     traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2))[:, -1].reshape(-1, 2)
     effective = np.where(np.isnan(given), traction + initial_pressure(scene, ends), given)
     return np.maximum(-effective, 0.0)

@@ -1,4 +1,4 @@
-"""A number of the card, and what all of them are made from."""
+"""A number of the pre-run checks, and the input of all of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow.diagnostics.joints import CardJoints
+from fracflow.diagnostics.joints import CheckJoints
 from fracflow.integrators import stepper_from
 from fracflow.laws import JointLaw
 from fracflow.mesh.data import Floats
@@ -17,10 +17,10 @@ from fracflow.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Number:
-    """One number of the card.
+    """One number of the pre-run checks.
 
     formula        its symbol, then what it is: "t_v = rho_f d^2/(12 mu)"
-    value, limit   None where the scene does not tell, or where nothing here is bounded
+    value, limit   None where the scene does not define it, or where nothing here is bounded
     out_of_range   whether the value is past a limit of a method that the scene uses
     where          fracture and stage of the worst value
     remedy         what to change, empty in range
@@ -38,8 +38,8 @@ class Number:
 
 
 @dataclass(frozen=True)
-class FilmStage:
-    """A stage in which walls move the film: its step, alpha_1 and alpha_0 of (4.3), and whether by the trapezoid."""
+class FlowStage:
+    """A stage in which walls move the fluid: its step, alpha_1 and alpha_0 of (4.3), and whether by the trapezoid."""
 
     name: str
     time_step: float
@@ -49,19 +49,19 @@ class FilmStage:
 
 
 WEIGHT = {"backward-euler": 1.0, "bdf2": 1.5, "trapezoid": 2.0}
-"""alpha_1 dt of the rules for the film in stages without inertia."""
+"""alpha_1 dt of the integrators of fracture flow in stages without inertia."""
 
 
-def film_stages(scene: Scene, stage: Stage) -> Iterator[FilmStage]:
-    """How a stage steps the film, of a stage auto with and without inertia; nothing where it does not."""
+def flow_stages(scene: Scene, stage: Stage) -> Iterator[FlowStage]:
+    """The steps of fracture flow in a stage, of a stage auto with and without inertia; nothing without flow."""
     method, name = scene.method, stage.name or stage.kind
     waves = {"dynamic": stage.time_step, "auto": stage.dynamic_time_step}.get(stage.kind)
     if waves is not None:
         alphas = stepper_from(method.stepper, method).alphas(waves)
-        yield FilmStage(name, waves, alphas.a1, alphas.mass, alphas.a4 != 0.0)
+        yield FlowStage(name, waves, alphas.a1, alphas.mass, alphas.a4 != 0.0)
     if stage.time_step is not None and stage.kind in ("quasi-static", "auto"):
         dt = stage.time_step
-        yield FilmStage(name, dt, WEIGHT[method.film] / dt, 0.0, method.film == "trapezoid")
+        yield FlowStage(name, dt, WEIGHT[method.flow_integrator] / dt, 0.0, method.flow_integrator == "trapezoid")
 
 
 def spans(scene: Scene) -> Iterator[tuple[Stage, float, float]]:
@@ -74,13 +74,13 @@ def spans(scene: Scene) -> Iterator[tuple[Stage, float, float]]:
             clock = after
 
 
-class View:
+class CheckInput:
     """A scene and its joints, as the numbers look at them."""
 
-    def __init__(self, scene: Scene, joints: CardJoints) -> None:
+    def __init__(self, scene: Scene, joints: CheckJoints) -> None:
         """Sort the stages."""
         self.scene, self.joints = scene, joints
-        self.stages = [film for stage in scene.stage for film in film_stages(scene, stage)]
+        self.stages = [film for stage in scene.stage for film in flow_stages(scene, stage)]
         self.dynamic = [film for film in self.stages if film.alpha_0 > 0.0]
         self.flows = scene.has_flow and len(joints.length) > 0
         self.drops = joints.distance == 0.0

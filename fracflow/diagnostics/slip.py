@@ -1,4 +1,4 @@
-"""Numbers of slip: which length stops it from being a choice of the mesh, and where rock on both sides makes it unstable."""
+"""Numbers of slip and stiffness: what a mesh and a step resolve, and where rock on both sides makes slip unstable."""
 
 from __future__ import annotations
 
@@ -7,25 +7,27 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fracflow.diagnostics.joints import gather
-from fracflow.diagnostics.number import Number, View
+from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH, STIFFNESS
+from fracflow.scene.units import LENGTH, STIFFNESS, TIME
 
 RESOLVED = 0.25  # h over the length E'/k_s that a joint gives to the edge of slip
-RESOLVES = 0.99  # a size over the one asked for: cells differ a little from what Gmsh is told
-MOST_NAMES = 8  # fractures told of
+RESOLVES = 0.99  # a size over the one asked for: cells differ a little from the size given to Gmsh
+MOST_NAMES = 8  # fractures that are listed
 COHESIVE = 9.0 * np.pi / 32.0  # Lambda_0 over mu* D_c/(tau_p - tau_r): Day et al. (2005)
 ZONE = 4.0  # joints in Lambda_0
 UNSTABLE = 1.158  # L_c over mu* D_c/(tau_p - tau_r): Uenishi and Rice (2003)
 PATCH = 5.0  # joints in L_c
 GROWTH = 0.096
-"""Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them walls let waves grow below a contrast
-of 1.4 only; along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
+"""Largest rate of growth over k_n c_s/mu, at friction 0.84. Without a joint between them waves grow below a contrast
+of 1.4 only. Along a joint that yields the slower rock's own surface wave runs, and grows at any contrast."""
+STIFF = {"gauss2": 1.0, "one-point": 0.5}
+"""Where tractions begin to oscillate, as measured (scripts/figures stability --only S5); nodal ones do not."""
 
 
-def _slip_scale(view: View) -> Floats:
+def _slip_scale(view: CheckInput) -> Floats:
     """Sizes h k_s/E', in a thin layer h sqrt(k_s/(E' D)) (j, 2), where strength drops if it does anywhere."""
     joints, length = view.joints, view.joints.length[:, None]
     with np.errstate(divide="ignore"):
@@ -35,7 +37,7 @@ def _slip_scale(view: View) -> Floats:
     return np.where(view.drops, each, np.nan) if view.drops.any() else each
 
 
-def length_scale(view: View) -> Number:
+def length_scale(view: CheckInput) -> Number:
     """Joint length over E'/k_s, or sqrt(E' D/k_s) in a layer of depth D: with a drop of strength, joints must resolve it."""
     name, formula, joints = "joint length scale", "h k_s/E'", view.joints
     value, joint, where = view.worst(_slip_scale(view))
@@ -53,7 +55,7 @@ def length_scale(view: View) -> Number:
     return Number(name, formula, value, RESOLVED, True, where, remedy, note)
 
 
-def _thin(view: View, joint: int, stiffness: Floats) -> str:
+def _thin(view: CheckInput, joint: int, stiffness: Floats) -> str:
     """Note of a joint beside a layer so thin that it bends as a bar: E' D below E'^2/stiffness."""
     joints = view.joints
     if joint < 0 or not np.isfinite(joints.modulus[joint]):
@@ -61,7 +63,7 @@ def _thin(view: View, joint: int, stiffness: Floats) -> str:
     return "thin layer" if joints.layer[joint] * stiffness[joint] < joints.modulus[joint] ** 2 else ""
 
 
-def _weakening(view: View, joint: int) -> str:
+def _weakening(view: CheckInput, joint: int) -> str:
     """The D_c with which the mesh as it is would resolve the same drop."""
     joints, drop = view.joints, view.joints.drop[joint].max()
     if not drop > 0.0:
@@ -73,7 +75,7 @@ def _weakening(view: View, joint: int) -> str:
     return f", or a law that weakens with slip, {' or '.join(keys)} above {distance:.2g}{view.unit(LENGTH)}"
 
 
-def _lengths(view: View, factor: float, of_layer: float) -> Floats:
+def _lengths(view: CheckInput, factor: float, of_layer: float) -> Floats:
     """The smaller of factor mu* D_c/dtau and, in a layer, of_layer sqrt(E' D D_c/dtau) (j, 2); NaN where nothing weakens."""
     joints = view.joints
     ratio = joints.distance / np.where(view.weakens, joints.drop, 1.0)
@@ -86,13 +88,13 @@ def critical_length(shear_modulus: float, layer: float, fall: float) -> float:
     return float(min(UNSTABLE * shear_modulus / fall, np.pi * np.sqrt(layer / fall))) if fall > 0.0 else np.inf
 
 
-def nucleation_lengths(view: View) -> Floats:
+def nucleation_lengths(view: CheckInput) -> Floats:
     """L_c (j, 2) at the joint ends under their initial normal traction; NaN where nothing weakens [length]."""
     return _lengths(view, UNSTABLE, np.pi)
 
 
-def longest_joints(view: View) -> dict[str, Floats]:
-    """The longest joints (j,) that resolve each length of slip, as the numbers of the card ask; inf where there is none."""
+def longest_joints(view: CheckInput) -> dict[str, Floats]:
+    """The longest joints (j,) that resolve each length of slip, as the pre-run checks demand; inf where there is none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         drops = np.where(view.drops, RESOLVED * view.joints.length[:, None] / _slip_scale(view), np.nan)
         limits = {
@@ -103,7 +105,7 @@ def longest_joints(view: View) -> dict[str, Floats]:
     return {name: np.where(np.isnan(sizes), np.inf, sizes).min(axis=1) for name, sizes in limits.items()}
 
 
-def nucleation(view: View) -> Number:
+def nucleation(view: CheckInput) -> Number:
     """L_c = 1.158 mu* D_c/dtau: none where strength drops at once, and then only E'/k_s gives slip a length."""
     name, formula, joints = "nucleation length", "L_c = 1.158 mu* D_c/dtau", view.joints
     if view.drops.any():
@@ -127,7 +129,7 @@ def nucleation(view: View) -> Number:
     return Number(name, formula, length, limit, True, where, _finer(view, joint, length / limit), "5 h")
 
 
-def cohesive_zone(view: View) -> Number:
+def cohesive_zone(view: CheckInput) -> Number:
     """Joints in the zone at the edge of slip where strength falls, of a rupture that has not picked up speed."""
     name, formula, joints = "cohesive zone", "Lambda_0/h = (9 pi/32) mu* D_c/(dtau h)", view.joints
     if not view.weakens.any():
@@ -141,7 +143,7 @@ def cohesive_zone(view: View) -> Number:
     return Number(name, formula, value, ZONE, True, where, _finer(view, joint, value / ZONE))
 
 
-def _finer(view: View, joint: int, share: float) -> str:
+def _finer(view: CheckInput, joint: int, share: float) -> str:
     joints = view.joints
     thin = _thin(
         view, joint, joints.drop.max(axis=1) / np.where(joints.distance > 0.0, joints.distance, 1.0).min(axis=1)
@@ -153,7 +155,7 @@ def _finer(view: View, joint: int, share: float) -> str:
     )
 
 
-def dissimilar_rock(view: View) -> Number:
+def dissimilar_rock(view: CheckInput) -> Number:
     """N = 0.096 (k_n c_s/mu) T: e-folds in the dynamic stages of a wave along a joint that slides between unlike rocks."""
     name, formula, joints = "dissimilar rock", "N = 0.096 (k_n c_s/mu) T", view.joints
     speeds, slips = joints.shear_speed, np.array([bool(law.status) for law in joints.laws], dtype=bool)[joints.fracture]
@@ -179,7 +181,7 @@ def dissimilar_rock(view: View) -> Number:
 
 def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
     """Each length of slip that a mesh does not resolve -> the fractures where it does not, the worst first. On one process."""
-    joints = (view := View(scene, gather(scene, mesh, wells))).joints
+    joints = (view := CheckInput(scene, gather(scene, mesh, wells))).joints
     found = {}
     for what, size in longest_joints(view).items():
         worst = np.zeros(len(joints.names))
@@ -194,3 +196,36 @@ def of_fractures(names: Sequence[str]) -> str:
     """The first of some names of fractures, and how many more there are."""
     more = len(names) - MOST_NAMES
     return ", ".join(names[:MOST_NAMES]) + (f" and {more} more fractures" if more > 0 else "")
+
+
+def stiffness(view: CheckInput) -> Number:
+    """k_n h/E': above a limit of the quadrature tractions oscillate from joint to joint."""
+    name, formula, joints = "joint/rock stiffness", "k_n h/E'", view.joints
+    value, joint, where = view.worst(joints.normal * (joints.length / joints.modulus)[:, None])
+    rule = view.scene.method.quadrature
+    limit = STIFF.get(rule)
+    if limit is None or value is None or value <= limit:
+        return Number(name, formula, value, limit, False, where, note=rule)
+    remedy = (
+        f'tractions of quadrature "{rule}" oscillate, and sections that slip fail to lock: set method.quadrature = "nodal",'
+        f" or have joints shorter than {joints.length[joint] * limit / value:.3g}{view.unit(LENGTH)}"
+    )
+    return Number(name, formula, value, limit, True, where, remedy, rule)
+
+
+def joint_step(view: CheckInput) -> Number:
+    """Time step dt sqrt(k_n/m_rel), m_rel = rho h/4 of the walls: above 1 joints that open and close gain energy."""
+    name, formula, joints = "joint time step", "dt omega = dt sqrt(k_n/m_rel)", view.joints
+    if not view.dynamic:
+        return Number(name, formula, note="no inertia")
+    method = view.scene.method
+    if method.stepper == "explicit" or method.contact == "redistributed":
+        why = "explicit: joints are solved" if method.stepper == "explicit" else "walls carry no inertia"
+        return Number(name, formula, note=why)
+    film = max(view.dynamic, key=lambda each: each.time_step)
+    value, _, where = view.worst(film.time_step * np.sqrt(joints.normal / joints.mass[:, None]))
+    where = f"{where}, {film.name}"
+    if value is None or value <= 1.0:
+        return Number(name, formula, value, 1.0, False, where)
+    remedy = f"joints that open and close gain energy: time_step below {film.time_step / value:.3g}{view.unit(TIME)}"
+    return Number(name, formula, value, 1.0, True, where, f"{remedy} in {film.name}, or see that none opens")

@@ -17,14 +17,16 @@ def lame(youngs_modulus: Any, poissons_ratio: Any) -> tuple[Any, Any]:
     return 2.0 * shear * poissons_ratio / (1.0 - 2.0 * poissons_ratio), shear
 
 
-def impedance_blocks(length: Floats, normal: Floats, of_p: Floats, of_s: Floats) -> Floats:
-    """What each end of facets (n,) resists its velocity with, (n, dim, dim): L/2 (rho c_p n n' + rho c_s (1 - n n')).
+def impedance_blocks(size: Floats, normal: Floats, of_p: Floats, of_s: Floats) -> Floats:
+    """Resistance of each node of facets to its velocity, (n, k, dim, dim): A (rho c_p n n' + rho c_s (1 - n n')).
 
+    size  (n, k) length or area A that each node stands for, L/2 of lines
     normal  (n, dim) unit normals; of_p, of_s  rho c_p and rho c_s (n,) [stress time/length]
     """
     along = np.einsum("ni,nj->nij", normal, normal)
     across = np.eye(normal.shape[1]) - along
-    blocks: Floats = 0.5 * length[:, None, None] * (of_p[:, None, None] * along + of_s[:, None, None] * across)
+    each = of_p[:, None, None] * along + of_s[:, None, None] * across
+    blocks: Floats = size[:, :, None, None] * each[:, None]
     return blocks
 
 

@@ -1,7 +1,11 @@
-"""(2.1)-(2.2) Interpolation and quadrature: lines, triangles, quadrilaterals, chosen by number of nodes."""
+"""(2.1)-(2.2) Interpolation and quadrature on reference cells, chosen by dimension and number of nodes.
+
+Line (1, 2), triangle (2, 3), quadrilateral (2, 4), tetrahedron (3, 4), hexahedron (3, 8), nodes ordered as Gmsh's.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +19,11 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """Shape functions at quadrature points of a reference element.
+    """Shape functions at quadrature points of a reference cell.
 
-    weights   (q,)       sum to the reference area
-    values    (q, k)     shape functions
-    gradients (q, k, 2)  derivatives with respect to the natural coordinates
+    weights   (q,)         sum to the reference size
+    values    (q, k)       shape functions
+    gradients (q, k, dim)  derivatives with respect to the natural coordinates
     """
 
     weights: Floats
@@ -27,42 +31,60 @@ class Rule:
     gradients: Floats
 
 
-def line_shape(xi: Floats) -> Floats:
-    """(2.2) psi_1, psi_2 at natural coordinates xi (q,) in [-1, 1]; returns (q, 2)."""
-    xi = np.asarray(xi, dtype=float)
-    return np.stack([(1.0 - xi) / 2.0, (1.0 + xi) / 2.0], axis=-1)
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_CORNERS: dict[tuple[int, int], Floats] = {  # of cells that are products of lines; the others are simplices
+    (1, 2): np.array([[-1.0], [1.0]]),
+    (2, 4): _SQUARE,
+    (3, 8): np.concatenate([np.column_stack([_SQUARE, np.full(4, z)]) for z in (-1.0, 1.0)]),
+}
+NAMES = {(2, 3): "triangles", (2, 4): "quadrilaterals", (3, 4): "tetrahedra", (3, 8): "hexahedra"}
 
 
-def _triangle(points: Floats, weights: Floats) -> Rule:
-    xi, eta = points.T
-    gradients = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-    return Rule(weights, np.stack([1.0 - xi - eta, xi, eta], axis=-1), np.tile(gradients, (len(weights), 1, 1)))
+def rule_at(nodes: int, places: Floats, weights: Floats) -> Rule:
+    """(2.1) Shape functions of a reference cell with so many nodes at places (q, dim)."""
+    dim = places.shape[1]
+    if (dim, nodes) in _CORNERS:
+        corner = _CORNERS[dim, nodes]
+        factor = 1.0 + places[:, None, :] * corner
+        slopes = [corner[:, i] * np.delete(factor, i, axis=2).prod(axis=2) for i in range(dim)]
+        return Rule(weights, factor.prod(axis=2) / 2.0**dim, np.stack(slopes, axis=-1) / 2.0**dim)
+    first = np.ones(len(places))
+    for each in places.T:
+        first = first - each
+    gradients = np.concatenate([np.full((1, dim), -1.0), np.eye(dim)])
+    return Rule(weights, np.stack([first, *places.T], axis=-1), np.tile(gradients, (len(weights), 1, 1)))
 
 
-def _quad(points: Floats, weights: Floats) -> Rule:
-    corner = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    factor = 1.0 + points[:, None, :] * corner
-    gradients = np.stack([corner[:, 0] * factor[..., 1], corner[:, 1] * factor[..., 0]], axis=-1) / 4.0
-    return Rule(weights, factor[..., 0] * factor[..., 1] / 4.0, gradients)
-
-
-_G = 1.0 / np.sqrt(3.0)
+GAUSS2 = 1.0 / np.sqrt(3.0)  # abscissa of the two-point Gauss rule
 _MOST, _MISS = 20, 1e-14  # iterations to a place in a cell, and how far from it they may end, over the cell's size
-_MIDDLE = _triangle(np.array([[1.0, 1.0]]) / 3.0, np.array([0.5]))
-_THREE = _triangle(np.array([[1.0, 1.0], [4.0, 1.0], [1.0, 4.0]]) / 6.0, np.full(3, 1.0 / 6.0))
-_GAUSS = _quad(np.array([[-_G, -_G], [_G, -_G], [_G, _G], [-_G, _G]]), np.ones(4))
+_A, _B = (
+    0.25 + 0.15 * np.sqrt(5.0),
+    0.25 - 0.05 * np.sqrt(5.0),
+)  # of four points in a tetrahedron, exact to second order
+_MIDDLES = {
+    (dim, dim + 1): rule_at(dim + 1, np.full((1, dim), 1.0 / (dim + 1)), np.array([size]))
+    for dim, size in ((2, 0.5), (3, 1.0 / 6.0))
+}
+GAUSS: dict[tuple[int, int], Rule] = {
+    (2, 3): rule_at(3, np.array([[1.0, 1.0], [4.0, 1.0], [1.0, 4.0]]) / 6.0, np.full(3, 1.0 / 6.0)),
+    (3, 4): rule_at(4, np.full((4, 3), _B) + (_A - _B) * np.eye(4, 3, -1), np.full(4, 1.0 / 24.0)),
+} | {key: rule_at(key[1], GAUSS2 * corner, np.ones(key[1])) for key, corner in _CORNERS.items() if key in NAMES}
 
-STIFFNESS_RULES: dict[int, Rule] = {3: _MIDDLE, 4: _GAUSS}
-MASS_RULES: dict[int, Rule] = {3: _THREE, 4: _GAUSS}
-CENTROID_RULES: dict[int, Rule] = {3: _MIDDLE, 4: _quad(np.zeros((1, 2)), np.array([4.0]))}
+STIFFNESS_RULES = {**GAUSS, **_MIDDLES}
+MASS_RULES = GAUSS
+CENTROID_RULES = {
+    **{key: rule_at(key[1], np.zeros((1, key[0])), np.array([2.0 ** key[0]])) for key in ((2, 4), (3, 8))},
+    **_MIDDLES,
+}
 
 
 def shape_at(points: Floats, place: Floats) -> Floats:
-    """(2.1) Shape functions (k,) of a convex cell with points (k, 2) at a place (2,) inside it, by Newton's method."""
-    shape = _triangle if len(points) == 3 else _quad
-    natural, size = np.full(2, 1.0 / 3.0 if len(points) == 3 else 0.0), float(np.ptp(points, axis=0).max())
+    """(2.1) Shape functions (k,) of a convex cell with points (k, dim) at a place (dim,) inside it, by Newton's method."""
+    nodes, dim = points.shape
+    natural = np.full(dim, 1.0 / (dim + 1) if nodes == dim + 1 else 0.0)
+    size = float(np.ptp(points, axis=0).max())
     for _ in range(_MOST):
-        rule = shape(natural[None], np.ones(1))
+        rule = rule_at(nodes, natural[None], np.ones(1))
         miss = place - rule.values[0] @ points
         if np.abs(miss).max() <= _MISS * size:
             break
@@ -71,38 +93,53 @@ def shape_at(points: Floats, place: Floats) -> Floats:
     return found
 
 
-def rule_for(rules: dict[int, Rule], nodes: int) -> Rule:
-    """The rule for cells of so many nodes; InputError if there is none."""
-    if nodes not in rules:
-        raise InputError(f"cells of {nodes} nodes: allowed are {sorted(rules)} (triangles, quadrilaterals)")
-    return rules[nodes]
+def rule_for(rules: Mapping[tuple[int, int], Rule], points: Floats) -> Rule:
+    """The rule for cells with points (n, k, dim). Raises InputError if there is none."""
+    nodes, dim = points.shape[1:]
+    if (dim, nodes) not in rules:
+        known = {k: NAMES[d, k] for d, k in sorted(rules) if d == dim}
+        raise InputError(f"cells of {nodes} nodes: allowed are {sorted(known)} ({', '.join(known.values())})")
+    return rules[dim, nodes]
+
+
+def listed(bad: Ints, numbers: Ints | None = None) -> str:
+    """The first of some rows, by ``numbers`` (n,) if given, for messages."""
+    named = bad if numbers is None else np.asarray(numbers)[bad]
+    return ", ".join(str(i) for i in named[:5]) + (", ..." if bad.size > 5 else "")
 
 
 def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[Floats, Floats]:
-    """Jacobian matrices (n, q, 2, 2) [d x_j / d xi_i] and determinants (n, q) of cells with points (n, k, 2).
+    """Jacobian matrices (n, q, dim, dim) [d x_j / d xi_i] and determinants (n, q) of cells with points (n, k, dim).
 
     Raises InputError naming the cells whose determinant is not positive, by ``numbers`` (n,) if given.
     """
     matrix = rule.gradients.swapaxes(1, 2) @ points[:, None]
-    det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+    if matrix.shape[-1] == 2:
+        det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+    else:
+        det = np.einsum("nqi,nqi->nq", matrix[..., 0, :], np.cross(matrix[..., 1, :], matrix[..., 2, :]))
     bad = np.flatnonzero(~(det > 0.0).all(axis=1))
     if bad.size:
-        named = bad if numbers is None else np.asarray(numbers)[bad]
-        listed = ", ".join(str(i) for i in named[:5]) + (", ..." if bad.size > 5 else "")
+        is_plane = matrix.shape[-1] == 2
+        how = "run counter-clockwise around a convex cell of positive area"
+        how = how if is_plane else "be ordered as Gmsh's, in a convex cell of positive volume"
         raise InputError(
-            f"{bad.size} cells with a Jacobian that is not positive (cells {listed}): "
-            "nodes must run counter-clockwise around a convex cell of positive area"
+            f"{bad.size} cells with a Jacobian that is not positive (cells {listed(bad, numbers)}): nodes must {how}"
         )
     return matrix, det
 
 
 def gradients(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[Floats, Floats]:
-    """Shape function gradients (n, q, k, 2) [1/length] and weights (n, q) [area]; errors as ``jacobian``."""
+    """Shape function gradients (n, q, k, dim) [1/length] and weights (n, q) [area, volume]; errors as ``jacobian``."""
     matrix, det = jacobian(points, rule, numbers)
     adjugate = np.empty_like(matrix)
-    adjugate[..., 0, 0] = matrix[..., 1, 1]
-    adjugate[..., 1, 1] = matrix[..., 0, 0]
-    adjugate[..., 0, 1] = -matrix[..., 0, 1]
-    adjugate[..., 1, 0] = -matrix[..., 1, 0]
+    if matrix.shape[-1] == 2:
+        adjugate[..., 0, 0] = matrix[..., 1, 1]
+        adjugate[..., 1, 1] = matrix[..., 0, 0]
+        adjugate[..., 0, 1] = -matrix[..., 0, 1]
+        adjugate[..., 1, 0] = -matrix[..., 1, 0]
+    else:
+        for i in range(3):
+            adjugate[..., :, i] = np.cross(matrix[..., i - 2, :], matrix[..., i - 1, :])
     physical = rule.gradients @ (adjugate / det[..., None, None]).swapaxes(2, 3)
     return physical, det * rule.weights

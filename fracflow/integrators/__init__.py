@@ -4,13 +4,14 @@ from dataclasses import fields
 from typing import Any
 
 from fracflow.integrators.explicit import Explicit
-from fracflow.integrators.first_order import BDF2, BackwardEuler, Rates, Trapezoid, first, storage_error
+from fracflow.integrators.first_order import BDF2, BackwardEuler, FilmRule, Rates, Trapezoid, first, storage_error
 from fracflow.integrators.generalised_alpha import GeneralisedAlpha
 from fracflow.integrators.hht import HHT
 from fracflow.integrators.implicit_euler import ImplicitEuler
 from fracflow.integrators.newmark import Alphas, HasMotion, Newmark, Steady, Stepper, acceleration, first_rate, velocity
 from fracflow.integrators.parameters import keys_of
 
+# a rule from outside the package is registered here, STEPPERS["name"] = Rule, before any scene is read
 STEPPERS: dict[str, type[Stepper]] = {
     "newmark": Newmark,
     "hht": HHT,
@@ -21,13 +22,20 @@ STEPPERS: dict[str, type[Stepper]] = {
     "bdf2": BDF2,
     "trapezoid": Trapezoid,
 }
-"""Rules by name; ``method.stepper`` names one with inertia, ``method.film`` one with storage and without inertia."""
+"""Rules by name; ``method.stepper`` names one with inertia, ``method.flow_integrator`` one with storage and without inertia."""
 
 EXPLICIT: dict[str, type[Stepper]] = {"explicit": Explicit}
 """Rules with a protocol of their own: see ``solve.explicit``."""
 
-WITH_INERTIA = {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
-OF_FILMS = {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
+
+def with_inertia() -> dict[str, type[Stepper]]:
+    """The rules that ``method.stepper`` may name."""
+    return {name: kind for name, kind in STEPPERS.items() if kind.inertia} | EXPLICIT
+
+
+def flow_integrators() -> dict[str, type[Stepper]]:
+    """The rules that ``method.flow_integrator`` may name."""
+    return {name: kind for name, kind in STEPPERS.items() if kind.storage and not kind.inertia}
 
 
 def stepper_from(name: str, method: Any) -> Stepper:
@@ -39,13 +47,13 @@ def stepper_from(name: str, method: Any) -> Stepper:
 
 __all__ = [
     "BDF2",
+    "EXPLICIT",
     "HHT",
-    "OF_FILMS",
     "STEPPERS",
-    "WITH_INERTIA",
     "Alphas",
     "BackwardEuler",
     "Explicit",
+    "FilmRule",
     "GeneralisedAlpha",
     "HasMotion",
     "ImplicitEuler",
@@ -57,8 +65,10 @@ __all__ = [
     "acceleration",
     "first",
     "first_rate",
+    "flow_integrators",
     "keys_of",
     "stepper_from",
     "storage_error",
     "velocity",
+    "with_inertia",
 ]

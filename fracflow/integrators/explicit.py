@@ -1,9 +1,9 @@
-"""Central differences for the rock, the trapezoidal rule for joints, film and loads: the algebra of a step, on arrays.
+"""Central differences for the rock, the trapezoidal rule for joints, flow and loads: the algebra of a step, on arrays.
 
-With r = R - G' W t, the loads and what joints and film pull together at both walls, and S = dt^2/4,
+With r = R - G' W t, the loads and the total traction of joints and fluid at both walls, and S = dt^2/4,
 u_new = u + dt v + dt^2/2 a + S M^-1 (r_new - r),   v_new = v + dt/2 (a + a_new),   M a = r - K_s u,
-which is (M + S J)(u_new - 2 u + u_old) + dt^2 (K_s + J) u = 0 of joints of stiffness J: stable while dt^2 K_s < 4 M, however
-stiff the joints are.
+which is (M + S J)(u_new - 2 u + u_old) + dt^2 (K_s + J) u = 0 of joints of stiffness J. It is stable while dt^2 K_s < 4 M,
+however stiff the joints are.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Newmark, checked, error_by_jerk
+from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Newmark, Stepper, checked, error_by_jerk
 
-ROUND_OFF = 2e-11  # of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
+STEP_ROUND_OFF = (
+    2e-11  # of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
+)
 
 
 @dataclass(frozen=True)
-class Explicit:
-    """Velocity Verlet with a lumped mass; joints, film and loads by Newmark's beta = 1/4, gamma = 1/2."""
+class Explicit(Stepper):
+    """Velocity Verlet with a lumped mass; joints, flow and loads by Newmark's beta = 1/4, gamma = 1/2."""
 
     order: ClassVar[int] = 2
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "step"
-    memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
-        """(4.3) Those of what is held and of the film, which follow the trapezoidal rule; time_step [time], positive."""
+        """(4.3) Those of held unknowns and of flow, which follow the trapezoidal rule; time_step [time], positive."""
         return Newmark().alphas(time_step)
 
     def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
@@ -37,7 +37,7 @@ class Explicit:
 
 
 def predicted(motion: HasMotion, dt: float) -> Any:
-    """Change of displacement in a step in which loads, joints and film pull as they do now."""
+    """Change of displacement in a step under the present forces of loads, joints and fluid."""
     return dt * motion.velocity + 0.5 * dt**2 * motion.acceleration
 
 
@@ -67,4 +67,4 @@ def damped_rate(ratio: float) -> float:
 
 def parts(time_step: float, critical: float) -> int:
     """Least number of equal parts of a time step that are no longer than the critical one."""
-    return max(1, math.ceil(checked(time_step) / critical * (1.0 - ROUND_OFF)))
+    return max(1, math.ceil(checked(time_step) / critical * (1.0 - STEP_ROUND_OFF)))

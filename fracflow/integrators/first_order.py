@@ -1,6 +1,6 @@
-"""Rules for the film where there is no inertia: what the walls give to the flow at the end of a step, on arrays.
+"""Integrators of fracture flow without inertia: the storage rate by the walls at the end of a step, on arrays.
 
-A film mode that decays at the rate s is multiplied in a step by, with x = s dt,
+A flow mode that decays at the rate s is multiplied in a step by, with x = s dt,
 backward Euler  1/(1 + x)                        order 1, monotone at any dt
 trapezoid       (1 - x/2)/(1 + x/2)              order 2, dissipates nothing of its own, rings for x > 2
 BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; they are complex for x > 1/2
@@ -9,7 +9,7 @@ BDF2            roots of (3/2 + x) A^2 - 2 A + 1/2   order 2, damps every mode; 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked, error_by_rate
 
@@ -27,36 +27,43 @@ class Rates:
     mean_last: Any
     last: float
 
+    @property
+    def bend_last(self) -> Any:
+        """The second derivative that the rule itself had."""
+        return 2.0 / self.last * (self.old - self.mean_last)
 
-def storage_error(stepper: Stepper, dt: float, rates: Rates) -> Any:
-    """About the error in what is stored that a step of a film rule adds, either sign, of its own order.
+    def bend(self, dt: float) -> Any:
+        """The second derivative over this step and the last one."""
+        return 2.0 / (dt + self.last) * (self.mean - self.mean_last)
+
+
+class FilmRule(Stepper, Protocol):
+    """A rule with storage and without inertia."""
+
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """About the error in what is stored that a step adds after another one, of its own order and either sign."""
+        ...
+
+
+def storage_error(rule: FilmRule, dt: float, rates: Rates) -> Any:
+    """About the error in storage by one step of fracture flow, either sign, of its own order.
 
     With divided differences for the derivatives: backward Euler leaves dt^2/2 of the second one, the trapezoid dt^3/12
     of the third, BDF2 dt^2 (dt + last)^2/(6 (2 dt + last)) of it (Hairer, Norsett and Wanner 1993, III.5). Rules with a
-    memory begin by backward Euler. Of a stage's first step, whose rate at its start nobody knows, it is about a third of
-    what is stored in it: a half where the rate rises evenly, 0.19 where a pressure jumps (erfc against its exponential).
+    memory begin by backward Euler. Of a stage's first step, whose rate at its start is unknown, it is about a third of
+    the storage in it. It is a half where the rate rises evenly, 0.19 where a pressure jumps (erfc against its
+    exponential).
     """
-    last = rates.last
-    if last == 0.0:
-        return dt * (rates.new - rates.old) / 3.0
-    before = 2.0 / last * (rates.old - rates.mean_last)  # the second derivative that the rule itself had
-    if isinstance(stepper, Trapezoid):
-        return dt**3 / 6.0 / (dt + last) * ((rates.new - rates.old) / dt - before)
-    now = 2.0 / (dt + last) * (rates.mean - rates.mean_last)
-    if isinstance(stepper, BDF2):
-        return dt**2 * (dt + last) ** 2 / (2.0 * (2.0 * dt + last) * (dt + 2.0 * last)) * (now - before)
-    return 0.5 * dt**2 * now
+    return dt * (rates.new - rates.old) / 3.0 if rates.last == 0.0 else rule.storage_error(dt, rates)
 
 
 @dataclass(frozen=True)
-class BackwardEuler:
+class BackwardEuler(FilmRule):
     """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
 
     order: ClassVar[int] = 1
     inertia: ClassVar[bool] = False
-    storage: ClassVar[bool] = True
     balance: ClassVar[Balance] = "end"
-    memory: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
@@ -66,15 +73,17 @@ class BackwardEuler:
         """That of backward Euler."""
         return error_by_rate(time_step, old, new)
 
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """dt^2/2 of the second derivative."""
+        return 0.5 * time_step**2 * rates.bend(time_step)
+
 
 @dataclass(frozen=True)
-class Trapezoid:
-    """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for the film; rings for dt > 2 tau_d."""
+class Trapezoid(FilmRule):
+    """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for flow; rings for dt > 2 tau_d."""
 
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = False
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
@@ -85,9 +94,14 @@ class Trapezoid:
         """That of backward Euler."""
         return error_by_rate(time_step, old, new)
 
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """dt^3/12 of the third derivative."""
+        dt, last = time_step, rates.last
+        return dt**3 / 6.0 / (dt + last) * ((rates.new - rates.old) / dt - rates.bend_last)
+
 
 @dataclass(frozen=True)
-class BDF2:
+class BDF2(FilmRule):
     """Second order from three instants: v_new = ((1 + 2r) w_new - r w)/(1 + r).
 
     w_new = (d_new - d)/dt and w are the mean velocities of this step and the last, r is the ratio of their lengths.
@@ -96,8 +110,6 @@ class BDF2:
 
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = False
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
     memory: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
@@ -109,11 +121,17 @@ class BDF2:
         """That of backward Euler."""
         return error_by_rate(time_step, old, new)
 
+    def storage_error(self, time_step: float, rates: Rates) -> Any:
+        """dt^2 (dt + last)^2/(6 (2 dt + last)) of the third derivative."""
+        dt, last = time_step, rates.last
+        share = dt**2 * (dt + last) ** 2 / (2.0 * (2.0 * dt + last) * (dt + 2.0 * last))
+        return share * (rates.bend(dt) - rates.bend_last)
+
 
 def first(stepper: Stepper) -> Stepper:
     """The rule of a stage's first step: backward Euler for one that needs a step before it.
 
-    What is prescribed at the beginning of such a stage arrives during that step, so its start need not be in balance.
+    Prescribed values at the beginning of such a stage arrive during that step, so its start need not be in balance.
     One step of first order leaves the order of the whole.
     """
     return BackwardEuler() if stepper.memory else stepper

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from fracflow.integrators.newmark import Alphas, Balance, HasMotion, error_by_jerk, newmark_alphas, weighed
+from fracflow.integrators.newmark import Alphas, HasMotion, Stepper, error_by_jerk, newmark_alphas, weighed
 from fracflow.integrators.parameters import check_parameters, parameter
 
 
 @dataclass(frozen=True)
-class GeneralisedAlpha:
+class GeneralisedAlpha(Stepper):
     """M ((1 - alpha_m) a_new + alpha_m a) + (1 - alpha_f) S_new + alpha_f S = 0, of the least damping for a rho_infinity.
 
     alpha_m = (2 rho - 1)/(rho + 1), alpha_f = rho/(rho + 1), beta = (1 - alpha_m + alpha_f)^2/4, gamma = 1/2 - alpha_m
@@ -27,14 +27,15 @@ class GeneralisedAlpha:
     )
 
     order: ClassVar[int] = 2
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
-    memory: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Refuse what is not stable."""
         check_parameters(self)
+
+    @property
+    def damps(self) -> bool:
+        """Below rho_infinity = 1."""
+        return self.rho < 1.0
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """(4.3) with the weights of the old acceleration and the old balance; time_step [time], positive."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from fracflow.integrators.newmark import Alphas, Balance, HasMotion, error_by_jerk, newmark_alphas, weighed
+from fracflow.integrators.newmark import Alphas, HasMotion, Stepper, error_by_jerk, newmark_alphas, weighed
 from fracflow.integrators.parameters import check_parameters, parameter
 
 
 @dataclass(frozen=True)
-class HHT:
+class HHT(Stepper):
     """M a_new + (1 + alpha) S_new - alpha S = 0, beta = (1 - alpha)^2/4, gamma = 1/2 - alpha: damps what dt does not resolve.
 
     Second order, unconditionally stable; spectral radius (1 + alpha)/(1 - alpha) for dt without end. InputError for
@@ -26,14 +26,15 @@ class HHT:
     )
 
     order: ClassVar[int] = 2
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
-    memory: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Refuse what is not stable."""
         check_parameters(self)
+
+    @property
+    def damps(self) -> bool:
+        """Below alpha = 0."""
+        return self.alpha < 0.0
 
     @property
     def beta(self) -> float:

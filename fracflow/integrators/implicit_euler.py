@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from fracflow.integrators.newmark import Alphas, Balance, HasMotion, checked
+from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked
 
 
 @dataclass(frozen=True)
-class ImplicitEuler:
+class ImplicitEuler(Stepper):
     """v_new = (d_new - d)/dt, a_new = (v_new - v)/dt: an oscillation is multiplied by 1/(1 + i omega dt) in a step."""
 
     order: ClassVar[int] = 1
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
+    damps: ClassVar[bool] = True
     balance: ClassVar[Balance] = "end"
-    memory: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_0 = 1/dt^2, alpha_1 = alpha_2 = 1/dt, the rest zero; time_step [time], positive."""

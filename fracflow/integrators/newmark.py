@@ -70,24 +70,32 @@ class HasMotion(Protocol):
 
 
 class Stepper(Protocol):
-    """A rule for velocity and acceleration at the end of a step.
+    """A rule for velocity and acceleration at the end of a step; one that inherits it states what differs from here.
 
     order    order of accuracy in the time step; 0 where time does not enter
     inertia  the mass matrix takes part
     storage  wall velocities take part in the balance of fluid
-    balance  where in a step the fluid's balance is known to hold: at both its ends, only at its end, or over the step as a
-             whole, with what the walls move in it
-    memory   it needs a step before it in its stage; see ``film.first``
+    balance  instants at which the fluid's balance holds: both ends of a step, only its end, or the step as a whole, with the
+             motion of walls
+    memory   it needs a step before it in its stage; see ``first_order.first``
+    explicit the rock goes by central differences, in steps no longer than the critical one; see ``solve.explicit``
     """
 
-    inertia: ClassVar[bool]
-    storage: ClassVar[bool]
-    balance: ClassVar[Balance]
-    memory: ClassVar[bool]
+    inertia: ClassVar[bool] = True
+    storage: ClassVar[bool] = True
+    balance: ClassVar[Balance] = "both"
+    memory: ClassVar[bool] = False
+    explicit: ClassVar[bool] = False
 
     @property
     def order(self) -> int:
         """Order of accuracy."""
+        ...
+
+    @property
+    def damps(self) -> bool:
+        """Whether motions that the time step does not resolve decay, so that waves die out by themselves."""
+        return False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """Coefficients of a step of that length, after one of length ``last`` in the same stage."""
@@ -113,13 +121,13 @@ def velocity(alphas: Alphas, displacement_new: Any, motion_old: HasMotion, mean_
 def first_rate(alphas: Alphas, new: Any, old: Any, rate_old: Any = 0.0, mean_old: Any = 0.0) -> Any:
     """p'_new = b1 (p_new - p) - b4 p' - a6 w of what has no second rate; w = ``mean_old`` is its mean in the last step.
 
-    Newmark's p_new = p + dt ((1 - gamma) p' + gamma p'_new); the film rules' own, as for the walls.
+    Newmark's p_new = p + dt ((1 - gamma) p' + gamma p'_new); the flow integrators' own, as for the walls.
     """
     return alphas.b1 * (new - old) - alphas.b4 * rate_old - alphas.a6 * mean_old
 
 
 def checked(time_step: float) -> float:
-    """The time step; InputError unless positive."""
+    """The time step [time]. Raises InputError unless it is positive."""
     if not time_step > 0.0:
         raise InputError(f"time_step = {time_step}: must be positive")
     return time_step
@@ -158,7 +166,7 @@ def error_by_rate(time_step: float, old: HasMotion, new: HasMotion) -> Any:
 
 
 @dataclass(frozen=True)
-class Newmark:
+class Newmark(Stepper):
     """(4.1a) Newmark with beta, gamma: 1/4, 1/2 is the trapezoidal rule, without numerical dissipation.
 
     Second order if gamma = 1/2, else first. InputError for beta <= 0 (explicit) or gamma < 1/2 (unstable).
@@ -169,15 +177,15 @@ class Newmark:
     )
     gamma: float = parameter(0.5, "newmark_gamma", "gamma of (4.1) [1]; above 1/2 damps", at_least=0.5, at_most=1.0)
 
-    inertia: ClassVar[bool] = True
-    storage: ClassVar[bool] = True
-    balance: ClassVar[Balance] = "both"
-    memory: ClassVar[bool] = False
-
     @property
     def order(self) -> int:
         """2 of gamma = 1/2, else 1."""
         return 2 if self.gamma == 0.5 else 1
+
+    @property
+    def damps(self) -> bool:
+        """Above gamma = 1/2."""
+        return self.gamma > 0.5
 
     def __post_init__(self) -> None:
         """Refuse what cannot be stepped implicitly."""
@@ -196,14 +204,13 @@ class Newmark:
 
 
 @dataclass(frozen=True)
-class Steady:
+class Steady(Stepper):
     """(4.3) with all alpha_k = 0: equilibrium and steady flow, neither inertia nor storage."""
 
     order: ClassVar[int] = 0
     inertia: ClassVar[bool] = False
     storage: ClassVar[bool] = False
     balance: ClassVar[Balance] = "end"
-    memory: ClassVar[bool] = False
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """All zero, whatever the time step."""

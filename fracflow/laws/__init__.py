@@ -2,16 +2,34 @@
 
 from typing import Any
 
-from fracflow.laws.base import JointLaw, JointResponse, Key, keys_of, parameters_of
+from fracflow.laws.base import (
+    HistoryVariable,
+    JointLaw,
+    JointResponse,
+    Key,
+    LawStep,
+    keys_of,
+    parameters_of,
+    published_history,
+)
+from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, ReportCubic
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
+from fracflow.laws.terms import Leakage, TermLaw
 
+# a law from outside the package is registered here, JOINT_LAWS["name"] = Law, before any scene is read
 JOINT_LAWS: dict[str, type[JointLaw]] = {
     "hyperbolic-coulomb": HyperbolicCoulomb,
     "linear": Linear,
     "slip-weakening": SlipWeakening,
 }
+
+TERM_LAWS: dict[str, type[TermLaw]] = {}
+"""Laws of terms by the key of their tables in a scene; one that is added before the scene is imported has its table there."""
+
+# of fractures without a conductance of their own, as method.conductance names them; others are registered in the same way
+FLOW_LAWS: dict[str, type[FlowLaw]] = {"exact": ExactCubic, "report": ReportCubic}
 
 
 def make_law(name: str, **parameters: Any) -> JointLaw:
@@ -22,6 +40,7 @@ def make_law(name: str, **parameters: Any) -> JointLaw:
 
 
 __all__ = [
-    "JOINT_LAWS", "HyperbolicCoulomb", "JointLaw", "JointResponse", "Key", "Linear", "SlipWeakening", "keys_of",
-    "make_law", "parameters_of",
+    "FLOW_LAWS", "JOINT_LAWS", "TERM_LAWS", "FlowLaw", "HistoryVariable", "HyperbolicCoulomb", "JointLaw", "JointResponse",
+    "Key", "LawStep", "Leakage", "Linear", "SlipWeakening", "TermLaw", "keys_of", "make_law", "parameters_of",
+    "published_history",
 ]  # fmt: skip

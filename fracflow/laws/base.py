@@ -1,10 +1,10 @@
-"""What a joint law takes and gives."""
+"""The input and output of a joint law."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields
-from typing import Any, ClassVar, Literal, Protocol, cast
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,52 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Parameter = float | Floats
-Past = Mapping[str, Floats]
+History = Mapping[str, Floats]
 Kind = Literal["shear", "scalar"]
 
 
 @dataclass(frozen=True)
+class HistoryVariable:
+    """Meaning of one history variable of a law, for checkpoints and for output.
+
+    kind       "shear" (n, dim-1), in the directions of the shear traction, or "scalar" (n,)
+    dimension  as scenes write them: "1", "length", "time", "force/length**2", ...
+    published  it is a quantity of its own in output; False where another quantity says the same
+    """
+
+    kind: Kind
+    dimension: str
+    meaning: str
+    published: bool = True
+
+
+@dataclass(frozen=True)
+class LawStep:
+    """The way from the accepted history of a section to the instant at which its law is evaluated.
+
+    time     at that instant [time]; a number, or (n,) where sections are looked at one by one
+    dt       since the history was accepted [time], as ``time``; 0: at once, in which no finite rate moves anything
+    inertia  the rock has inertia on that way
+    hold     every section keeps the status that it has in the history
+    """
+
+    time: Parameter = 0.0
+    dt: Parameter = 0.0
+    inertia: bool = False
+    hold: bool = False
+
+    def of(self, sections: NDArray[Any]) -> LawStep:
+        """The same step for some sections, by their numbers (n,)."""
+        time, dt = (value if np.ndim(value) == 0 else np.asarray(value)[sections] for value in (self.time, self.dt))
+        return LawStep(time, dt, self.inertia, self.hold)
+
+
+INSTANT, HELD = LawStep(), LawStep(hold=True)
+
+
+@dataclass(frozen=True)
 class Key:
-    """What a scene must know of a parameter to read it: meaning, dimension ("1" without), range.
+    """A parameter as a scene reads it: meaning, dimension ("1" without), range.
 
     not_above  another parameter of the law that it may not exceed
     """
@@ -37,9 +76,9 @@ def key(meaning: str, dimension: str = "1", not_above: str = "", **limits: float
     return {"key": Key(meaning, dimension, limits, not_above)}
 
 
-def parameters_of(law: type[JointLaw]) -> tuple[Field[Any], ...]:
+def parameters_of(law: type[Any]) -> tuple[Field[Any], ...]:
     """All parameters of a law, in order."""
-    return fields(cast(Any, law))
+    return fields(law)
 
 
 def keys_of(law: Any) -> dict[str, Key]:
@@ -49,18 +88,18 @@ def keys_of(law: Any) -> dict[str, Key]:
 
 @dataclass(frozen=True, eq=False)
 class JointResponse:
-    """(2.10b) Answer of n joint sections to a strain; components (s, n), normal last, tension positive.
+    """(2.10b) Response of n joint sections to a strain; components (s, n), normal last, tension positive.
 
     traction    (n, dim)       effective traction [stress]
     tangent     (n, dim, dim)  d traction_i / d strain_j [stress/length]
     stored      (n,)           stored energy since the initial state, int f d eps_e [stress x length]
-    inelastic   (n, dim)       inelastic strain: plastic slip in shear, 0 in normal direction [length]
+    inelastic   (n, dim)       inelastic strain: plastic slip, and last the opening that it brings, dilation [length]
     strength    (n,)           (2.12) peak shear strength at the present normal traction; inf without limit [stress]
     utilisation (n,)           shear traction over peak strength; 0 where open or without limit
     is_sliding  (n,)           the section is on its sliding branch
     is_open     (n,)           the walls have lost contact
     margin      (n,)           dimensionless distance >= 0 of the choice of status from its threshold
-    past        name -> array  the new history; commit it when the step is accepted
+    history     name -> array  the new history; accepted with the step
     """
 
     traction: Floats
@@ -72,36 +111,42 @@ class JointResponse:
     is_sliding: Bools
     is_open: Bools
     margin: Floats
-    past: dict[str, Floats]
+    history: dict[str, Floats]
 
 
 class JointLaw(Protocol):
-    """Frozen parameters, pure functions of strain and past; ``status`` is the latched part of ``history``.
+    """Frozen parameters, pure functions of strain, history and step; ``status`` is the latched part of ``history``.
 
     Parameters of its own are declared with ``key``; a scene refuses those of other laws, unless ``passes_over`` is set. A
-    law that inherits the bodies here has no history, no strength, and walls that never part.
+    law that inherits the bodies here has no history, no status, no strength, and walls that never part. One with a rate
+    has no status either: its traction follows its slip without choice.
 
+    slides        whether its plastic slip may grow
     opens         whether its walls may part
     weakens_over  key of the slip over which its strength falls; empty where it has none
     no_drop       setting with which its strength does not drop at once; empty where it never does
     """
 
-    history: ClassVar[dict[str, Kind]] = {}
+    history: ClassVar[dict[str, HistoryVariable]] = {}
     status: ClassVar[tuple[str, ...]] = ()
     passes_over: ClassVar[bool] = False
+    slides: ClassVar[bool] = False
     opens: ClassVar[bool] = False
     weakens_over: ClassVar[str] = ""
     no_drop: ClassVar[str] = ""
 
-    def rest(self, sections: int, dim: int) -> dict[str, Floats]:
+    def initial_history(self, sections: int, dim: int) -> dict[str, Floats]:
         """History of the initial state, one array a name: "shear" (n, dim-1), "scalar" (n,)."""
-        return rest_history(self.history, sections, dim)
+        return zero_history(self.history, sections, dim)
 
-    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
-        """Response to the total strain (n, dim) after ``past``: at most one change of status a section, none with ``hold``."""
+    def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
+        """Response to the total strain (n, dim) after ``history``, which stays as it is.
+
+        At most one change of status a section, none with ``step.hold``.
+        """
         ...
 
-    def has_changed(self, old: Past, new: Past) -> Bools:
+    def has_changed(self, old: History, new: History) -> Bools:
         """Whether each section (n,) has another status in ``new`` than in ``old``."""
         return np.zeros(len(next(iter(new.values()), ())), dtype=bool)
 
@@ -113,45 +158,56 @@ class JointLaw(Protocol):
         """Fraction (n,) of the increment (n, dim), above 0, at which the walls part or meet; inf where they do neither."""
         return np.full(len(strain), np.inf)
 
-    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+    def approach(self, strain: Floats, change: Floats, history: History, step: LawStep = INSTANT) -> Floats:
         """Two distances (n, 2) from the next event, of friction and of contact; only their signs and zeros count.
 
         strain  (n, dim) at the instant looked at
         change  (n, dim) its rate there times the time step
+        step    from the history to that instant; ``dt`` may be (n,)
 
-        That of friction is positive while the status in ``past`` lasts, and falls through zero where it ends. That of
+        That of friction is positive while the status in ``history`` lasts, and falls through zero where it ends. That of
         contact is positive where the walls are apart, negative where they touch. Infinite for never.
         """
         return np.full((len(strain), 2), np.inf)
 
-    def flip(self, strain: Floats, past: Past, chosen: Bools) -> dict[str, Floats]:
-        """``past`` with the other status of friction at the chosen sections (n,)."""
-        return dict(past)
+    def with_other_status(self, strain: Floats, history: History, chosen: Bools) -> dict[str, Floats]:
+        """``history`` with the other status of friction at the chosen sections (n,)."""
+        return dict(history)
 
-    def steepness(self, traction: Floats, past: Past) -> Floats:
-        """How fast the strength (n,) falls with slip after ``past``, over the shear stiffness, at tractions (n, dim).
+    def steepness(self, traction: Floats, history: History) -> Floats:
+        """How fast the strength (n,) falls with slip after ``history``, over the shear stiffness, at tractions (n, dim).
 
         From 1 on the joint cannot unload as fast as its strength falls: it jumps, however stiff the rock is.
         """
         return np.zeros(len(traction))
 
-    def softening(self, traction: Floats, past: Past) -> Floats:
-        """How fast the strength (n,) falls with slip after ``past`` at tractions (n, dim) [stress/length]."""
+    def softening(self, traction: Floats, history: History) -> Floats:
+        """How fast the strength (n,) falls with slip after ``history`` at tractions (n, dim) [stress/length]."""
         return np.zeros(len(traction))
 
-    def strength_drop(self, pressed: Floats) -> Floats:
-        """By how much strength (n,) falls in all once a section slips under a pressure ``pressed`` (n,) >= 0 [stress]."""
-        return np.zeros(len(pressed))
+    def strength_drop(self, compression: Floats) -> Floats:
+        """By how much strength (n,) falls in all once a section slips under a ``compression`` (n,) >= 0 [stress]."""
+        return np.zeros(len(compression))
 
     def slip_length(self, sections: int) -> Floats:
         """Slip (n,) over which it does: 0 where it falls at once, inf where it does not fall [length]."""
         return np.full(sections, np.inf)
 
 
-def rest_history(history: Mapping[str, Kind], sections: int, dim: int) -> dict[str, Floats]:
-    """Zero arrays of the shapes that ``history`` declares."""
+def zero_history(history: Mapping[str, HistoryVariable], sections: int, dim: int) -> dict[str, Floats]:
+    """Zeros of the shapes that ``history`` declares: (sections, dim - 1) or (sections,)."""
     shapes: dict[Kind, tuple[int, ...]] = {"shear": (sections, dim - 1), "scalar": (sections,)}
-    return {name: np.zeros(shapes[kind]) for name, kind in history.items()}
+    return {name: np.zeros(shapes[variable.kind]) for name, variable in history.items()}
+
+
+def published_history(laws: Iterable[JointLaw | type[JointLaw]]) -> dict[str, HistoryVariable]:
+    """History variables of these laws that output publishes, by name. Raises ValueError where two differ under one name."""
+    found: dict[str, HistoryVariable] = {}
+    for law in laws:
+        for name, variable in law.history.items():
+            if variable.published and found.setdefault(name, variable) != variable:
+                raise ValueError(f"two joint laws give different meanings to the history variable {name}")
+    return found
 
 
 def per_section(value: Parameter, sections: int) -> Floats:
@@ -159,7 +215,7 @@ def per_section(value: Parameter, sections: int) -> Floats:
     array = np.asarray(value, dtype=float)
     if array.shape == (sections,):
         return array
-    return np.full(sections, array)  # laws are asked often: a view of one number takes twice as long to make
+    return np.full(sections, array)  # laws are evaluated often: a view of one number takes twice as long to make
 
 
 def per_tangent(value: Parameter, sections: int, tangents: int) -> Floats:

@@ -27,7 +27,7 @@ class NormalClosure:
     aperture: Parameter
     initial_traction: Parameter
 
-    def respond(self, opening: Floats) -> tuple[Floats, Floats, Floats]:
+    def evaluate(self, opening: Floats) -> tuple[Floats, Floats, Floats]:
         """(2.11) Normal traction f_n <= 0, stiffness k_n and energy int f_n d eps_n of openings (n,).
 
         At or past -d0: -inf, inf, inf, the limits of the hyperbola, so that no solver can accept the state.
@@ -49,7 +49,7 @@ class NormalClosure:
         )
 
     def is_open(self, opening: Floats) -> Bools:
-        """Fig. 3: strictly past the opening at which f_n vanishes."""
+        """Fig. 3: whether openings (n,) are strictly past that at which f_n vanishes."""
         k_n0, f_n0 = (np.asarray(v, dtype=float) for v in (self.normal_stiffness, self.initial_traction))
         past_contact: Bools = opening > -f_n0 / k_n0
         return past_contact
@@ -72,13 +72,13 @@ class NormalClosure:
         return np.maximum(np.abs(f_n0), k_n0 * d0)
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction to the boundary: a section may use 0.9 of the gap eps_n + d0 that is left."""
+        """Fraction (n,) of an increment (n, dim): a section may use 0.9 of the gap eps_n + d0 that is left."""
         gap = np.maximum(strain[:, -1] + per_section(self.aperture, len(strain)), 0.0)
         closure = -increment[:, -1]
         return np.where(closure > 0.0, STEP_FRACTION * gap / np.where(closure > 0.0, closure, 1.0), np.inf)
 
     def change_at(self, strain: Floats, increment: Floats) -> Floats:
-        """Fraction of the increment at which the opening is that of Fig. 3 where f_n vanishes."""
+        """Fraction (n,) of an increment (n, dim) at which the opening is that of Fig. 3 where f_n vanishes; inf if none."""
         k_n0, _, f_n0 = self._parameters(len(strain))
         gap, opening = -f_n0 / k_n0 - strain[:, -1], increment[:, -1]
         moves = opening != 0.0

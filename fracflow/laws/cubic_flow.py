@@ -1,14 +1,14 @@
-"""Laminar flow between parallel walls: mean cubed aperture of a tapered element, and its conductance."""
+"""Laminar flow between parallel walls: mean cubed aperture of a tapered element, and the laws of its conductance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Floats, Parameter
-
-MeanCube = Callable[[Parameter, Parameter], tuple[Floats, Floats, Floats]]
+from fracflow.laws.base import INSTANT, Floats, History, LawStep, Parameter
 
 
 def _walls(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats]:
@@ -32,7 +32,7 @@ def report_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floa
 
 
 def exact_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats, Floats]:
-    """(3.4) integrated: 1 / mean(1/d^3) = 2 d1^2 d2^2 / (d1 + d2), exact where d is linear.
+    """(3.4) integrated: 1 / mean(1/d^3) (n,) = 2 d1^2 d2^2 / (d1 + d2), exact where d is linear.
 
     Arguments and results as for ``report_mean_cube``; 0 with zero derivatives if either end is closed.
     """
@@ -46,9 +46,6 @@ def exact_mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Float
     return mean, slope_1, slope_2
 
 
-MEANS: dict[str, MeanCube] = {"exact": exact_mean_cube, "report": report_mean_cube}
-
-
 def conductance(mean_cube: Parameter, length: Parameter, viscosity: Parameter) -> Floats:
     """(3.14a,e) Flow rate a unit of pressure difference drives: mean_cube / (12 mu L), per unit depth.
 
@@ -57,3 +54,89 @@ def conductance(mean_cube: Parameter, length: Parameter, viscosity: Parameter) -
     resistance = 12.0 * np.asarray(viscosity, dtype=float) * np.asarray(length, dtype=float)
     result: Floats = np.asarray(mean_cube, dtype=float) / resistance
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class Conductance:
+    """Conductances of n elements, flow rate per unit depth and pressure difference, and their derivatives.
+
+    value       (n,) [length^2/(stress time)]
+    by_opening  (n, 2) d value / d opening of either end [length/(stress time)]
+    by_slip     (n, 2, dim-1) d value / d slip of either end; None of a law that does not know slip
+    """
+
+    value: Floats
+    by_opening: Floats
+    by_slip: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FlowLaw(ABC):
+    """Frozen parameters, and a pure function of the walls at both ends of n elements.
+
+    aperture                    (n, 2) d0 [length]
+    minimum_hydraulic_aperture  (n, 2) [length]
+    length                      (n,) of the elements [length]
+    viscosity                   [stress time]
+
+    Parameters of its own, (n, 2), are declared with ``key``: tables of fractures have them, where the scene chooses the law.
+
+    knows_slip  its conductance changes with slip
+    reads       history variables of joint laws that it is given, by name
+    """
+
+    aperture: Floats
+    minimum_hydraulic_aperture: Floats
+    length: Floats
+    viscosity: float
+
+    knows_slip: ClassVar[bool] = False
+    reads: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
+        """Conductances at openings (n, 2) and slips (n, 2, dim-1) beyond the initial state [length].
+
+        history  name -> (n, 2) or (n, 2, dim-1), of the joint sections at that instant; NaN where their law has none
+        step     the way there; ``dt`` 0 where an accepted state is looked at
+        """
+
+
+class CubicLaw(FlowLaw):
+    """(3.4) The cubic law of a hydraulic aperture, by a mean over the element that ``mean_cube`` gives."""
+
+    @staticmethod
+    @abstractmethod
+    def mean_cube(aperture_1: Parameter, aperture_2: Parameter) -> tuple[Floats, Floats, Floats]:
+        """Mean of the cubed aperture [length^3] over elements of end apertures (n,), and its two derivatives (n,)."""
+
+    def hydraulic(
+        self, opening: Floats, slip: Floats, history: History, step: LawStep
+    ) -> tuple[Floats, Floats, Floats | None]:
+        """Hydraulic aperture (n, 2), its derivatives by opening (n, 2), and by slip (n, 2, dim-1) or None: d0 + opening."""
+        mechanical = self.aperture + opening
+        least = self.minimum_hydraulic_aperture
+        return np.maximum(mechanical, least), (mechanical >= least).astype(float), None
+
+    def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
+        """(3.14a,e) Mean cube over 12 mu L, of openings (n, 2); arguments and results as for ``FlowLaw``."""
+        hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
+        mean, slope_1, slope_2 = self.mean_cube(hydraulic[:, 0], hydraulic[:, 1])
+        slope = conductance(np.stack([slope_1, slope_2], axis=1), self.length[:, None], self.viscosity)
+        return Conductance(
+            conductance(mean, self.length, self.viscosity),
+            slope * by_opening,
+            None if by_slip is None else slope[:, :, None] * by_slip,
+        )
+
+
+class ExactCubic(CubicLaw):
+    """Exact two-node mean of the cubed aperture, where it is linear."""
+
+    mean_cube = staticmethod(exact_mean_cube)
+
+
+class ReportCubic(CubicLaw):
+    """(3.14f) The report's mean."""
+
+    mean_cube = staticmethod(report_mean_cube)

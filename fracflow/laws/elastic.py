@@ -1,4 +1,4 @@
-"""Isotropic linear elasticity in plane strain; Voigt order xx, yy, xy with engineering shear strain."""
+"""Isotropic linear elasticity; Voigt order xx, yy, xy or xx, yy, zz, yz, xz, xy with engineering shear strain."""
 
 from __future__ import annotations
 
@@ -12,15 +12,38 @@ def plane_strain_stiffness(youngs_modulus: Parameter, poissons_ratio: Parameter)
 
     youngs_modulus (n,) [stress], poissons_ratio (n,), below 1/2; numbers give n = 1.
     """
+    return _stiffness(*_moduli(youngs_modulus, poissons_ratio), 2)
+
+
+def plane_stress_stiffness(youngs_modulus: Parameter, poissons_ratio: Parameter) -> Floats:
+    """Stiffness (n, 3, 3) of a thin sheet, sigma_zz = 0 [stress]; arguments as for ``plane_strain_stiffness``."""
+    lame, shear = _moduli(youngs_modulus, poissons_ratio)
+    return _stiffness(2.0 * lame * shear / (lame + 2.0 * shear), shear, 2)
+
+
+def solid_stiffness(youngs_modulus: Parameter, poissons_ratio: Parameter) -> Floats:
+    """(2.13) Stiffness D (n, 6, 6) in three dimensions [stress]; arguments as for ``plane_strain_stiffness``."""
+    return _stiffness(*_moduli(youngs_modulus, poissons_ratio), 3)
+
+
+STIFFNESS = {2: plane_strain_stiffness, 3: solid_stiffness}
+"""Of rock, by dimension."""
+
+
+def _moduli(youngs_modulus: Parameter, poissons_ratio: Parameter) -> tuple[Floats, Floats]:
+    """Lame's lambda and mu (n,) [stress]."""
     modulus, ratio = np.broadcast_arrays(
         np.atleast_1d(np.asarray(youngs_modulus, float)), np.atleast_1d(np.asarray(poissons_ratio, float))
     )
-    lame = modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
-    shear = modulus / (2.0 * (1.0 + ratio))
-    stiffness = np.zeros((len(modulus), 3, 3))
-    stiffness[:, 0, 0] = stiffness[:, 1, 1] = lame + 2.0 * shear
-    stiffness[:, 0, 1] = stiffness[:, 1, 0] = lame
-    stiffness[:, 2, 2] = shear
+    return modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), modulus / (2.0 * (1.0 + ratio))
+
+
+def _stiffness(lame: Floats, shear: Floats, dim: int) -> Floats:
+    normal, size = np.arange(dim), dim * (dim + 1) // 2
+    stiffness = np.zeros((len(lame), size, size))
+    stiffness[:, :dim, :dim] = lame[:, None, None]
+    stiffness[:, normal, normal] = (lame + 2.0 * shear)[:, None]
+    stiffness[:, np.arange(dim, size), np.arange(dim, size)] = shear[:, None]
     return stiffness
 
 

@@ -7,8 +7,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
-from fracflow.laws.friction import FrictionLaw, Trial
+from fracflow.laws.base import (
+    INSTANT,
+    Floats,
+    History,
+    HistoryVariable,
+    JointResponse,
+    LawStep,
+    Parameter,
+    key,
+    per_section,
+)
+from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +39,10 @@ class HyperbolicCoulomb(FrictionLaw):
     Parameters are numbers or arrays (n,), f_s0 may be (n, dim-1); joint frame, tension positive.
 
     History: ``plastic_slip`` [length] and ``sliding``, the unit direction of the sliding traction, zero while
-    sticking. A section that sticks slides once the trial traction passes the peak strength. A section that
-    slides carries alpha times the peak of its present f_n until the plastic increment would reverse; then it
-    sticks, the peak restored with its cohesion, whatever the size of its elastic traction: the next call may
-    let it slide the other way. An open section has no shear traction and closes again sticking.
+    sticking. A section that sticks slides once the trial traction passes the peak strength. A section that slides carries
+    alpha times the peak of its present f_n until the plastic increment would reverse. Then it sticks, with its peak and
+    cohesion restored, whatever its elastic traction. It may slide the other way in the next call. An open section has no shear
+    traction and closes again sticking.
     """
 
     normal_stiffness: Parameter
@@ -50,25 +60,25 @@ class HyperbolicCoulomb(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "sliding": "shear"}
+    history: ClassVar[dict[str, HistoryVariable]] = {"plastic_slip": PLASTIC_SLIP, "sliding": SLIDING}
     no_drop: ClassVar[str] = "stick_slip_ratio = 1"
 
-    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
-        """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``past``, at most one change of status.
+    def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
+        """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``history``, at most one change of status.
 
-        With ``hold`` sticking sections stick and sliding ones slide whatever their trial traction is. Opening at
+        With ``step.hold`` sticking sections stick and sliding ones slide whatever their trial traction is. Opening at
         or past -d0 gives a normal traction of -inf and leaves the history as it was. ``margin`` is that of the
-        choice made from the status in ``past``.
+        choice made from the status in ``history``.
         """
-        trial = Trial.of(self, strain, past)
+        trial = Trial.of(self, strain, history)
         tan_phi, cohesion, alpha = (
             per_section(v, len(strain)) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
         )
-        peak = np.where(trial.free, 0.0, cohesion - trial.pressed() * tan_phi)
+        peak = np.where(trial.free, 0.0, cohesion - trial.normal_traction() * tan_phi)
         residual = alpha * peak
-        return trial.answer(
-            slides=trial.slides(peak, residual, hold),
-            carried=residual if hold else np.minimum(residual, trial.size),
+        return trial.response(
+            slides=trial.slides(peak, residual, step.hold),
+            carried=residual if step.hold else np.minimum(residual, trial.size),
             by_size=0.0,
             by_normal=-alpha * tan_phi,
             strength=peak,
@@ -76,23 +86,23 @@ class HyperbolicCoulomb(FrictionLaw):
             coupled=self.coupled_tangent,
         )
 
-    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+    def approach(self, strain: Floats, change: Floats, history: History, step: LawStep = INSTANT) -> Floats:
         """Distances (n, 2) from the next event at strain (n, dim), which moves by ``change`` (n, dim) in a step."""
         sections = len(strain)
         tan_phi, cohesion, alpha = (
             per_section(v, sections) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
         )
-        trial = Trial.of(self, strain, past)
+        trial = Trial.of(self, strain, history)
         return trial.approach(change, cohesion - trial.f_n * tan_phi, alpha * tan_phi)
 
-    def strength_drop(self, pressed: Floats) -> Floats:
-        """(1 - alpha) (C + pressed tan phi)."""
+    def strength_drop(self, compression: Floats) -> Floats:
+        """Drop of strength (n,): (1 - alpha) (C + compression tan phi), compression (n,) [stress]."""
         tan_phi, cohesion, alpha = (
-            per_section(v, len(pressed)) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
+            per_section(v, len(compression)) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
         )
         drops = alpha < 1.0
-        return np.where(drops, np.where(drops, 1.0 - alpha, 1.0) * (cohesion + pressed * tan_phi), 0.0)
+        return np.where(drops, np.where(drops, 1.0 - alpha, 1.0) * (cohesion + compression * tan_phi), 0.0)
 
     def slip_length(self, sections: int) -> Floats:
-        """0: the drop of alpha < 1 comes at once, at the onset of slip."""
+        """Slip (n,) over which strength falls: 0, since the drop of alpha < 1 comes at once; inf without a drop [length]."""
         return np.where(per_section(self.stick_slip_ratio, sections) < 1.0, 0.0, np.inf)

@@ -7,7 +7,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Floats, JointLaw, JointResponse, Parameter, Past, per_section, per_tangent
+from fracflow.laws.base import (
+    INSTANT,
+    Floats,
+    History,
+    JointLaw,
+    JointResponse,
+    LawStep,
+    Parameter,
+    per_section,
+    per_tangent,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +37,8 @@ class Linear(JointLaw):
 
     passes_over: ClassVar[bool] = True  # a scene may switch to springs, and keep its friction for later
 
-    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
-        """(2.22) Traction, tangent and stored energy of strain (n, dim); ``past`` is empty."""
+    def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
+        """(2.22) Traction, tangent and stored energy of strain (n, dim); ``history`` is empty."""
         sections, dim = strain.shape
         stiffness = np.empty((sections, dim))
         stiffness[:, :-1] = per_section(self.shear_stiffness, sections)[:, None]
@@ -48,5 +58,5 @@ class Linear(JointLaw):
             is_sliding=never,
             is_open=never.copy(),
             margin=np.full(sections, np.inf),
-            past={},
+            history={},
         )

@@ -7,8 +7,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import Floats, JointResponse, Kind, Parameter, Past, key, per_section
-from fracflow.laws.friction import FrictionLaw, Trial
+from fracflow.laws.base import (
+    INSTANT,
+    Floats,
+    History,
+    HistoryVariable,
+    JointResponse,
+    LawStep,
+    Parameter,
+    key,
+    per_section,
+)
+from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +67,11 @@ class SlipWeakening(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, Kind]] = {"plastic_slip": "shear", "slip_path": "scalar", "sliding": "shear"}
+    history: ClassVar[dict[str, HistoryVariable]] = {
+        "plastic_slip": PLASTIC_SLIP,
+        "slip_path": HistoryVariable("scalar", "length", "length of the path of plastic slip", published=False),
+        "sliding": SLIDING,
+    }
     weakens_over: ClassVar[str] = "slip_weakening_distance"
 
     def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:
@@ -70,31 +84,33 @@ class SlipWeakening(FrictionLaw):
         falls = np.where(weakens, (peak - dynamic) / distance, 0.0)
         return np.where(weakens, peak - falls * slip_path, dynamic), falls
 
-    def respond(self, strain: Floats, past: Past, hold: bool = False) -> JointResponse:
-        """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``past``, at most one change of status.
+    def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
+        """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``history``, at most one change of status.
 
-        With ``hold`` sticking sections stick, and sliding ones slide; those that would go back then carry the strength
+        With ``step.hold`` sticking sections stick, and sliding ones slide; those that would go back then carry the strength
         that they have. Opening at or past -d0 gives a normal traction of -inf and leaves the history as it was.
         """
-        trial, path = Trial.of(self, strain, past), past["slip_path"]
-        cohesion, k_s, pressed = per_section(self.cohesion, len(strain)), trial.k_s, trial.pressed()
+        trial, path = Trial.of(self, strain, history), history["slip_path"]
+        cohesion, k_s, f_n = per_section(self.cohesion, len(strain)), trial.k_s, trial.normal_traction()
         mu, falls = self.friction(path)
-        strength = np.where(trial.free, 0.0, cohesion - pressed * mu)
-        slides = trial.slides(strength, strength, hold)
+        strength = np.where(trial.free, 0.0, cohesion - f_n * mu)
+        slides = trial.slides(strength, strength, step.hold)
 
         excess = np.where(trial.was_sliding & (trial.along <= 0.0), 0.0, np.maximum(trial.size - strength, 0.0))
-        stiff = k_s + pressed * falls  # of spring and weakening, <= 0 where the joint jumps
+        stiff = k_s + f_n * falls  # of spring and weakening, <= 0 where the joint jumps
         slip = np.where(stiff > 0.0, excess / np.where(stiff > 0.0, stiff, 1.0), np.inf)
         distance = per_section(self.slip_weakening_distance, len(strain))
         crosses = (falls > 0.0) & (path + np.where(excess > 0.0, slip, 0.0) >= distance)
-        lower = cohesion - pressed * per_section(self.dynamic_friction_coefficient, len(strain))
+        lower = cohesion - f_n * per_section(self.dynamic_friction_coefficient, len(strain))
         slip = np.where(excess > 0.0, np.where(crosses, (trial.size - lower) / k_s, slip), 0.0)
         softens = slides & (falls > 0.0) & ~crosses & (slip > 0.0)
         share = np.where(softens, k_s / np.where(softens, stiff, 1.0), 1.0)
         now, _ = self.friction(path + slip)
-        carried = np.where(slip > 0.0, cohesion - pressed * now, strength if hold else np.minimum(strength, trial.size))
+        carried = np.where(
+            slip > 0.0, cohesion - f_n * now, strength if step.hold else np.minimum(strength, trial.size)
+        )
         slid = slides & ~trial.crushed
-        answer = trial.answer(
+        response = trial.response(
             slides=slides,
             carried=carried,
             by_size=1.0 - share,
@@ -103,33 +119,33 @@ class SlipWeakening(FrictionLaw):
             margin=trial.margin(strength, strength),
             coupled=self.coupled_tangent,
         )
-        return replace(answer, past={**answer.past, "slip_path": path + np.where(slid, slip, 0.0)})
+        return replace(response, history={**response.history, "slip_path": path + np.where(slid, slip, 0.0)})
 
-    def steepness(self, traction: Floats, past: Past) -> Floats:
-        """|f_n| (mu_p - mu_d)/(D_c k_s) while friction falls; 0 once it has."""
-        result: Floats = self.softening(traction, past) / per_section(self.shear_stiffness, len(traction))
+    def steepness(self, traction: Floats, history: History) -> Floats:
+        """|f_n| (mu_p - mu_d)/(D_c k_s) (n,) at traction (n, dim) while friction falls; 0 once it has."""
+        result: Floats = self.softening(traction, history) / per_section(self.shear_stiffness, len(traction))
         return result
 
-    def softening(self, traction: Floats, past: Past) -> Floats:
-        """|f_n| (mu_p - mu_d)/D_c while friction falls; 0 once it has."""
-        _, falls = self.friction(past["slip_path"])
-        pressed = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
-        result: Floats = pressed * falls
+    def softening(self, traction: Floats, history: History) -> Floats:
+        """|f_n| (mu_p - mu_d)/D_c (n,) at traction (n, dim) while friction falls; 0 once it has [stress/length]."""
+        _, falls = self.friction(history["slip_path"])
+        compression = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
+        result: Floats = compression * falls
         return result
 
-    def strength_drop(self, pressed: Floats) -> Floats:
-        """Pressed (mu_p - mu_d)."""
+    def strength_drop(self, compression: Floats) -> Floats:
+        """Drop of strength (n,): the compression (n,) times mu_p - mu_d [stress]."""
         peak, dynamic = (
-            per_section(v, len(pressed)) for v in (self.friction_coefficient, self.dynamic_friction_coefficient)
+            per_section(v, len(compression)) for v in (self.friction_coefficient, self.dynamic_friction_coefficient)
         )
-        return pressed * (peak - dynamic)
+        return compression * (peak - dynamic)
 
     def slip_length(self, sections: int) -> Floats:
-        """D_c."""
+        """Slip (n,) over which strength falls, D_c [length]."""
         return per_section(self.slip_weakening_distance, sections)
 
-    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+    def approach(self, strain: Floats, change: Floats, history: History, step: LawStep = INSTANT) -> Floats:
         """Distances (n, 2) from the next event at strain (n, dim), which moves by ``change`` (n, dim) in a step."""
-        mu, _ = self.friction(past["slip_path"])
-        trial = Trial.of(self, strain, past)
+        mu, _ = self.friction(history["slip_path"])
+        trial = Trial.of(self, strain, history)
         return trial.approach(change, per_section(self.cohesion, len(strain)) - trial.f_n * mu, mu)

@@ -20,10 +20,10 @@ class SolidBlock:
     node_global   (n,)      number in PETSc's order, contiguous on each rank
     points        (n, dim)  coordinates [length]
     owned         int       nodes owned by this rank
-    cells         (m, k)    local nodes, -1 pads
+    cells         (m, c)    local nodes, -1 pads
     cell_ids      (m,)      number in the split mesh
     cell_rock     (m,)      index into ``rocks``
-    side_facets   (s, dim)  local nodes of the named boundary facets of this rank's cells
+    side_facets   (s, k)    local nodes of the named boundary facets of this rank's cells
     side_of       (s,)      index into ``sides``
     side_cell     (s,)      local cell a side facet belongs to
     unknown       (n, dim)  PETSc number of the unknown of a deformable node, shared where nodes are tied; -1 on a rigid body
@@ -71,12 +71,12 @@ class JointBlock:
     """Joints owned by one rank (the rank of the bottom cell).
 
     ids       (j,)      number in the split mesh
-    bottom    (j, dim)  local nodes of the solid block
-    top       (j, dim)
-    flow      (j, dim)  PETSc numbers of the flow nodes
-    flow_ids  (j, dim)  their numbers in the split mesh
+    bottom    (j, k)    local nodes of the solid block
+    top       (j, k)
+    flow      (j, k)    PETSc numbers of the flow nodes
+    flow_ids  (j, k)    their numbers in the split mesh
     fracture  (j,)      index into ``fractures``
-    along     (j, dim)  distance of each end from the start of its fracture [length]
+    along     (j, k)    distance of each end from the start of its fracture [length]
     """
 
     ids: Ints
@@ -126,7 +126,7 @@ class Blocks:
     sizes: Sizes
 
     def gather(self, ids: Ints, values: NDArray[Any], total: int) -> NDArray[Any] | None:
-        """Collect rows by their original numbers on rank 0, None elsewhere. Collective."""
+        """Collect rows (n, ...) by their original numbers (n,): (total, ...) on rank 0, None elsewhere. Collective."""
         parts = self.comm.gather((ids, values), root=0)
         if parts is None:
             return None
@@ -137,10 +137,10 @@ class Blocks:
 
 
 def owner_of(starts: Ints, numbers: Ints) -> Ints:
-    """Rank that owns each number, from the first number of each rank."""
+    """Rank (n,) that owns each number (n,), from the first number of each rank and the last of all (ranks + 1,)."""
     return np.searchsorted(starts, numbers, side="right") - 1
 
 
 def petsc_ints(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Cast to PETSc's integer, which its calls insist on."""
+    """Numbers (...) as PETSc's integers, which its calls insist on."""
     return np.ascontiguousarray(numbers, dtype=PETSc.IntType)

@@ -17,11 +17,12 @@ class RawMesh:
     """A conforming mesh in which fractures are still facets shared by two cells.
 
     points           (n, dim)  coordinates [length]
-    cells            (m, k)    nodes, counter-clockwise; -1 pads cells with fewer than k nodes
+    cells            (m, c)    nodes, counter-clockwise or as Gmsh orders them; -1 pads cells with fewer than c nodes
     cell_rock        (m,)      index into ``rocks``
-    fracture_facets  (f, dim)  nodes of fracture facets, each ordered along its trace
+    fracture_facets  (f, k)    nodes of fracture facets, each ordered along its trace, or around its normal: 2 in the
+                               plane, 3 or 4 in space
     fracture_of      (f,)      index into ``fractures``
-    side_facets      (s, dim)  nodes of boundary facets that carry a name
+    side_facets      (s, k)    nodes of boundary facets that carry a name
     side_of          (s,)      index into ``sides``
     named_points     name -> node
     notes            what was changed in the traces before meshing, a line each
@@ -47,16 +48,16 @@ class SplitMesh:
 
     points         (n, dim)  coordinates; copies of a node share them [length]
     origin         (n,)      node of the raw mesh each node is a copy of; the first copy keeps the number
-    cells          (m, k)    nodes, -1 pads
+    cells          (m, c)    nodes, -1 pads
     cell_rock      (m,)      index into ``rocks``
-    joint_bottom   (f, dim)  nodes on the right of the trace, in its direction
-    joint_top      (f, dim)  nodes on the left, facing ``joint_bottom`` one by one; equal at a tip
+    joint_bottom   (f, k)    nodes on the right of the trace, in its direction; behind the normal of a surface
+    joint_top      (f, k)    nodes on the left, facing ``joint_bottom`` one by one; equal at a tip
     joint_cells    (f, 2)    cell below, cell above
-    joint_flow     (f, dim)  flow nodes: one per raw fracture node, shared at junctions
+    joint_flow     (f, k)    flow nodes: one per raw fracture node, shared at junctions
     joint_fracture (f,)      index into ``fractures``
-    joint_along    (f, dim)  distance of each end from the start of its fracture [length]
+    joint_along    (f, k)    distance of each end from the start of its fracture [length]; 0 in space
     flow_origin    (q,)      raw node of each flow node
-    side_facets    (s, dim)  nodes of named boundary facets
+    side_facets    (s, k)    nodes of named boundary facets
     side_cell      (s,)      the cell a side facet belongs to
     side_of        (s,)      index into ``sides``
     named_points   name -> raw node

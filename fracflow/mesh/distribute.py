@@ -1,14 +1,13 @@
 """From the split mesh on rank 0 to the blocks of every rank.
 
-Cells go where the partitioner sends them. A node belongs to the lowest rank that has a cell with it, a joint to the rank of
-its bottom cell, a flow node to the lowest rank that has a joint with it. PETSc numbers are contiguous on each rank and
-within a rank follow the original numbers.
+Cells go where the partitioner sends them. A node belongs to the lowest rank that has a cell with it, and a joint to the
+rank of its bottom cell. A flow node belongs to the lowest rank that has a joint with it. PETSc numbers are contiguous
+on each rank and within a rank follow the original numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
     """Symmetric graph of cells (m, m): weight 1 for two cells that share a facet, JOINT_WEIGHT across a joint."""
     count, dim = len(mesh.cells), mesh.points.shape[1]
     half = half_facets(mesh.cells, dim)
-    one, other = half.cell[match(half, np.zeros((0, dim), dtype=np.int64)).inside].T
+    one, other = half.cell[match(half, np.zeros((0, half.nodes.shape[1]), dtype=np.int64)).inside].T
     below, above = mesh.joint_cells.T
     row = np.concatenate([one, other, below, above])
     col = np.concatenate([other, one, above, below])
@@ -38,42 +37,29 @@ def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
     return graph
 
 
-def partition_cells(mesh: SplitMesh | None, comm: MPI.Comm) -> Ints | None:
-    """Rank of each cell, on rank 0 (the mesh lives there); None elsewhere. Collective."""
-    if comm.size == 1:
-        assert mesh is not None
+def partition_cells(mesh: SplitMesh, ranks: int) -> Ints:
+    """Rank (m,) of each cell, the same whenever it is asked: by one rank, for partitioners differ from run to run on more."""
+    if ranks == 1:
         return np.zeros(len(mesh.cells), dtype=np.int64)
-    chunks: Any = None
-    if mesh is not None:
-        graph = cell_graph(mesh)
-        cuts = np.linspace(0, graph.shape[0], comm.size + 1).astype(int)
-        chunks = [
-            (
-                graph.shape[0],
-                graph.indptr[a : b + 1] - graph.indptr[a],
-                graph.indices[graph.indptr[a] : graph.indptr[b]],
-                graph.data[graph.indptr[a] : graph.indptr[b]],
-            )
-            for a, b in pairwise(cuts)
-        ]
-    total, indptr, indices, weights = comm.scatter(chunks, root=0)
-    local = len(indptr) - 1
-    csr = (indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), weights)
-    adjacency = PETSc.Mat().createAIJ(((local, total), (local, total)), csr=csr, comm=comm)
+    graph = cell_graph(mesh)
+    csr = (graph.indptr.astype(PETSc.IntType), graph.indices.astype(PETSc.IntType), graph.data)
+    adjacency = PETSc.Mat().createAIJ(graph.shape, csr=csr, comm=PETSc.COMM_SELF)
     adjacency.convert("mpiadj")
+    given = {"mat_partitioning_use_edge_weights": None, "mat_partitioning_nparts": ranks}
     options = PETSc.Options()
-    options["mat_partitioning_use_edge_weights"] = None
-    partitioner = PETSc.MatPartitioning().create(comm)
+    for name, value in given.items():
+        options[name] = value
+    partitioner, result = PETSc.MatPartitioning().create(PETSc.COMM_SELF), PETSc.IS().create(PETSc.COMM_SELF)
     partitioner.setAdjacency(adjacency)
     partitioner.setType("ptscotch")
     partitioner.setFromOptions()
-    result = PETSc.IS().create(comm)
     partitioner.apply(result)
-    parts = comm.gather(result.getIndices().astype(np.int64), root=0)
-    options.delValue("mat_partitioning_use_edge_weights")
+    found: Ints = result.getIndices().astype(np.int64)
+    for name in given:
+        options.delValue(name)
     for thing in (result, partitioner, adjacency):
         thing.destroy()
-    return None if parts is None else np.concatenate(parts)
+    return found
 
 
 def distribute(
@@ -88,18 +74,16 @@ def distribute(
     ties       (m, 2) pairs of node * dim + component that move alike, on rank 0; none of a rigid rock
     cell_rank  (m,) where the cells go, on rank 0; else the partitioner says
     """
-    if not comm.bcast(cell_rank is not None, root=0):
-        cell_rank = partition_cells(mesh, comm)
     pieces: Any = None
     if mesh is not None:
-        assert cell_rank is not None
+        cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank
         pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks, np.zeros((0, 2), np.int64) if ties is None else ties)
     solid, joints, flow, sizes = comm.scatter(pieces, root=0)
     return Blocks(comm, SolidBlock(**solid), JointBlock(**joints), FlowBlock(**flow), Sizes(**sizes))
 
 
 def rigid_bodies(mesh: SplitMesh, rigid_rocks: Collection[str]) -> tuple[Ints, Ints]:
-    """Body of each node (-1 for none) and rock of each body: connected pieces of rigid rock."""
+    """Body (nodes,) of each node, -1 for none, and rock (bodies,) of each body: connected pieces of rigid rock."""
     is_rigid = np.isin(mesh.cell_rock, [i for i, rock in enumerate(mesh.rocks) if rock in rigid_rocks])
     body = np.full(len(mesh.points), -1, dtype=np.int64)
     cells = mesh.cells[is_rigid]
@@ -156,7 +140,9 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
     node_owner = _lowest_rank(cell_rank[cell], mesh.cells[cell, corner], len(mesh.points), size)
     node_global, node_starts = _renumber(node_owner, size)
     joint_rank = cell_rank[mesh.joint_cells[:, 0]]
-    flow_owner = _lowest_rank(np.repeat(joint_rank, dim), mesh.joint_flow.ravel(), len(mesh.flow_origin), size)
+    flow_owner = _lowest_rank(
+        np.repeat(joint_rank, mesh.joint_flow.shape[1]), mesh.joint_flow.ravel(), len(mesh.flow_origin), size
+    )
     flow_global, flow_starts = _renumber(flow_owner, size)
 
     body, body_rock = rigid_bodies(mesh, rigid_rocks)

@@ -1,4 +1,4 @@
-"""Facets of cells: the edges of triangles and quads."""
+"""Facets of cells: edges of triangles and quads, triangles of tetrahedra, quadrilaterals of hexahedra."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
 
-# (dim, corners of a cell) -> corners of its facets, so listed that the facet's normal, s turned left, points
-# into the cell. Another cell, as a tetrahedron, is another row.
+# (dim, corners of a cell) -> corners of its facets. In their order the normal of a facet (s turned left; of a surface, by the
+# right hand) points into the cell. A mesh in space has one kind of cell, so that all its facets have as many nodes.
 FACETS = {
     (2, 3): np.array([[0, 1], [1, 2], [2, 0]]),
     (2, 4): np.array([[0, 1], [1, 2], [2, 3], [3, 0]]),
+    (3, 4): np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]),
+    (3, 8): np.array([[0, 1, 2, 3], [4, 7, 6, 5], [0, 4, 5, 1], [1, 5, 6, 2], [2, 6, 7, 3], [3, 7, 4, 0]]),
 }
 LARGEST_KEY = 2**62
 
@@ -23,9 +26,9 @@ LARGEST_KEY = 2**62
 class HalfFacets:
     """Facets as their cells see them: a facet inside the mesh appears twice.
 
-    nodes   (q, dim)  with the cell on the left
-    cell    (q,)      row of the cell
-    corner  (q, dim)  corner of the cell at each node
+    nodes   (q, k)  with the cell on the left, on the side of the normal
+    cell    (q,)    row of the cell
+    corner  (q, k)  corner of the cell at each node
     """
 
     nodes: Ints
@@ -57,18 +60,23 @@ def corner_counts(cells: Ints) -> Ints:
 
 
 def half_facets(cells: Ints, dim: int) -> HalfFacets:
-    """All facets of all cells, in the order of the cells of each shape."""
+    """All facets (f, k) of all cells (m, n), in the order of the cells of each shape.
+
+    Raises InputError for a mesh in space of more than one kind of cell.
+    """
     counts = corner_counts(cells)
     nodes, owners, corners = [], [], []
     for (cell_dim, size), table in FACETS.items():
         rows = np.flatnonzero(counts == size)
         if cell_dim == dim and len(rows):
-            nodes.append(cells[rows][:, table].reshape(-1, dim))
+            nodes.append(cells[rows][:, table].reshape(-1, table.shape[1]))
             owners.append(np.repeat(rows, len(table)))
             corners.append(np.tile(table, (len(rows), 1)))
     if not nodes:
-        empty = np.zeros((0, dim), dtype=np.int64)
+        empty = np.zeros((0, 2 if dim == 2 else 3 if cells.shape[1] == 4 else 4), dtype=np.int64)
         return HalfFacets(empty, np.zeros(0, dtype=np.int64), empty)
+    if len({each.shape[1] for each in nodes}) > 1:
+        raise InputError("mesh: tetrahedra and hexahedra in one mesh: mesh it with one of them")
     return HalfFacets(np.concatenate(nodes), np.concatenate(owners), np.concatenate(corners))
 
 
@@ -85,13 +93,13 @@ def number_rows(rows: Ints) -> Ints:
 
 
 def number_facets(*tables: Ints) -> list[Ints]:
-    """Give facets (., dim) with the same nodes the same number, over all tables."""
+    """Give facets (f, k) with the same nodes the same number, over all tables."""
     number = number_rows(np.sort(np.concatenate(tables), axis=1))
     return np.split(number, np.cumsum([len(table) for table in tables])[:-1])
 
 
 def match(half: HalfFacets, facets: Ints) -> Matches:
-    """Find the wanted ``facets`` (f, dim) among the half facets."""
+    """Find the wanted ``facets`` (f, k) among the half facets."""
     number, wanted = number_facets(half.nodes, facets)
     total = 1 + max(number.max(initial=-1), wanted.max(initial=-1))
     count = np.bincount(number, minlength=total)
@@ -108,21 +116,26 @@ def match(half: HalfFacets, facets: Ints) -> Matches:
 
 
 def count_cells_at(cells: Ints, facets: Ints) -> Ints:
-    """Cells that have each of ``facets`` (f, dim): 2 inside the mesh, 1 on its boundary, 0 elsewhere."""
-    return match(half_facets(near(cells, facets), facets.shape[1]), facets).count
+    """Cells that have each of ``facets`` (f, k): 2 inside the mesh, 1 on its boundary, 0 elsewhere."""
+    return match(half_facets(near(cells, facets), min(facets.shape[1], 3)), facets).count
 
 
 def near(cells: Ints, facets: Ints) -> Ints:
-    """Cells with at least one whole facet's worth of nodes among those of ``facets``."""
+    """Those of cells (m, k) with at least as many nodes among those of ``facets`` (f, dim) as a facet has."""
     return cells[rows_near(cells, facets, facets.shape[1])]
 
 
 def rows_near(cells: Ints, facets: Ints, least: int) -> Ints:
-    """Rows of the cells with at least ``least`` nodes among those of ``facets``."""
+    """Rows (n,) of cells (m, k) with at least ``least`` nodes among those of ``facets`` (f, dim)."""
     is_on = np.zeros(1 + max(cells.max(initial=-1), facets.max(initial=-1)), dtype=bool)
     is_on[facets] = True
     # Padding looks up the last node; the second factor takes it out again.
     return np.flatnonzero(np.sum(is_on[cells] & (cells >= 0), axis=1) >= least) if len(cells) else np.zeros(0, np.int64)
+
+
+def ridges(facets: Ints) -> Ints:
+    """Boundaries of facets (f, k), where they meet: the ends (f, 2, 1) of lines, the edges (f, k, 2) of surfaces."""
+    return facets[..., None] if facets.shape[1] == 2 else np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
 
 
 def components(first: Ints, second: Ints, total: int) -> Ints:
@@ -132,5 +145,5 @@ def components(first: Ints, second: Ints, total: int) -> Ints:
 
 
 def spot(points: Floats, nodes: Ints) -> str:
-    """Coordinates of the middle of ``nodes``, for messages."""
+    """Coordinates of the middle of ``nodes`` (k,), for messages; points (n, dim)."""
     return "(" + ", ".join(f"{value:.6g}" for value in points[nodes].mean(axis=0)) + ")"

@@ -54,7 +54,7 @@ def interpret(elements: Elements, fractures: Collection[str], what: str) -> RawM
         cells=number[cells],
         cell_rock=cell_rock,
         rocks=rocks,
-        fracture_facets=orient(fracture_facets, fracture_of),
+        fracture_facets=facet_order(fracture_facets, fracture_of),
         fracture_of=fracture_of,
         fractures=names,
         side_facets=side_facets,
@@ -171,7 +171,7 @@ def _named_points(elements: Elements, nodes: Ints, group: Ints, what: str) -> di
     return found
 
 
-def orient(facets: Ints, fracture_of: Ints) -> Ints:
+def facet_order(facets: Ints, fracture_of: Ints) -> Ints:
     """Turn facets (f, 2) so that each chain of a fracture (f,) runs head to tail.
 
     The lowest-numbered facet of a chain keeps its direction. A node where more than two facets of one

@@ -12,7 +12,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.facets import components
 
-ROUND_OFF = 1e-6  # of the mesh's extent
+PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
 At = Sequence[float] | str | tuple[str, str]
 """Coordinates, the name of a point, or (fracture, "start" | "end")."""
 
@@ -119,7 +119,7 @@ def _covering(points: Floats, cells: Ints, point: Floats) -> int | None:
     sides = np.roll(corners, -1, axis=1) - corners
     away = point - corners
     turn = sides[..., 0] * away[..., 1] - sides[..., 1] * away[..., 0]
-    inside = np.all(turn >= -ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1)
+    inside = np.all(turn >= -PLACE_ROUND_OFF * np.ptp(points, axis=0).max() * np.linalg.norm(sides, axis=2), axis=1)
     found = np.flatnonzero(inside)
     return int(found[np.argmax(turn[found].min(axis=1))]) if len(found) else None
 
@@ -135,7 +135,7 @@ def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> Rock
     nodes = np.unique(mesh.cells[chosen])
     nodes = nodes[nodes >= 0]
     away = np.linalg.norm(mesh.points[nodes] - point, axis=1)
-    if away.min() <= ROUND_OFF * np.ptp(mesh.points, axis=0).max():
+    if away.min() <= PLACE_ROUND_OFF * np.ptp(mesh.points, axis=0).max():
         return _at_node(mesh, int(nodes[np.argmin(away)]), chosen)
     return _in_cell(mesh, int(np.flatnonzero(chosen)[cell]), point)
 
@@ -164,7 +164,7 @@ def _distance_to_fractures(mesh: SplitMesh, point: Floats) -> float:
 
 
 def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> FracturePlace | RockPlace:
-    """A probe sits on a fracture if ``on`` names one, or if it lies on one; else in the rock."""
+    """A probe sits on a fracture if ``on`` names one, or if it lies on one; else in the rock. Raises InputError."""
     if on is not None and on in mesh.fractures:
         return on_fracture(mesh, at, what, on)
     if on is not None and on not in mesh.rocks:

@@ -16,12 +16,12 @@ from fracflow.mesh.files.geo_check import check_geo
 from fracflow.mesh.files.gmsh import open_checked, open_in_gmsh, open_msh, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
-from fracflow.mesh.near import NearMiss, near_misses, told
-from fracflow.mesh.quads import all_quads
-from fracflow.mesh.quality import cell_areas
-from fracflow.mesh.sizes import Source, sources
-from fracflow.mesh.snap import STRETCH, natural_snap
-from fracflow.mesh.traces import Network, Trace, polygon_area, tidy
+from fracflow.mesh.plane.near import NearMiss, near_misses, told
+from fracflow.mesh.plane.quads import all_quads
+from fracflow.mesh.plane.quality import cell_areas
+from fracflow.mesh.plane.sizes import Source, sources
+from fracflow.mesh.plane.snap import STRETCH, natural_snap
+from fracflow.mesh.plane.traces import Trace, TraceNetwork, polygon_area, tidy
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh")
@@ -30,7 +30,7 @@ SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
 MOST_CELLS = 1e8
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
-SMALL = 0.25  # of the size at fractures: smaller cells are told
+SMALL = 0.25  # of the size at fractures: smaller cells are reported
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,15 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
     """Read a Gmsh geometry (.geo) or mesh (.msh 2.2 or 4.1).
 
     A physical curve is a fracture if ``fractures`` has its name, or has "default" and the curve lies inside
-    the mesh; else it is a side. A .geo is a program: without ``trust`` only statements that make geometry are read
-    (``geo_check``), and files that it includes must lie in ``folder``, or in its own where it lies elsewhere.
-    Raises InputError, naming the file, for what cannot be read or has no meaning.
+    the mesh; else it is a side. A .geo is a program. Without ``trust`` only statements that make geometry are read
+    (``geo_check``). Files that it includes must lie in ``folder``, or in its own where it lies elsewhere. Raises InputError,
+    naming the file, for what cannot be read or has no meaning.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise InputError(f'{path}: unknown kind of file "{path.suffix}"; give a Gmsh .geo or .msh')
     check_regular(path, "mesh.file names it from the scene's folder", LARGEST)
+    notes: tuple[str, ...] = ()
     if path.suffix == ".msh":
         elements = open_msh(path)
     else:
@@ -79,8 +80,13 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
             # Gmsh says nothing and leaves the line out.
             raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
         is_inside = folder is not None and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
-        elements = open_in_gmsh(path) if trust else open_checked(path, check_geo(path, folder if is_inside else None))
-    return interpret(elements, fractures, str(path))
+        if trust:
+            elements = open_in_gmsh(path)
+        else:
+            checked = check_geo(path, folder if is_inside else None)
+            elements, notes = open_checked(path, checked), checked.notes
+    raw = interpret(elements, fractures, str(path))
+    return replace(raw, notes=(*raw.notes, *notes))
 
 
 def build_mesh(geometry: GeometrySpec) -> RawMesh:
@@ -121,7 +127,7 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     return replace(raw, notes=(*network.notes, *told(misses), *_told_small(between, misses, fine)))
 
 
-def network_of(geometry: GeometrySpec) -> tuple[Network, float, list[NearMiss]]:
+def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMiss]]:
     """The network of a geometry, its snap [length], and what all but meets in it; none of them depends on mesh sizes.
 
     Raises InputError for traces that cannot be made fit (``traces.tidy``).

@@ -13,20 +13,32 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from fracflow.elements.facet import frame
 from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints, RawMesh, SplitMesh
-from fracflow.mesh.facets import HalfFacets, Matches, components, half_facets, match, number_facets, rows_near, spot
-from fracflow.mesh.quality import worst_cells
+from fracflow.mesh.facets import (
+    HalfFacets,
+    Matches,
+    components,
+    half_facets,
+    match,
+    number_facets,
+    ridges,
+    rows_near,
+    spot,
+)
+from fracflow.mesh.plane.quality import worst_cells
 
 
 def arc_length(points: Floats, facets: Ints, fracture_of: Ints) -> Floats:
     """Distance (f, 2) of both ends of each facet from the start of its fracture, along the trace [length].
 
     points (n, dim); facets (f, 2), each head to tail in the direction of its trace; fracture_of (f,). A fracture in
-    several pieces starts anew on each; a closed loop starts at the tail of its first facet.
+    several pieces starts anew on each; a closed loop starts at the tail of its first facet. Surfaces (f, 3) and (f, 4) have
+    no such distance: 0.
     """
-    if not len(facets):
-        return np.zeros((0, 2))
+    if not len(facets) or facets.shape[1] > 2:
+        return np.zeros(facets.shape)
     key = fracture_of[:, None] * (facets.max() + 1) + facets
     vertex, place = np.unique(key, return_inverse=True)
     tail, head = place.reshape(facets.shape).T
@@ -47,11 +59,11 @@ def arc_length(points: Floats, facets: Ints, fracture_of: Ints) -> Floats:
 def split(raw: RawMesh) -> SplitMesh:
     """Give a fracture node one copy for each piece of rock around it, and a fracture facet two faces.
 
-    A corner (cell, node) on a fracture is joined to that of the neighbour across each facet that is not on a
-    fracture; the connected components are the copies. The first copy, that of the lowest cell, keeps the
-    node's number. A tip has one copy: its section has no jump. The top of a joint is on the cell left of its
-    facet, the bottom on that right of it. Raises InputError, naming fracture and place, for facets that
-    have no cell on one side or are not in the mesh.
+    A corner (cell, node) on a fracture is joined to that of the neighbour across each facet that is not on a fracture.
+    The connected components are the copies. The first copy, that of the lowest cell, keeps the node's number. A tip has
+    one copy: its section has no jump. The top of a joint is on the cell left of its facet, that to which the normal of
+    a surface points, the bottom on the other. Raises InputError, naming fracture and place, for facets that have no
+    cell on one side or are not in the mesh.
     """
     dim = raw.points.shape[1]
     facets = raw.fracture_facets
@@ -88,10 +100,11 @@ def split(raw: RawMesh) -> SplitMesh:
 
 
 def summary(mesh: SplitMesh) -> dict[str, Any]:
-    """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; angles of cells; fracture lengths."""
-    meeting = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))
-    edge = mesh.points[mesh.joint_bottom[:, -1]] - mesh.points[mesh.joint_bottom[:, 0]]
-    length = np.bincount(mesh.joint_fracture, np.linalg.norm(edge, axis=1), len(mesh.fractures))
+    """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; fracture lengths, or areas in space.
+
+    In the plane angles of cells too. In space junctions and tips are edges of facets.
+    """
+    length = np.bincount(mesh.joint_fracture, frame(mesh.points[mesh.joint_bottom])[1], len(mesh.fractures))
     cell, corner = np.nonzero(mesh.cells >= 0)
     nodes = mesh.cells[cell, corner]
     piece = components(mesh.cells[cell, 0], nodes, len(mesh.points))
@@ -100,19 +113,26 @@ def summary(mesh: SplitMesh) -> dict[str, Any]:
         "nodes": len(mesh.points),
         "copies": int(np.sum(mesh.origin != np.arange(len(mesh.origin)))),
         "joints": len(mesh.joint_flow),
-        "junctions": int(np.sum(meeting > 2)),
+        "junctions": int(np.sum(np.bincount(_meeting(mesh)) > 2)),
         "tips": tip_count(mesh),
         "blocks": len(np.unique(piece[nodes])),
-        **worst_cells(mesh.points, mesh.cells),
+        **(worst_cells(mesh.points, mesh.cells) if mesh.points.shape[1] == 2 else {}),
         "lengths": {name: float(value) for name, value in zip(mesh.fractures, length, strict=True)},
     }
 
 
 def tip_count(mesh: SplitMesh) -> int:
     """The number of ends of fractures inside the rock, where their sides meet."""
-    meeting = np.bincount(mesh.joint_flow.ravel(), minlength=len(mesh.flow_origin))
-    closed = mesh.joint_flow[mesh.joint_bottom == mesh.joint_top]
-    return int(np.sum(meeting[closed] == 1))
+    number = _meeting(mesh)
+    closed = ridges(mesh.joint_bottom == mesh.joint_top).all(axis=2).ravel()
+    return int(np.sum(np.bincount(number)[number[closed]] == 1))
+
+
+def _meeting(mesh: SplitMesh) -> Ints:
+    """A number for each end (2 f,) of the joints, or each edge (k f,), the same for those that lie in one place."""
+    each = ridges(mesh.joint_flow)
+    (number,) = number_facets(each.reshape(-1, each.shape[2]))
+    return number
 
 
 def _copy_nodes(raw: RawMesh, rows: Ints, half: HalfFacets, inside: Ints) -> tuple[Ints, Ints]:
@@ -146,7 +166,7 @@ def _copy_nodes(raw: RawMesh, rows: Ints, half: HalfFacets, inside: Ints) -> tup
 
 
 def _places(half: HalfFacets, chosen: Ints, facets: Ints) -> Ints:
-    """Place of each facet's nodes within the chosen half facets (f, dim)."""
+    """Place of each facet's nodes within the chosen half facets (f, k)."""
     return np.argmax(half.nodes[chosen][:, None, :] == facets[:, :, None], axis=2)
 
 
@@ -159,10 +179,7 @@ def _nodes_facing(cells: Ints, half: HalfFacets, chosen: Ints, facets: Ints) -> 
 def _below_and_above(raw: RawMesh, half: HalfFacets, matches: Matches) -> tuple[Ints, Ints]:
     """The half facets of the cells on the right and on the left of each fracture facet."""
     facets = raw.fracture_facets
-    identity = np.eye(facets.shape[1])
-    # A permutation is even, and the cell on the left, where its matrix has determinant one.
-    left = np.linalg.det(identity[_places(half, matches.first, facets)]) > 0
-    other = np.linalg.det(identity[_places(half, matches.second, facets)]) > 0
+    left, other = (_runs_alike(_places(half, chosen, facets)) for chosen in (matches.first, matches.second))
     if np.any(left == other):
         worst = facets[np.argmax(left == other)]
         raise InputError(
@@ -171,9 +188,15 @@ def _below_and_above(raw: RawMesh, half: HalfFacets, matches: Matches) -> tuple[
     return np.where(left, matches.second, matches.first), np.where(left, matches.first, matches.second)
 
 
+def _runs_alike(places: Ints) -> Bools:
+    """Whether facets run as the half facets in which their nodes have these places (f, k)."""
+    step = places[:, 1] - places[:, 0]
+    return step == 1 if places.shape[1] == 2 else step % places.shape[1] == 1
+
+
 def _sides(raw: RawMesh, cells: Ints) -> tuple[Ints, Ints]:
     """New nodes of the named boundary facets, cell on the left, and their cells."""
-    rows = rows_near(raw.cells, raw.side_facets, raw.points.shape[1])
+    rows = rows_near(raw.cells, raw.side_facets, raw.side_facets.shape[1])
     half = half_facets(raw.cells[rows], raw.points.shape[1])
     matches = match(half, raw.side_facets)
     for is_bad, what in (
@@ -233,7 +256,7 @@ def parts(mesh: SplitMesh, ties: Ints) -> Ints:
     return components(first, second, len(mesh.points))
 
 
-def glued(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
+def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
     """The mesh as if there were none of the fractures chosen (f,), which share no node with the others.
 
     Cells keep their numbers, and nodes those of the raw mesh; copies, joints, flow nodes and fractures are numbered anew.

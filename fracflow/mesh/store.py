@@ -65,19 +65,20 @@ def _check(mesh: SplitMesh) -> None:
     cells, joints, flows, facets = (
         len(np.atleast_1d(each)) for each in (mesh.cells, mesh.joint_bottom, mesh.flow_origin, mesh.side_facets)
     )
+    width = 2 if dim == 2 or np.ndim(mesh.joint_bottom) != 2 else max(3, min(mesh.joint_bottom.shape[1], 4))
     columns = mesh.cells.shape[1] if np.ndim(mesh.cells) == 2 else 0
     shapes: dict[str, tuple[tuple[int, ...], int]] = {  # shape, and what each number is below
         "origin": ((nodes,), nodes),
         "cells": ((cells, columns), nodes),
         "cell_rock": ((cells,), len(mesh.rocks)),
-        "joint_bottom": ((joints, dim), nodes),
-        "joint_top": ((joints, dim), nodes),
+        "joint_bottom": ((joints, width), nodes),
+        "joint_top": ((joints, width), nodes),
         "joint_cells": ((joints, 2), cells),
-        "joint_flow": ((joints, dim), flows),
+        "joint_flow": ((joints, width), flows),
         "joint_fracture": ((joints,), len(mesh.fractures)),
-        "joint_along": ((joints, dim), 0),
+        "joint_along": ((joints, width), 0),
         "flow_origin": ((flows,), nodes),
-        "side_facets": ((facets, dim), nodes),
+        "side_facets": ((facets, width), nodes),
         "side_cell": ((facets,), cells),
         "side_of": ((facets,), len(mesh.sides)),
     }

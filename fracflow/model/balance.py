@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from fracflow._petsc import PETSc
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
@@ -14,28 +16,25 @@ def static_balance(
     traction: Floats,
     pressure: PETSc.Vec,
     load: PETSc.Vec,
-    absorbed: PETSc.Vec | None = None,
-    damped: PETSc.Vec | None = None,
+    of_terms: Iterable[PETSc.Vec] = (),
 ) -> PETSc.Vec:
-    """S = K_s u + F_s(sigma_0) + G' W f - B p + what sides absorb and faults damp - R, in a new vector. Collective."""
+    """S = K u + F_s(sigma_0) + G' W f - B p + forces of terms - R, tractions f (s, dim), in a new vector. Collective."""
     result = ops.prestress.copy()
     ops.stiffness.multAdd(displacement, result, result)
     ops.joints.force(traction, result)
     if ops.flow is not None:
         term = result.duplicate()
-        ops.flow.push.mult(pressure, term)
+        ops.flow.pressure_load.mult(pressure, term)
         result.axpy(-1.0, term)
         term.destroy()
-    if absorbed is not None:
-        result.axpy(1.0, absorbed)
-    if damped is not None:
-        result.axpy(1.0, damped)
+    for force in of_terms:
+        result.axpy(1.0, force)
     result.axpy(-1.0, load)
     return result
 
 
 def static_balance_of(ops: Operators, state: State) -> PETSc.Vec:
-    """The same at a state. It is made from what the state has anyway, so a run that goes on makes it again bit by bit."""
+    """The same at a state. It follows from the state alone, so a restarted run computes the same bits."""
     forces = state.forces
     return static_balance(
         ops,
@@ -43,6 +42,5 @@ def static_balance_of(ops: Operators, state: State) -> PETSc.Vec:
         state.sections.traction,
         state.pressure,
         forces.load,
-        forces.absorbed,
-        forces.damped,
+        forces.of_terms.values(),
     )

@@ -1,4 +1,4 @@
-"""What changes in the fractures from state to state: the fluid that compression takes up, and the way that is left for it."""
+"""Changes in the fractures from state to state: fluid taken up by compression or leaving by terms, and apertures."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from numpy.typing import NDArray
 from fracflow._petsc import MPI, PETSc
 from fracflow.integrators import Alphas, first_rate
 from fracflow.mesh.data import Floats
+from fracflow.model.energy_motion import Scheme
 from fracflow.model.flow import Compression, Conduction
+from fracflow.model.loads import Loads
 from fracflow.model.network_parts import Closure
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
+from fracflow.model.terms.term import Term
 
 
 def compression_of(operators: Operators, state: State) -> Compression | None:
-    """What a compressible fluid holds at a state; None of one that is not. Collective."""
+    """Fluid beyond the room between the walls at a state; None of an incompressible fluid. Collective."""
     network = operators.flow
     if network is None or network.compressibility == 0.0:
         return None
@@ -24,8 +27,17 @@ def compression_of(operators: Operators, state: State) -> Compression | None:
     return network.compress(aperture, network.driving(state.pressure))
 
 
+def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
+    """Rates at which fluid leaves by a term at the flow nodes, in a new vector [volume rate per thickness]. Collective."""
+    network, result = operators.flow, operators.layout.flow_vector()
+    assert network is not None
+    aperture = network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
+    network.taken_up(term.leaving(network.at_ends(state.pressure), aperture).rate, result)
+    return result
+
+
 def taken_up(operators: Operators, before: Compression, after: Compression) -> PETSc.Vec:
-    """What the fluid has taken up in between at the flow nodes, in a new vector [volume per thickness]. Collective."""
+    """Volumes taken up by compression between two instants at the flow nodes, new [volume per thickness]. Collective."""
     assert operators.flow is not None
     result = operators.layout.flow_vector()
     operators.flow.taken_up(after.held - before.held, result)
@@ -40,14 +52,14 @@ def taken_between(operators: Operators, old: State, new: State) -> PETSc.Vec:
 
 
 def narrowing(operators: Operators, old: State, new: State) -> float:
-    """Least share that is left of an aperture which the flow goes by; 1 or more where none narrows. Collective."""
+    """Least ratio of new to old aperture of conducting elements; 1 or more where none narrows. Collective."""
     if operators.flow is None:
         return 1.0
     return float(operators.layout.comm.allreduce(float(_left(operators, old, new).min(initial=1.0)), op=MPI.MIN))
 
 
 def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
-    """Largest factor by which an aperture that the flow goes by has grown, at least 1, and where that is. Collective."""
+    """Largest factor by which the aperture of a conducting element has grown, at least 1, and its place. Collective."""
     if operators.flow is None:
         return 1.0, ""
     joints, found = operators.blocks.joints, (1.0, "")
@@ -60,7 +72,7 @@ def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
 
 
 def _left(operators: Operators, old: State, new: State) -> NDArray[np.float64]:
-    """Share that is left of each aperture (j, 2) by which the flow goes; 1 where it is given. Collective."""
+    """Ratio of new to old aperture (j, 2) of conducting elements; 1 where conductances are given. Collective."""
     network = operators.flow
     assert network is not None
     before, after = (
@@ -80,7 +92,9 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
     """Rates (n,) of what was ``taken`` (n,) since ``state``, by the rule of the walls; None in a step without storage."""
     if alphas.b1 == alphas.b4 == 0.0:
         return None
-    old, mean = (0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.memory.uptake))
+    old, mean = (
+        0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.previous_step.uptake)
+    )
     rate: Floats = first_rate(alphas, taken, 0.0, old, mean)
     return rate
 
@@ -88,7 +102,7 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
 def uptake_at(
     operators: Operators, state: State, alphas: Alphas, before: Compression | None, after: Compression | None
 ) -> Floats | None:
-    """The same of what compression has taken up since ``state``; None of a fluid that is incompressible. Collective."""
+    """The same (n,) of the fluid that compression has taken up since ``state``; None if incompressible. Collective."""
     if before is None or after is None:
         return None
     taken = taken_up(operators, before, after)
@@ -98,7 +112,7 @@ def uptake_at(
 
 
 def taken_by(operators: Operators, closure: Closure, before: Compression | None, after: Compression | None) -> float:
-    """Fluid that compression has taken up in a part that must keep it [volume per thickness]. Collective."""
+    """Fluid that compression has taken up in a component that must keep it [volume per thickness]. Collective."""
     if closure.by != "fluid" or before is None or after is None:
         return 0.0
     inside = np.isin(operators.blocks.joints.flow, closure.nodes)
@@ -113,7 +127,7 @@ def lost(
     before: Compression | None,
     after: Compression | None,
 ) -> float:
-    """What a part has lost of what it must keep, over its natural size: its fluid, or its level. Collective."""
+    """Fluid or level that a closed component has lost, over its natural size; pressure_change (n,). Collective."""
     if closure.by != "level":
         taken = taken_by(operators, closure, before, after)
         return float((closure.weights.dot(moved) + taken) / closure.size)
@@ -123,7 +137,7 @@ def lost(
 
 
 def why_not_finite(operators: Operators, conduction: Conduction | None) -> str:
-    """What has no finite value at a trial: the density of the fluid in a fracture that is named, or tractions. Collective."""
+    """The term without a finite value at a trial: density of the fluid in a fracture, named, or tractions. Collective."""
     comm, block, network = operators.layout.comm, operators.blocks.joints, operators.flow
     pressed = ("", 0.0)
     if network is not None and conduction is not None and len(conduction.pressure):
@@ -137,3 +151,59 @@ def why_not_finite(operators: Operators, conduction: Conduction | None) -> str:
         f"fluid in {name} would come under {pressure:.3g}, {compressibility * pressure:.3g}/compressibility, which must be at"
         f" most {DENSEST:g}: give it a way out, such as a wider minimum_hydraulic_aperture, or pump and close it less"
     )
+
+
+def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, scheme: Scheme, depth: float) -> float:
+    """Net volume that wells bring in a step of length ``dt`` into fractures of a ``depth`` [length^3]. Collective.
+
+    Fractures end closed, so that it is what the network stores, and what leaves by terms; a steady stage stores nothing.
+    Where fractures have prescribed pressures, wells are counted one by one. Given rates count by their integral. At a kept
+    pressure (3.20) is integrated over the step, with outflow at the instants where the balance holds.
+    """
+    if ops.flow is None or dt <= 0.0:
+        return 0.0
+    if all(part.well for part in loads.pressures):
+        lost = sum(leaked(ops, old, new, dt, scheme, depth).values())
+        return (stored(ops, old, new, depth) if scheme.storage else 0.0) + lost
+    given = loads.integral(old.time, new.time, new.controls)
+    kept = [part for part in loads.pressures if part.well]
+    instants = (new,) if scheme.balance == "end" else (old, new)
+    volume = sum(dt / len(instants) * state.forces.conduction.getArray(readonly=True) for state in instants)
+    if scheme.storage:
+        volume = volume + _room(ops, old, new)
+    here = sum(float(np.sum(volume[part.numbers])) for part in kept)
+    return given + depth * float(ops.layout.comm.allreduce(here, op=MPI.SUM))
+
+
+def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, depth: float) -> dict[str, float]:
+    """Volume that leaves fractures of a ``depth`` by each term in a step of length ``dt`` [length^3]. Collective."""
+    found = {}
+    instants = (new,) if scheme.balance == "end" else (old, new)
+    for term in ops.flow.terms if ops.flow is not None else ():
+        rates = [rate_by(ops, term, state) for state in instants]
+        found[term.name] = depth * dt / len(instants) * sum(float(rate.sum()) for rate in rates)
+        for rate in rates:
+            rate.destroy()
+    return found
+
+
+def stored(ops: Operators, old: State, new: State, depth: float) -> float:
+    """Volume of fluid that fractures of a ``depth`` take up between two states [length^3]. Collective."""
+    return depth * float(ops.layout.comm.allreduce(float(np.sum(_room(ops, old, new))), op=MPI.SUM))
+
+
+def _room(ops: Operators, old: State, new: State) -> Floats:
+    """Volumes that walls and compression take up between two states, at this rank's flow nodes (n,) [volume per thickness]."""
+    assert ops.flow is not None
+    room, moved = new.pressure.duplicate(), new.motion.displacement.duplicate()
+    after, before = (state.motion.displacement.getArray(readonly=True) for state in (new, old))
+    moved.setArray(after - before)
+    ops.flow.storage_coupling.multTranspose(moved, room)
+    if new.uptake is not None:
+        taken = taken_between(ops, old, new)
+        room.axpy(1.0, taken)
+        taken.destroy()
+    result: Floats = room.getArray().copy()
+    room.destroy()
+    moved.destroy()
+    return result

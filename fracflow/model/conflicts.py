@@ -20,7 +20,7 @@ APART = 1e-12  # of the largest motion there: less is round-off of its tables
 def meeting_supports(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints]) -> Iterator[str]:
     """A line for each two supports that move a node in two ways, of which the first holds. Rigid rocks are left out.
 
-    points  split nodes of the named points
+    points  split nodes (n,) of each named point
     """
     nodes = [np.unique(np.concatenate([_nodes(scene, mesh, points, name) for name in s.on])) for s in scene.support]
     for one, other in combinations(range(len(scene.support)), 2):

@@ -13,9 +13,9 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import solid
 from fracflow.laws import JOINT_LAWS
+from fracflow.mesh.contact_nodes import ContactNodes, averaged, balanced, contact_nodes_of, tied_whole
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import pieces_of_rock
-from fracflow.mesh.walls import Walls, averaged, balanced, tied_whole, walls_of
 from fracflow.model.joints import Joints, Massless
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.loads import Loads
@@ -31,7 +31,7 @@ def redistributes(scene: Scene) -> bool:
 
 
 def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | None) -> Operators:
-    """The operators with the mass of the walls moved inward, which takes the place of the one there was; or as they were.
+    """The operators with the mass of the walls moved inward, in place of the previous mass; or unchanged.
 
     ``mesh`` is on rank 0. Collective.
     """
@@ -76,7 +76,7 @@ def massless(joints: Joints, inward: PETSc.Mat) -> Massless:
 def follow(ops: Operators, motion: PETSc.Vec) -> None:
     """Let the walls' velocity or acceleration along their normal be that of their mass. In place. Collective.
 
-    Without mass the rule of stepping leaves them what the first instant gave them, from step to step with the other sign.
+    Without mass the integrator would keep their values of the first instant, with another sign in each step.
     """
     if ops.inward is not None:
         moved = motion.duplicate()
@@ -113,10 +113,10 @@ def _entries(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Floats, damped:
     laws = [JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures]
     opens = np.array(laws, dtype=bool)[mesh.joint_fracture]
     able = (unknown >= 0).all(axis=1)
-    is_held, is_damped = held[unknown] > 0.0, damped[unknown] > 0.0  # rigid bodies read the last; they are not able
+    is_held, is_damped = held[unknown] > 0.0, damped[unknown] > 0.0  # the last for rigid bodies, whose mass stays
     free = able & ~is_damped.any(axis=1)
     mass, piece = _nodal_mass(mesh, scene), pieces_of_rock(mesh)[0]
-    walls = tied_whole(walls_of(mesh, opens, free, is_held), unknown)
+    walls = tied_whole(contact_nodes_of(mesh, opens, free, is_held), unknown)
     walls, added = balanced(mesh, walls, mass, piece, able)
     walls = averaged(walls, unknown)
     rows, normal = unknown[walls.nodes], walls.normal
@@ -127,7 +127,7 @@ def _entries(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Floats, damped:
     return (inward[0], inward[1], inward[2]), (numbers, numbers, added[chosen])
 
 
-def _links(walls: Walls, unknown: Ints) -> Entries:
+def _links(walls: ContactNodes, unknown: Ints) -> Entries:
     rows, cols = unknown[walls.nodes[walls.wall]], unknown[walls.inner]
     return rows, cols, walls.normal[walls.wall] * walls.share[:, None, None]
 

@@ -1,4 +1,4 @@
-"""What is prescribed: displacements of supports and pressures, each unknown by the first that names it."""
+"""Prescribed displacements of supports and pressures, each unknown by the first that names it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fracflow.scene.boundary import Support
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
 
 Values = Callable[..., "float | Floats"]
-"""(time, around = AT_ONCE) -> one value or one for each; ``around`` tells which side of a jump counts."""
+"""(time, around = AT_ONCE) -> one value or one for each; ``around`` selects the side of a jump that counts."""
 AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Prescribed:
+class PrescribedValues:
     """Unknowns of this rank (local numbers) that follow a function of time, one value for all or one for each.
 
     well  whose pressure it is, if that is a well's
@@ -32,12 +32,12 @@ class Prescribed:
     well: str = ""
 
     def speed(self, time: float, around: Around) -> float | Floats:
-        """Mean velocity over the halves of the steps ``around`` a time: no ringing where it jumps, as Newmark's would."""
+        """Mean velocity (n,) over the halves of the steps ``around`` a time; does not ring at jumps, as Newmark's would."""
         before, after = 0.5 * around[0], 0.5 * around[1]
         return (self.value(time + after) - self.value(time - before)) / (before + after)
 
     def acceleration(self, time: float, around: Around) -> float | Floats:
-        """Change of the mean velocity from the step before a time to that after it; none where a stage begins or ends."""
+        """Change (n,) of the mean velocity from the step before a time to that after; none where a stage begins or ends."""
         before, after = around
         if before == 0.0 or after == 0.0:
             return 0.0
@@ -85,15 +85,15 @@ def supported(
 
 
 def own(starts: Ints, rank: int, everywhere: Ints) -> Ints:
-    """Local numbers of those that a rank owns."""
+    """Local numbers (m,) of the numbers (n,) that a rank owns, each once."""
     mine = np.unique(everywhere)
     return mine[owner_of(starts, mine) == rank] - starts[rank]
 
 
 def prescribe(
     starts: Ints, comm: MPI.Comm, found: tuple[Ints, Floats], taken: Ints, value: Callable[..., Any]
-) -> tuple[Prescribed, Ints]:
-    """What this rank holds of numbers (n,) found anywhere, but for those taken before; and all that is taken now.
+) -> tuple[PrescribedValues, Ints]:
+    """Unknowns of this rank among numbers (n,) found anywhere, but for those taken before; and all taken now. Collective.
 
     value  of time, of what was found with each number (n, k), and of what is ``around`` that time
     """
@@ -103,7 +103,9 @@ def prescribe(
     here = is_new & (owner_of(starts, everywhere) == comm.rank)
     with_it = data[first[here]]
     numbers = everywhere[here] - starts[comm.rank]
-    return Prescribed(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(taken, everywhere)
+    return PrescribedValues(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(
+        taken, everywhere
+    )
 
 
 def motion(support: Support, part: str) -> Callable[..., Any]:

@@ -1,22 +1,24 @@
-"""The energy books: every term booked over each step with (2.33b), and what is left over.
+"""(2.24)-(2.27) The energy balance: every term of (2.33b) summed over each step, and the residual.
 
 Running totals, per unit thickness. The balance that must close:
 kinetic + rock_strain + joint_normal + joint_shear + fluid_storage + friction + viscous + radiated + damping + scheme
     + spurious + dropped = work_boundaries + work_wells + work_pressure + work_incident + work_initial
+Terms may add entries: on the left, or on the right where their names begin with "work_".
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.data import Floats
-from fracflow.model.compressibility import taken_between
-from fracflow.model.energy_motion import Scheme, damping_part, motion_parts, side_parts
+from fracflow.model.compressibility import rate_by, taken_between
+from fracflow.model.energy_motion import Scheme, motion_parts, term_parts
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
+from fracflow.model.terms.term import Term
 
 STORED = (
     "kinetic",
@@ -36,15 +38,15 @@ WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
 
-def empty_books() -> dict[str, float]:
-    """All entries at zero."""
-    return dict.fromkeys(ENTRIES, 0.0)
+def empty_balance(terms: Iterable[Term] = ()) -> dict[str, float]:
+    """All entries at zero, those of terms beside the others."""
+    return dict.fromkeys([*ENTRIES, *(name for term in terms for name in term.energy(0.0, 0.0))], 0.0)
 
 
-def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
+def update_balance(operators: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
     """Totals after a step of length ``dt`` from ``old`` to ``new``.
 
-    With ``scheme.storage`` the fluid feels the walls move, and its work on them is inner; without, it is outer work
+    With ``scheme.storage`` the balance of the fluid includes the motion of walls, whose work is inner; else it is outer work
     (``work_pressure``). Collective.
     """
     ops = operators
@@ -52,11 +54,10 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
     mean_pressure = _sum(0.5, new.pressure, 0.5, old.pressure)
     term = change.duplicate()
     parts = {"scheme": 0.0, "work_boundaries": 0.0}
-    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | side_parts(ops, old, new, dt)
-    parts |= damping_part(ops, old, new)
+    parts |= _joint_parts(ops, old, new) | motion_parts(ops, old, new, dt, scheme) | term_parts(ops, old, new, dt)
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
-    parts["rock_strain"] = term.dot(change) + ops.prestress.dot(change)
+    parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
     parts["work_boundaries"] += 0.5 * sum(
         vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
     )
@@ -68,7 +69,7 @@ def book(operators: Operators, old: State, new: State, dt: float, scheme: Scheme
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
     for vector in (change, mean_pressure, mean_displacement, term):
         vector.destroy()
-    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in ENTRIES}
+    totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in dict.fromkeys([*ENTRIES, *old.energy])}
     return _with_residuals(totals)
 
 
@@ -86,13 +87,13 @@ def switch(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
 
 
 def pushed(totals: Mapping[str, float], kinetic: float) -> dict[str, float]:
-    """Totals where supports begin to move at once: what they put into the motion is work of boundaries."""
+    """Totals where supports begin to move at once: the kinetic energy that they add is work of boundaries."""
     given = kinetic - totals["kinetic"]
     return _with_residuals({**totals, "kinetic": kinetic, "work_boundaries": totals["work_boundaries"] + given})
 
 
 def jumped(totals: Mapping[str, float], stored: float) -> dict[str, float]:
-    """Totals where prescribed pressures jump as a stage begins: wells bring at once what the fluid stores there."""
+    """Totals where prescribed pressures jump as a stage begins: wells bring the energy that the fluid stores there at once."""
     stored_now, brought = totals["fluid_storage"] + stored, totals["work_wells"] + stored
     return _with_residuals({**totals, "fluid_storage": stored_now, "work_wells": brought})
 
@@ -105,7 +106,7 @@ def compressed(ops: Operators, old: State, new: State) -> float:
     assert ops.flow is not None
     room, taken = new.pressure.duplicate(), taken_between(ops, old, new)
     change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
-    ops.flow.squeeze.multTranspose(change, room)
+    ops.flow.storage_coupling.multTranspose(change, room)
     mean, driving = _potential(ops, (old, new)), _sum(0.5, new.pressure, 0.5, old.pressure)
     driving.axpy(-1.0, ops.flow.resting)
     driving.aypx(-1.0, mean)
@@ -116,7 +117,7 @@ def compressed(ops: Operators, old: State, new: State) -> float:
 
 
 def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
-    """What a volume of fluid brings, as a mean over the instants, in a new vector [stress]."""
+    """Potential of a volume of fluid, as a mean over the instants, in a new vector [stress]."""
     assert ops.flow is not None
     if ops.flow.compressibility == 0.0:
         balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)
@@ -129,14 +130,17 @@ def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
     return balanced
 
 
-def put_in(totals: Mapping[str, float]) -> dict[str, float]:
-    """Totals of a start away from rest: all that they do not account for was put in before the first step."""
+def close_initial_balance(totals: Mapping[str, float]) -> dict[str, float]:
+    """Totals of a start away from rest: the unaccounted energy was added before the first step."""
     held = _with_residuals({**totals, "scheme": 0.0})
     return _with_residuals({**held, "work_initial": held["residual"]})
 
 
 def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
-    left = sum(totals[name] for name in STORED) - sum(totals[name] for name in WORK)
+    of_terms = [name for name in totals if name not in ENTRIES]
+    work = [*WORK, *(name for name in of_terms if name.startswith("work_"))]
+    stored = [*STORED, *(name for name in of_terms if name not in work)]
+    left = sum(totals[name] for name in stored) - sum(totals[name] for name in work)
     return {
         **totals,
         "residual": left,
@@ -145,13 +149,13 @@ def _with_residuals(totals: dict[str, float]) -> dict[str, float]:
 
 
 def spurious_share(totals: Mapping[str, float]) -> float:
-    """What a coupling of matrices that are not transposed has made of nothing, over the largest entry of the books."""
+    """Spurious energy of a coupling without transposes, over the largest entry of the balance."""
     largest = max(abs(totals[name]) for name in (*STORED, *WORK))
     return abs(totals["spurious"]) / largest if largest > 0.0 else 0.0
 
 
 def dissipated(old: State, new: State) -> Floats:
-    """(2.27b) with (2.33b): what friction has dissipated at each section (s,) after a step from ``old`` [energy/area]."""
+    """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area]."""
     work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
     result: Floats = old.friction + 0.5 * work.sum(axis=1)
     return result
@@ -174,8 +178,8 @@ def _fluid_parts(
 ) -> dict[str, float]:
     """Terms of the balance (3.20) times the potential that drives, both as means over the ``instants`` where it holds.
 
-    The walls are pushed by the mean ``pressure`` of the step: what the storage of (3.20) and their motion make of these
-    two pressures and of the rule's velocities is the scheme's. The resting pressure is a dead load on the walls.
+    The mean ``pressure`` of the step acts on the walls. Its difference from the pressure in the storage of (3.20), and that of
+    velocities, is counted as the scheme's. The resting pressure is a dead load on the walls.
     """
     assert ops.flow is not None
     rate, share, driving = pressure.duplicate(), dt / len(instants), _sum(1.0, pressure, -1.0, ops.flow.resting)
@@ -185,20 +189,29 @@ def _fluid_parts(
         matrix.multTranspose(motion, rate)
         return float(rate.dot(at))
 
-    pushed = volume(ops.flow.push, change, driving)
+    pushed = volume(ops.flow.pressure_load, change, driving)
     resting = float(rate.dot(ops.flow.resting))
     parts = {
         "viscous": share * sum(state.forces.conduction.dot(balanced) for state in instants),
         "work_wells": share * sum(state.forces.source.dot(balanced) for state in instants),
         "work_pressure": resting,
     }
+    for term in ops.flow.terms:
+        rates = [rate_by(ops, term, state) for state in instants]
+        lost = share * sum(each.dot(balanced) for each in rates)
+        parts["viscous"] -= lost
+        parts |= term.energy(lost, 0.0)
+        for each in rates:
+            each.destroy()
     if scheme.storage:
-        swept = volume(ops.flow.squeeze, change, driving)
+        swept = volume(ops.flow.storage_coupling, change, driving)
         parts["spurious"] = swept - pushed
-        if scheme.balance == "step":  # of what the walls move
-            stored = volume(ops.flow.squeeze, change, balanced)
+        if scheme.balance == "step":  # of the volume that the walls open
+            stored = volume(ops.flow.storage_coupling, change, balanced)
         else:
-            stored = share * sum(volume(ops.flow.squeeze, state.motion.velocity, balanced) for state in instants)
+            stored = share * sum(
+                volume(ops.flow.storage_coupling, state.motion.velocity, balanced) for state in instants
+            )
         stored += share * sum(state.uptake.dot(balanced) for state in instants if state.uptake is not None)
         parts["fluid_scheme"] = stored - swept
     else:
@@ -209,7 +222,7 @@ def _fluid_parts(
 
 
 def _add_compression(ops: Operators, parts: dict[str, float], old: State, new: State, storage: bool) -> None:
-    """Add what compression stores; what its term in (3.20), as above, makes of it beside is the scheme's.
+    """Add the energy stored by compression; the difference from its term in (3.20), as above, is the scheme's.
 
     Without storage no fluid is drawn for it, and its work is outer as that on the walls. Collective.
     """

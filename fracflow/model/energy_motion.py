@@ -1,4 +1,4 @@
-"""Terms that motion adds to the energy books in a step: kinetic energy, what a scheme and faults damp, what sides radiate."""
+"""Terms that motion adds to the energy balance in a step: kinetic energy, dissipation by the scheme, and work of terms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fracflow.model.state import State
 
 @dataclass(frozen=True)
 class Scheme:
-    """What the books must know of a step; the first three as in ``stepping.Stepper``.
+    """The rule of a step as the energy balance needs it; the first three as in ``integrators.Stepper``.
 
     alphas  of a step with inertia; None of one that only puts a motion in, and of an explicit one
     held    local numbers of the solid unknowns that are prescribed
@@ -40,27 +40,27 @@ def kinetic_energy(operators: Operators, velocity: PETSc.Vec) -> float:
 
 
 def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Scheme) -> dict[str, float]:
-    """Kinetic energy, what the scheme dissipates, work at supports beside half the sum of reactions; or what is dropped.
+    """Kinetic energy, dissipation by the scheme, work at supports beside half the sum of reactions; or the dropped energy.
 
-    Over a step the rock moves by d, and half the sum of S before and after it does the work that the other entries book.
+    Over a step the rock moves by d, and half the sum of S before and after it does the work of the other entries.
     Where it is free, M w + (1 - f) S_new + f S = 0, w the acceleration that the mass meets; so the scheme dissipates
     d.(M w - M dv/dt) + e.M dv/dt + (1/2 - f) d.(S_new - S), with d = dt (v + v_new)/2 + e and e of the accelerations alone.
-    Where it is held, its inertia takes up what its kinetic energy does. Without inertia the half of S that the last stage
-    left is dropped; M a is not -S there, where a scheme looks back. Collective.
+    Where it is held, its inertia force does the work of its kinetic energy. Without inertia the half of S that the last stage
+    left is dropped; M a is not -S there, where a scheme uses the previous step. Collective.
     """
     change = _local(new.motion.displacement) - _local(old.motion.displacement)
     before, after = old.motion.values(), new.motion.values()
-    mean = _times(ops, 0.5 * (before.acceleration + after.acceleration), new)
+    mean = _times(ops.mass, 0.5 * (before.acceleration + after.acceleration), new)
     is_held = np.zeros(len(change), dtype=bool)
     is_held[scheme.held] = True
-    if not scheme.inertia:  # what was out of balance in a stage before is let go in the first step
+    if not scheme.inertia:  # an imbalance of the previous stage is released in the first step
         if old.motion.acceleration.norm() > 0.0:
             mean = np.where(is_held, mean, -0.5 * _static(ops, old))
         return {"dropped": _total(ops, change @ mean)}
     kinetic = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
     alphas = scheme.alphas
     if alphas is None:
-        gained = 0.5 * (before.velocity + after.velocity) * _times(ops, after.velocity - before.velocity, new)
+        gained = 0.5 * (before.velocity + after.velocity) * _times(ops.mass, after.velocity - before.velocity, new)
         left = change * mean - gained
         scheme_part, given_part = float(left[~is_held].sum()), -float(left[is_held].sum())
         return {
@@ -72,11 +72,11 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     of_new, of_old = alphas.a1 / alphas.a0, alphas.a1 * alphas.a3 / alphas.a0 - alphas.a5
     e_new, e_old = 1.0 / alphas.a0 - 0.5 * dt * of_new, alphas.a3 / alphas.a0 - 0.5 * dt * of_old
     error = e_new * after.acceleration + e_old * before.acceleration
-    push = _times(ops, after.velocity - before.velocity, new) / dt
+    push = _times(ops.mass, after.velocity - before.velocity, new) / dt
     met = mean
     if alphas.looks_back:
         weighed = alphas.inertia * after.acceleration + alphas.inertia_old * before.acceleration
-        met = _times(ops, weighed, new) / (1.0 + alphas.balance_old)
+        met = _times(ops.mass, weighed, new) / (1.0 + alphas.balance_old)
     each = change * (met - push) + error * push
     if alphas.looks_back:
         late = alphas.balance_old / (1.0 + alphas.balance_old)
@@ -89,23 +89,20 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     }
 
 
-def side_parts(ops: Operators, old: State, new: State, dt: float) -> dict[str, float]:
-    """What absorbing sides let out, and what waves bring in: mean forces times the motion, mean power times ``dt``."""
-    change, out = _local(new.motion.displacement) - _local(old.motion.displacement), 0.0
-    for state in (old, new):
-        if state.forces.absorbed is not None:
-            out += 0.5 * _total(ops, _local(state.forces.absorbed) @ change)
-    brought = 0.5 * dt * (old.forces.incident + new.forces.incident)
-    return {"radiated": out + brought, "work_incident": brought}
-
-
-def damping_part(ops: Operators, old: State, new: State) -> dict[str, float]:
-    """Energy that the damping at faults takes: its mean force times the motion. Collective."""
-    change, taken = _local(new.motion.displacement) - _local(old.motion.displacement), 0.0
-    for state in (old, new):
-        if state.forces.damped is not None:
-            taken += 0.5 * _total(ops, _local(state.forces.damped) @ change)
-    return {"damping": taken}
+def term_parts(ops: Operators, old: State, new: State, dt: float) -> dict[str, float]:
+    """Energy taken up by terms: mean force times motion. The work of their K is no strain energy. Collective."""
+    before, after, parts = _local(old.motion.displacement), _local(new.motion.displacement), {"rock_strain": 0.0}
+    for term in ops.terms:
+        taken = brought = 0.0
+        for state in (old, new):
+            if term.name in state.forces.of_terms:
+                taken += 0.5 * _total(ops, _local(state.forces.of_terms[term.name]) @ (after - before))
+        brought = 0.5 * dt * (old.forces.powers.get(term.name, 0.0) + new.forces.powers.get(term.name, 0.0))
+        if term.stiffness is not None:
+            work = _total(ops, _times(term.stiffness, 0.5 * (before + after), new) @ (after - before))
+            taken, parts["rock_strain"] = taken + work, parts["rock_strain"] - work
+        parts |= term.energy(taken, brought)
+    return parts
 
 
 def _static(ops: Operators, state: State) -> Floats:
@@ -115,11 +112,11 @@ def _static(ops: Operators, state: State) -> Floats:
     return local
 
 
-def _times(ops: Operators, values: Floats, like: State) -> Floats:
-    """M times local ``values``. Collective."""
+def _times(matrix: PETSc.Mat, values: Floats, like: State) -> Floats:
+    """A matrix of the solid unknowns times local ``values``. Collective."""
     vector, result = like.motion.velocity.duplicate(), like.motion.velocity.duplicate()
     vector.setArray(values)
-    ops.mass.mult(vector, result)
+    matrix.mult(vector, result)
     local = result.getArray().copy()
     vector.destroy()
     result.destroy()

@@ -1,22 +1,23 @@
-"""The network: flow through the fractures, what their walls push and are pushed.
+"""The network: flow through the fractures, and its coupling with the motion of their walls.
 
 Everything is per unit thickness, with the pressure as unknown. Ends: each joint has two, numbered joint * 2 + end.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import flow, joint
-from fracflow.laws.cubic_flow import MEANS, conductance
+from fracflow.elements import facet, flow
+from fracflow.laws import FLOW_LAWS, FlowLaw, keys_of, parameters_of
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
-from fracflow.model.joints import jump_matrix
+from fracflow.model.joints import Walls, jump_matrix
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import along_fractures, resting_pressure
+from fracflow.model.terms.term import Leaving, Term
 from fracflow.scene.scene import Scene
 
 STORAGE = {
@@ -37,7 +38,7 @@ def is_transposed(storage: str) -> bool:
 
 @dataclass(frozen=True)
 class Compression:
-    """What a compressible fluid holds at the joint ends (j, 2) beyond the room between the walls.
+    """Compressible fluid at the joint ends (j, 2) beyond the room between the walls.
 
     Counted, as flow rates are, in volumes at its initial pressure: s = d exp(c_f (p - p0)) is what a fracture holds.
 
@@ -55,13 +56,31 @@ class Compression:
 class Conduction:
     """The network at an opening: conductances (j,), their slopes (j, 2), end pressures above rest (j, 2).
 
-    ``compression`` is None where the fluid is incompressible.
+    ``by_slip`` (j, 2, dim-1) are slopes by slip, or None; ``compression`` is None where the fluid is incompressible,
+    ``leaving`` where nothing leaves by terms.
     """
 
     conductance: Floats
     slope: Floats
     pressure: Floats
     compression: Compression | None = None
+    leaving: Leaving | None = None
+    by_slip: Floats | None = None
+
+    def tangents(self, storing: float) -> tuple[Floats, Floats]:
+        """Derivatives (j, 2, 2) of the outflow of each end: by the pressures of both, and by the openings of both.
+
+        storing  b_1, by which a compressible fluid is taken up
+        """
+        here, between = np.arange(2), flow.conductivity(self.conductance)
+        slope = flow.conductivity_tangent(self.slope, self.pressure)
+        if self.compression is not None:
+            between[:, here, here] += storing * self.compression.weight
+            slope[:, here, here] += storing * self.compression.slope
+        if self.leaving is not None:
+            between[:, here, here] += self.leaving.by_pressure
+            slope[:, here, here] += self.leaving.by_aperture
+        return between, slope
 
 
 @dataclass(frozen=True)
@@ -70,21 +89,25 @@ class Flow:
 
     opening     displacement unknowns -> normal jump at the joint ends
     pick        pressures of the flow nodes -> joint ends
-    push        B of (2.38): pressures -> forces on the solid unknowns
-    squeeze     B_F of (3.20): its transpose makes volume rates of velocities; the same as B but for the report's pair
+    pressure_load  B of (2.38): pressures -> forces on the solid unknowns
+    storage_coupling  B_F of (3.20): its transpose makes volume rates of velocities; the same as B but for the report's pair
     aperture    (j, 2) initial aperture d0 at the ends [length]
     least       (j, 2) minimum hydraulic aperture, for conduction only [length]
     length      (j,) [length]
-    given       (j,) conductance times length that the scene gives in place of the cubic law; NaN where it does not
-    resting     the pressure at which the fluid is at rest, zero but for its change with depth, at the flow nodes
+    law         conductance of the elements by the state of their walls
+    given       (j,) conductance times length that the scene gives in place of the law; NaN where it does not
+    resting     pressure of the fluid at rest, its change with depth, at the flow nodes; else zero [stress]
     resting_end (j, 2) the same at the joint ends [stress]
+    slipping    displacement unknowns -> tangential jumps at the joint ends, rows end * (dim-1) + component; of laws that know
+                slip only
     counted     the pressure above rest at which volumes of a compressible fluid are counted [stress]
+    terms       by which fluid leaves
     """
 
     opening: PETSc.Mat
     pick: PETSc.Mat
-    push: PETSc.Mat
-    squeeze: PETSc.Mat
+    pressure_load: PETSc.Mat
+    storage_coupling: PETSc.Mat
     pattern: PETSc.Mat
     aperture: Floats
     least: Floats
@@ -92,30 +115,38 @@ class Flow:
     given: Floats
     resting: PETSc.Vec
     resting_end: Floats
-    mean: str
+    law: FlowLaw
     viscosity: float
     compressibility: float = 0.0
     counted: float = 0.0
+    terms: tuple[Term, ...] = ()
+    slipping: PETSc.Mat | None = None
 
     def apertures(self, displacement: PETSc.Vec, opening: Floats | None = None) -> Floats:
-        """(3.1b) d = d0 + opening at the joint ends (j, 2) [length]; ``opening`` if it is known better. Collective."""
-        jump = _apply(self.opening, displacement).reshape(-1, 2) if opening is None else opening
-        return self.aperture + jump
+        """(3.1b) d = d0 + opening at the joint ends (j, k) [length]; ``opening`` if it is known better. Collective."""
+        return self.aperture + self._openings(displacement, opening)
 
-    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, opening: Floats | None = None) -> Conduction:
-        """(3.14e,f) Conductances of all elements at the given opening, with the end pressures that drive. Collective."""
-        mechanical = self.apertures(displacement, opening)
-        hydraulic = np.maximum(mechanical, self.least)
-        mean, slope_1, slope_2 = MEANS[self.mean](hydraulic[:, 0], hydraulic[:, 1])
-        slope = np.stack([slope_1, slope_2], axis=1) * (mechanical >= self.least)
-        cubic, is_cubic = conductance(mean, self.length, self.viscosity), np.isnan(self.given)
-        driving = self.driving(pressure)
+    def _openings(self, displacement: PETSc.Vec, known: Floats | None) -> Floats:
+        return _apply(self.opening, displacement).reshape(self.aperture.shape) if known is None else known
+
+    def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, walls: Walls) -> Conduction:
+        """(3.14e,f) Conductances of all elements between these walls, with the end pressures that drive. Collective."""
+        opening = self._openings(displacement, walls.opening)
+        found = self.law.conductance(opening, walls.slip, walls.history, walls.step)
+        driving, by_law = self.driving(pressure), np.isnan(self.given)
         return Conduction(
-            np.where(is_cubic, cubic, self.given / self.length),
-            np.where(is_cubic[:, None], conductance(slope, self.length[:, None], self.viscosity), 0.0),
+            np.where(by_law, found.value, self.given / self.length),
+            np.where(by_law[:, None], found.by_opening, 0.0),
             driving,
-            self.compress(mechanical, driving) if self.compressibility > 0.0 else None,
+            self.compress(self.aperture + opening, driving) if self.compressibility > 0.0 else None,
+            self.leaving(driving, self.aperture + opening),
+            None if found.by_slip is None else np.where(by_law[:, None, None], found.by_slip, 0.0),
         )
+
+    def leaving(self, driving: Floats, aperture: Floats) -> Leaving | None:
+        """Fluid that leaves by terms at pressures above rest and apertures (j, 2); None without such terms."""
+        found = [term.leaving(driving + self.resting_end, aperture) for term in self.terms]
+        return Leaving(*(sum(parts) for parts in zip(*found, strict=True))) if found else None
 
     def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
         """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
@@ -124,15 +155,15 @@ class Flow:
         )
 
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
-        """What the fluid holds at apertures (j, 2) under pressures above rest (j, 2)."""
+        """Fluid beyond the room at apertures (j, 2) under pressures above rest (j, 2)."""
         half = 0.5 * self.length[:, None] * (aperture > 0.0)
-        with np.errstate(over="ignore", invalid="ignore"):  # a trial out of reach is refused for what comes of it
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow here is refused with the trial
             denser = np.expm1(self.compressibility * (driving - self.counted))
             held = half * aperture * denser
             return Compression(held, self.compressibility * (half * aperture + held), half * denser)
 
     def potential(self, driving: Floats) -> Floats:
-        """Work that a volume as it is counted brings, int dp/(s/d), at pressures above rest [stress]: those, without c_f."""
+        """Work of a volume as it is counted, int dp/(s/d), at pressures above rest (...) [stress]: those, without c_f."""
         if self.compressibility == 0.0:
             return driving
         lighter = np.expm1(self.compressibility * (self.counted - driving))
@@ -147,17 +178,18 @@ class Flow:
         ends.destroy()
 
     def at_ends(self, nodes: PETSc.Vec) -> Floats:
-        """Values of the flow nodes at the joint ends (j, 2). Collective."""
-        return _apply(self.pick, nodes).reshape(-1, 2)
+        """Values of the flow nodes at the joint ends (j, k). Collective."""
+        return _apply(self.pick, nodes).reshape(self.aperture.shape)
 
     def driving(self, pressure: PETSc.Vec) -> Floats:
         """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""
         return self.at_ends(pressure) - self.resting_end
 
     def outflow(self, state: Conduction, result: PETSc.Vec) -> None:
-        """(3.20) ``result`` += K_F p, what each flow node sends into its elements. Collective."""
+        """(3.20) ``result`` += K_F p, flow from each flow node into its elements, and outflow by terms. Collective."""
         through = flow.element_flow(state.conductance, state.pressure)
-        self.taken_up(np.stack([through, -through], axis=1), result)
+        sent = np.stack([through, -through], axis=1)
+        self.taken_up(sent if state.leaving is None else sent + state.leaving.rate, result)
 
 
 def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
@@ -169,32 +201,36 @@ def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
 
 
 def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flow:
-    """Operators of the network of a scene that has a fluid. Collective."""
+    """(2.28)-(2.29), (2.34)-(2.36), (3.17)-(3.19) B and B_F, and the network of a scene with a fluid. Collective."""
     assert scene.fluid is not None
     comm, block, dim = blocks.comm, blocks.joints, blocks.sizes.dim
-    ends = np.arange(2 * len(block.ids)).reshape(-1, 2)
-    end_layout = (ends.size, 2 * blocks.sizes.joints)
+    corners = blocks.solid.points[block.bottom]
+    width = corners.shape[1]
+    ends = np.arange(width * len(block.ids)).reshape(-1, width)
+    end_layout = (ends.size, width * blocks.sizes.joints)
     node_layout = (len(blocks.flow.ids), blocks.sizes.flow_nodes)
 
-    normal = create_matrix((end_layout, (ends.size * dim, 2 * blocks.sizes.joints * dim)), 1, comm)
+    normal = create_matrix((end_layout, (ends.size * dim, width * blocks.sizes.joints * dim)), 1, comm)
     first = normal.getOwnershipRange()[0]
     rows = (first + ends).reshape(-1, 1)
     add_blocks(normal, rows, rows * dim + dim - 1, np.ones((rows.size, 1, 1)))
     normal.assemble()
-    jump = jump_matrix(blocks, np.array([-1.0, 1.0]), expand)
+    natural = facet.RULES["nodal"][width].natural
+    jump = jump_matrix(blocks, natural, expand)
     opening = normal.matMult(jump)
     normal.destroy()
+    slipping = _along(jump, dim) if FLOW_LAWS[scene.method.conductance].knows_slip else None
     jump.destroy()
 
     pick = create_matrix((end_layout, node_layout), 1, comm)
     add_blocks(pick, rows, block.flow.reshape(-1, 1), np.ones((rows.size, 1, 1)))
     pick.assemble()
-    _, length = joint.frame(blocks.solid.points[block.bottom])
+    _, length = facet.frame(corners)
 
     def weighted(kind: str) -> PETSc.Mat:
-        matrix = create_matrix((end_layout, node_layout), 2, comm)
+        matrix = create_matrix((end_layout, node_layout), width, comm)
         numbers = first + ends
-        add_blocks(matrix, numbers, block.flow, flow.storage_matrix(kind, length))
+        add_blocks(matrix, numbers, block.flow, flow.storage_matrix(kind, corners))
         matrix.assemble()
         product = opening.transposeMatMult(matrix)
         matrix.destroy()
@@ -203,7 +239,9 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     kinds = STORAGE[scene.method.storage]
     push = weighted(kinds[0])
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
-    natural = np.array([-1.0, 1.0])
+    aperture, least = (
+        along_fractures(blocks, scene, key, natural) for key in ("aperture", "minimum_hydraulic_aperture")
+    )
     resting = PETSc.Vec().createMPI(node_layout, comm=comm)
     resting.setArray(resting_pressure(scene, blocks.flow.points))
     return Flow(
@@ -212,14 +250,37 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         push,
         squeeze,
         push if kinds[0] == "consistent" else weighted("consistent"),
-        along_fractures(blocks, scene, "aperture", natural),
-        along_fractures(blocks, scene, "minimum_hydraulic_aperture", natural),
+        aperture,
+        least,
         length,
         along_fractures(blocks, scene, "conductance", np.zeros(1))[:, 0],
         resting,
-        _apply(pick, resting).reshape(-1, 2),
-        scene.method.conductance,
+        _apply(pick, resting).reshape(-1, width),
+        flow_law(blocks, scene, aperture, least, length),
         scene.fluid.viscosity,
         scene.fluid.compressibility,
         scene.fluid.initial_pressure,
+        slipping=slipping,
     )
+
+
+def flow_law(blocks: Blocks, scene: Scene, aperture: Floats, least: Floats, length: Floats) -> FlowLaw:
+    """The law that the scene chooses, its own parameters as arrays (j, 2) at the joint ends."""
+    assert scene.fluid is not None
+    kind = FLOW_LAWS[scene.method.conductance]
+    own = {}
+    for each in parameters_of(kind):
+        if each.name in keys_of(kind):
+            given = along_fractures(blocks, scene, each.name, np.array([-1.0, 1.0]))
+            own[each.name] = given if each.default is MISSING else np.where(np.isnan(given), each.default, given)
+    return kind(aperture, least, length, scene.fluid.viscosity, **own)
+
+
+def _along(jump: PETSc.Mat, dim: int) -> PETSc.Mat:
+    """The tangential rows of jumps."""
+    first, last = jump.getOwnershipRange()
+    rows = np.arange(first, last)
+    chosen = PETSc.IS().createGeneral(rows[rows % dim < dim - 1].astype(PETSc.IntType), comm=jump.getComm())
+    found = jump.createSubMatrix(chosen)
+    chosen.destroy()
+    return found

@@ -1,27 +1,31 @@
-"""The joints: one sparse jump operator G for all sections (2.3)-(2.9), and the laws that answer its strains.
+"""The joints: one sparse jump operator G for all sections (2.3)-(2.9), and the laws that respond to its strains.
 
 residual  G' W f(G u)      tangent  G' W D G
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
-from fracflow.elements.shape import line_shape
-from fracflow.errors import InputError
-from fracflow.laws import JOINT_LAWS, JointLaw, make_law, parameters_of
+from fracflow.elements import facet, joint
+from fracflow.errors import InputError, SolveError
+from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, make_law, parameters_of
+from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import nodal_layout, node_unknowns
-from fracflow.model.state import Past, Sections
+from fracflow.model.state import SectionHistory, Sections, State
 from fracflow.scene.scene import Scene
+
+REMEDY = "make shear_stiffness times {1} at least {0:.3g} times what it is"
 
 
 @dataclass(frozen=True)
@@ -34,21 +38,22 @@ class SectionGroup:
 
 
 def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PETSc.Mat:
-    """(2.3)-(2.9) G for sections at natural coordinates ``points`` (q,). The caller destroys it. Collective."""
-    block, dim = blocks.joints, blocks.sizes.dim
-    frame, _ = joint.frame(blocks.solid.points[block.bottom])
-    operators = joint.jump_operator(frame, points)
+    """(2.3)-(2.9) G for sections at natural coordinates (q,) or (q, 2). The caller destroys it. Collective."""
+    block, dim, width = blocks.joints, blocks.sizes.dim, blocks.joints.bottom.shape[1]
+    frame, _ = facet.frame(blocks.solid.points[block.bottom])
+    shapes = facet.shapes(points, width)
+    operators = joint.jump_operator(frame, shapes)
     count = len(block.ids) * len(points) * dim
-    matrix = create_matrix(((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 4 * dim, blocks.comm)
+    matrix = create_matrix(((count, blocks.comm.allreduce(count)), nodal_layout(blocks)), 2 * width * dim, blocks.comm)
     start = matrix.getOwnershipRange()[0]
-    faces = node_unknowns(blocks, np.stack([block.bottom, block.top], axis=1))  # (joint, face, end, component)
-    shape = operators.reshape(len(block.ids), len(points), dim, 2, dim, dim)
-    ends_of = [np.flatnonzero([not np.isclose(abs(xi), 1.0) or xi == end for end in (-1.0, 1.0)]) for xi in points]
-    for point, ends in enumerate(ends_of):
+    faces = node_unknowns(blocks, np.stack([block.bottom, block.top], axis=1))  # (joint, face, node, component)
+    parts = operators.reshape(len(block.ids), len(points), dim, 2, width, dim)
+    for point, shape in enumerate(shapes):
         first = start + (np.arange(len(block.ids)) * len(points) + point) * dim
-        width = 2 * len(ends) * dim
-        cols = faces[:, :, ends].reshape(len(block.ids), width)
-        values = shape[:, point][:, :, :, ends].reshape(len(block.ids), dim, width)
+        near = np.flatnonzero(shape)
+        entries = 2 * len(near) * dim
+        cols = faces[:, :, near].reshape(len(block.ids), entries)
+        values = parts[:, point][:, :, :, near].reshape(len(block.ids), dim, entries)
         add_blocks(matrix, first[:, None] + np.arange(dim), cols, values)
     matrix.assemble()
     if expand is None:
@@ -93,12 +98,22 @@ class Massless:
 
 
 @dataclass(frozen=True)
+class Walls:
+    """Input of flow laws at the joint ends: openings (j, 2) or None, slips (j, 2, dim-1), history (j, 2, ...), step."""
+
+    opening: Floats | None
+    slip: Floats
+    history: Mapping[str, Floats]
+    step: LawStep
+
+
+@dataclass(frozen=True)
 class Joints:
     """All joint sections of a rank; section = joint * rule points + point.
 
     jump      G: displacement unknowns -> strains, rows section * dim + component
     sizes     |G|, entry by entry
-    weights   (s,) length a section stands for [length]
+    weights   (s,) length or area a section stands for
     initial   (s, dim) initial effective traction, joint frame [stress]
     groups    sections by unknowns, for the tangent
     laws      sections by law
@@ -121,20 +136,20 @@ class Joints:
         """Sections of a joint."""
         return len(self.natural)
 
-    def rest(self) -> Past:
+    def initial_history(self) -> SectionHistory:
         """Histories of all laws at the initial state."""
-        return tuple(group.law.rest(len(group.sections), self.dim) for group in self.laws)
+        return tuple(group.law.initial_history(len(group.sections), self.dim) for group in self.laws)
 
     def strain(self, displacement: PETSc.Vec) -> Floats:
         """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
         return self._apply(self.jump, displacement)
 
     def carried(self, displacement: PETSc.Vec) -> Floats:
-        """Strains (s, dim) that there were if walls without mass moved as what carries it does. Collective."""
+        """Strains (s, dim) of walls without mass, if they moved as the nodes that carry their mass. Collective."""
         return self._apply(self.jump if self.massless is None else self.massless.jump, displacement)
 
     def moved(self, displacement: PETSc.Vec) -> Floats:
-        """Sums of sizes (s, dim) of what the strains are the differences of, whose digits cancel [length]. Collective."""
+        """Sums of sizes (s, dim) of the displacements whose differences are the strains [length]. Collective."""
         size = displacement.copy()
         size.abs()
         result = self._apply(self.sizes, size)
@@ -149,14 +164,25 @@ class Joints:
         return local
 
     def openings(self, strain: Floats) -> Floats | None:
-        """Normal jumps (j, 2) at the joint ends of strains (s, dim); None of the one-point rule, which does not tell."""
+        """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None for the one-point rule, which has none."""
         normal = strain[:, -1].reshape(-1, self.points)
-        if self.points == 1:
-            return None
-        return np.asarray(normal @ line_shape(1.0 / self.natural).T)
+        return None if self._to_nodes is None else np.asarray(normal @ self._to_nodes.T)
 
-    def respond(self, strain: Floats, past: Past, hold: bool = False) -> Sections:
-        """What the laws answer to strains (s, dim) after ``past``, which stays as it is; ``hold`` keeps every status."""
+    @cached_property
+    def _to_nodes(self) -> Floats | None:
+        return facet.to_nodes(self.natural)
+
+    def walls(self, sections: Sections, law: FlowLaw, step: LawStep = INSTANT) -> Walls:
+        """The joint ends as a flow law sees them when ``step`` has led to those sections; slip of the section next to each."""
+        slip = self._next_to_ends(sections.strain[:, :-1]) if law.knows_slip else np.zeros((0, 2, self.dim - 1))
+        history = {name: self._next_to_ends(self.history(sections.history, name)) for name in law.reads}
+        return Walls(self.openings(sections.strain), slip, history, step)
+
+    def _next_to_ends(self, values: Floats) -> Floats:
+        return values.reshape(-1, self.points, *values.shape[1:])[:, [0, -1]]
+
+    def evaluate(self, strain: Floats, history: SectionHistory, step: LawStep = INSTANT) -> Sections:
+        """Response of the laws to strains (s, dim) after ``history``, which stays as it is."""
         count = len(strain)
         whole = {
             "strain": strain,
@@ -173,22 +199,32 @@ class Joints:
             "record": np.zeros(count),
         }
         new = []
-        for group, history in zip(self.laws, past, strict=True):
-            answer = group.law.respond(strain[group.sections], history, hold)
+        for group, before in zip(self.laws, history, strict=True):
+            response = group.law.evaluate(strain[group.sections], before, step.of(group.sections))
             for name, values in whole.items():
                 if name not in ("strain", "blur", "record"):
-                    values[group.sections] = getattr(answer, name)
-            new.append(answer.past)
-        return Sections(past=tuple(new), **whole)
+                    values[group.sections] = getattr(response, name)
+            new.append(response.history)
+        return Sections(history=tuple(new), **whole)
 
-    def follow(self, past: Past, branch: Past) -> Past:
-        """``past`` with the statuses of ``branch``: the histories from which the next iteration starts."""
+    def with_status(self, history: SectionHistory, trial: SectionHistory) -> SectionHistory:
+        """``history`` with the statuses of ``trial``: the histories from which the next iteration starts."""
         return tuple(
             {**start, **{name: reached[name] for name in group.law.status}}
-            for group, start, reached in zip(self.laws, past, branch, strict=True)
+            for group, start, reached in zip(self.laws, history, trial, strict=True)
         )
 
-    def have_changed(self, old: Past, new: Past) -> Bools:
+    def history(self, past: SectionHistory, name: str) -> Floats:
+        """A history variable at all sections of this rank, (s,) or (s, dim-1); NaN where the law has none of that name."""
+        shapes = {"shear": (len(self.weights), self.dim - 1), "scalar": (len(self.weights),)}
+        kind = next((group.law.history[name].kind for group in self.laws if name in group.law.history), "scalar")
+        values = np.full(shapes[kind], np.nan)
+        for group, history in zip(self.laws, past, strict=True):
+            if name in history:
+                values[group.sections] = history[name]
+        return values
+
+    def have_changed(self, old: SectionHistory, new: SectionHistory) -> Bools:
         """Which (s,) of this rank's sections have another status in ``new`` than in ``old``."""
         changed = np.zeros(len(self.weights), dtype=bool)
         for group, before, after in zip(self.laws, old, new, strict=True):
@@ -197,31 +233,32 @@ class Joints:
         return changed
 
     def step_limit(self, strain: Floats, increment: Floats) -> float:
-        """Largest fraction of an increment that every law of this rank allows; at most 1."""
+        """Largest fraction of an increment (s, dim) that every law of this rank allows; at most 1."""
         limits = [group.law.step_limit(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([1.0, *(float(np.min(limit)) for limit in limits)])
 
     def change_at(self, strain: Floats, increment: Floats) -> float:
-        """Fraction of an increment at which the first section of this rank opens or closes; inf where none does."""
+        """Fraction of an increment (s, dim) at which the first section of this rank opens or closes; inf where none does."""
         places = [group.law.change_at(strain[g], increment[g]) for group in self.laws if len(g := group.sections)]
         return min([np.inf, *(float(np.min(place)) for place in places)])
 
-    def approach(self, strain: Floats, change: Floats, past: Past) -> Floats:
+    def approach(self, strain: Floats, change: Floats, history: SectionHistory, step: LawStep) -> Floats:
         """Distances (s, 2) of this rank's sections from their next event, of friction and of contact; see ``JointLaw``."""
         result = np.full((len(strain), 2), np.inf)
-        for group, history in zip(self.laws, past, strict=True):
-            result[group.sections] = group.law.approach(strain[group.sections], change[group.sections], history)
+        for group, before in zip(self.laws, history, strict=True):
+            g = group.sections
+            result[g] = group.law.approach(strain[g], change[g], before, step.of(g))
         return result
 
-    def flip(self, strain: Floats, past: Past, chosen: Bools) -> Past:
-        """``past`` with the other status of friction at the chosen sections (s,)."""
+    def with_other_status(self, strain: Floats, history: SectionHistory, chosen: Bools) -> SectionHistory:
+        """``history`` with the other status of friction at the chosen sections (s,)."""
         return tuple(
-            group.law.flip(strain[group.sections], history, chosen[group.sections])
-            for group, history in zip(self.laws, past, strict=True)
+            group.law.with_other_status(strain[group.sections], before, chosen[group.sections])
+            for group, before in zip(self.laws, history, strict=True)
         )
 
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
-        """(2.15)-(2.19), (2.31) ``result`` += G' W f: forces that resist, tension's +n on top. Collective."""
+        """(2.15)-(2.19), (2.31) ``result`` += G' W f, f (s, dim): forces that resist, tension's +n on top. Collective."""
         tractions = self.jump.createVecLeft()
         tractions.setArray((self.weights[:, None] * traction).ravel())
         self.jump.multTransposeAdd(tractions, result, result)
@@ -238,9 +275,9 @@ class Joints:
 def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     """(2.14) Effective tractions (s, dim) that the initial stress and the initial pressure make, joint frame [stress]."""
     block, dim, points = blocks.joints, blocks.sizes.dim, len(natural)
-    ends = blocks.solid.points[block.bottom]
-    frame, _ = joint.frame(ends)
-    place = on_joints(ends, natural).reshape(-1, dim)
+    corners = blocks.solid.points[block.bottom]
+    frame, _ = facet.frame(corners)
+    place = on_joints(corners, natural).reshape(-1, dim)
     sigma = initial_stress(scene, place)[:, :dim, :dim]
     traction = joint.traction_from_stress(np.repeat(frame, points, axis=0), sigma)
     traction[:, -1] += initial_pressure(scene, place)
@@ -256,12 +293,12 @@ def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     traction[:, -1] = np.where(np.isnan(normal), traction[:, -1], normal)
     traction[:, :-1] = np.where(np.isnan(shear)[:, None], traction[:, :-1], shear[:, None])
     if scene.equilibrates:
-        traction[traction[:, -1] > 0.0] = 0.0  # a joint carries no tension: it starts open, and what pulled lets go
+        traction[traction[:, -1] > 0.0] = 0.0  # a joint carries no tension: it starts open, and the tension is released
     return traction
 
 
 def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -> tuple[LawGroup, ...]:
-    """One group a law, its parameters as arrays over the sections of every fracture that names it."""
+    """One group a law, its parameters as arrays (n,) over its sections; initial tractions (s, dim), natural (q,)."""
     block = blocks.joints
     tables = [scene.fracture_named(name) for name in block.fractures]
     fracture = np.repeat(block.fracture, len(natural))
@@ -289,7 +326,7 @@ def law_groups(blocks: Blocks, scene: Scene, initial: Floats, natural: Floats) -
 def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floats, points: int, carried: bool) -> None:
     """Raise InputError, on every rank, that lists fractures under initial tension or past their strength. Collective.
 
-    With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
+    initial (s, dim) tractions. With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
     """
     fracture = np.repeat(blocks.joints.fracture, points)
     tension, failed = set(), set()
@@ -297,8 +334,9 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
     for group in () if carried or blocks.comm.allreduce(len(tension)) else groups:
         dim = initial.shape[1]
-        answer = group.law.respond(np.zeros((len(group.sections), dim)), group.law.rest(len(group.sections), dim))
-        failed.update(fracture[group.sections[answer.is_sliding | (answer.utilisation >= 1.0)]].tolist())
+        count = len(group.sections)
+        response = group.law.evaluate(np.zeros((count, dim)), group.law.initial_history(count, dim))
+        failed.update(fracture[group.sections[response.is_sliding | (response.utilisation >= 1.0)]].tolist())
     names = blocks.joints.fractures
     bad_tension = sorted({names[i] for part in blocks.comm.allgather(tension) for i in part})
     bad_failed = sorted({names[i] for part in blocks.comm.allgather(failed) for i in part})
@@ -318,9 +356,9 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
 
 def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Joints:
     """Operators and laws of the joints. Collective."""
-    xi, weight = joint.RULES[scene.method.quadrature]
-    _, length = joint.frame(blocks.solid.points[blocks.joints.bottom])
-    weights = joint.section_length(length, weight).ravel()
+    corners = blocks.solid.points[blocks.joints.bottom]
+    sections = facet.RULES[scene.method.quadrature][corners.shape[1]]
+    xi, weights = sections.natural, facet.section_sizes(corners, sections).ravel()
     initial = initial_tractions(blocks, scene, xi)
     groups = law_groups(blocks, scene, initial, xi)
     if not scene.equilibrates:
@@ -328,3 +366,43 @@ def assemble_joints(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> J
     jump = jump_matrix(blocks, xi, expand)
     sizes = entry_sizes(jump)
     return Joints(blocks.sizes.dim, jump, sizes, weights, initial, section_groups(jump, blocks.sizes.dim), groups, xi)
+
+
+def steepest(
+    blocks: Blocks, joints: Joints, traction: Floats, past: SectionHistory, chosen: Floats | None = None
+) -> tuple[float, str, str]:
+    """Largest fall of strength with slip over shear stiffness, of the chosen sections, its fracture and key. Collective.
+
+    traction (s, dim) [stress], chosen (s,) or all; the key is that of the slip over which strength falls
+    """
+    worst = (0.0, "", "")
+    for group, history in zip(joints.laws, past, strict=True):
+        falls = group.law.steepness(traction[group.sections], history)
+        if chosen is not None:
+            falls = np.where(chosen[group.sections], falls, 0.0)
+        if falls.max(initial=0.0) > worst[0]:
+            fracture = blocks.joints.fracture[group.sections[falls.argmax()] // joints.points]
+            worst = (float(falls.max()), blocks.joints.fractures[fracture], group.law.weakens_over)
+    return max(blocks.comm.allgather(worst))
+
+
+def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
+    """Raise InputError, on every rank, for a fracture that would jump under its initial normal traction. Collective."""
+    worst, name, key = steepest(blocks, joints, joints.initial, joints.initial_history())
+    if worst >= 1.0:
+        raise InputError(
+            f"fracture.{name}: under its initial normal traction its strength falls with slip {worst:.4g} times as fast as"
+            f" its shear_stiffness unloads, so that it would jump: {REMEDY.format(worst, key)}"
+        )
+
+
+def refuse_jumps(blocks: Blocks, joints: Joints, old: State, new: State) -> None:
+    """Raise SolveError, on every rank, for a fracture that slid in a step where its strength fell too fast. Collective."""
+    slid = (new.sections.inelastic != old.sections.inelastic).any(axis=1)
+    worst, name, key = steepest(blocks, joints, new.sections.traction, old.sections.history, slid)
+    if worst >= 1.0:
+        raise SolveError(
+            f"time {new.time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"
+            f" {worst:.4g} times as fast as its shear_stiffness unloads: it jumped, which no smaller step resolves;"
+            f" {REMEDY.format(worst, key)}"
+        )

@@ -40,11 +40,11 @@ class Layout:
         return int(self.solid_starts[-1] + self.flow_starts[-1])
 
     def solid_numbers(self, numbers: Ints) -> Ints:
-        """Joined numbers of displacement unknowns."""
+        """Joined numbers (...) of displacement unknowns (...)."""
         return numbers + self.flow_starts[owner_of(self.solid_starts, numbers)]
 
     def flow_numbers(self, numbers: Ints) -> Ints:
-        """Joined numbers of pressure unknowns."""
+        """Joined numbers (...) of pressure unknowns (...)."""
         return numbers + self.solid_starts[owner_of(self.flow_starts, numbers) + 1]
 
     def index_sets(self) -> tuple[PETSc.IS, PETSc.IS]:
@@ -55,20 +55,20 @@ class Layout:
         return solid, flow
 
     def solid_vector(self) -> PETSc.Vec:
-        """A new displacement vector, zero."""
+        """A new displacement vector, zero. Collective."""
         return PETSc.Vec().createMPI((self.solid_count, int(self.solid_starts[-1])), comm=self.comm)
 
     def flow_vector(self) -> PETSc.Vec:
-        """A new pressure vector, zero."""
+        """A new pressure vector, zero. Collective."""
         return PETSc.Vec().createMPI((self.flow_count, int(self.flow_starts[-1])), comm=self.comm)
 
     def joined_vector(self) -> PETSc.Vec:
-        """A new vector of both, zero."""
+        """A new vector of both, zero. Collective."""
         return PETSc.Vec().createMPI((self.solid_count + self.flow_count, self.total), comm=self.comm)
 
 
 def layout_of(blocks: Blocks, with_flow: bool) -> Layout:
-    """The unknowns that a scene needs; without flow the flow part is empty."""
+    """The unknowns of a scene; without flow the flow part is empty."""
     flow = blocks.flow.starts if with_flow else np.zeros(blocks.comm.size + 1, dtype=np.int64)
     return Layout(blocks.comm, blocks.solid.unknown_starts, flow)
 
@@ -92,7 +92,7 @@ def local_rows(matrix: PETSc.Mat) -> Rows:
 def create_matrix(
     layout: tuple[tuple[int, int], tuple[int, int]], row_entries: int | Ints, comm: MPI.Comm
 ) -> PETSc.Mat:
-    """An empty AIJ matrix with room for ``row_entries`` on a row in each of its two parts; more is allowed."""
+    """An empty AIJ matrix with room for ``row_entries``, one or (rows,), on a row in each part; more may come. Collective."""
     entries = row_entries if isinstance(row_entries, int) else (petsc_ints(row_entries), petsc_ints(row_entries))
     matrix = PETSc.Mat().createAIJ(layout, nnz=entries, comm=comm)
     matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)

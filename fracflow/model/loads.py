@@ -1,4 +1,4 @@
-"""What acts from outside: supports, loads on sides, wells; each a constant pattern times a function of time."""
+"""(2.38), (3.7) Supports, loads on sides, wells: each a constant pattern times a function of time."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.absorbing import Wave, resting_unknowns, waves_of
-from fracflow.model.dirichlet import Prescribed, motion, own, prescribe, supported
+from fracflow.model.dirichlet import PrescribedValues, motion, own, prescribe, supported
 from fracflow.model.layout import Layout
 from fracflow.model.network_parts import Closure
+from fracflow.model.operators import Operators
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
+from fracflow.model.terms.term import held_without_inertia
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene
@@ -60,42 +61,41 @@ class Loads:
     """Everything prescribed; ``fixed_*`` are sorted joined numbers of prescribed unknowns, of all ranks. Equal to itself only.
 
     ``closures`` stand for the balance at a node of each part of the network that nothing drains, where nothing is stored.
-    Of absorbing sides: ``waves`` that come in with inertia, ``resting`` unknowns (local, and ``fixed_resting`` joined of all
-    ranks) that stay where they are without, and ``at_rest``, which of the two holds.
+    Terms fix ``resting`` unknowns (local, and ``fixed_resting`` joined of all ranks) in steps without inertia, which
+    ``at_rest`` marks.
     """
 
-    supports: tuple[Prescribed, ...]
+    supports: tuple[PrescribedValues, ...]
     forces: tuple[Pattern, ...]
-    pressures: tuple[Prescribed, ...]
+    pressures: tuple[PrescribedValues, ...]
     wells: tuple[Pattern, ...]
     fixed_solid: Ints
     fixed_flow: Ints
     limits: tuple[Limit, ...] = ()
     closures: tuple[Closure, ...] = ()
-    waves: tuple[Wave, ...] = ()
     resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     fixed_resting: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     at_rest: bool = False
 
     @property
     def held(self) -> Ints:
-        """Local numbers of the solid unknowns that are prescribed, or stay where they are."""
+        """Local numbers (n,) of the solid unknowns that are prescribed, or stay where they are."""
         parts = [part.numbers for part in self.supports] + ([self.resting] if self.at_rest else [])
         return np.concatenate(parts) if parts else self.resting[:0]
 
     def standing(self) -> Loads:
-        """The same for a stage without inertia: absorbing sides stay where they are."""
+        """The same for a stage without inertia: what terms hold stays where it is."""
         return replace(self, at_rest=True, fixed_solid=np.union1d(self.fixed_solid, self.fixed_resting))
 
     @property
     def given_pressures(self) -> Ints:
-        """Local numbers of the flow nodes of this rank whose pressure is prescribed."""
+        """Local numbers (n,) of the flow nodes of this rank whose pressure is prescribed."""
         return np.concatenate([part.numbers for part in self.pressures] or [np.zeros(0, dtype=np.int64)])
 
     def at_limit(self, reached: Collection[Limit]) -> Loads:
         """The same with some wells kept at the pressure of a limit, in place of their flow rates."""
         names = {limit.well for limit in reached}
-        kept = [Prescribed(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in reached]
+        kept = [PrescribedValues(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in reached]
         return replace(
             self,
             pressures=(*self.pressures, *kept),
@@ -111,7 +111,7 @@ class Loads:
         around: Around = AT_ONCE,
         rates: Rates | None = None,
     ) -> float:
-        """Flow rate that a well asks for, over the whole depth, as ``source`` samples it."""
+        """Flow rate that a well demands, over the whole depth, as ``source`` samples it."""
         return _factor(next(each for each in self.wells if each.well == well), time, controls, around, rates)
 
     def force(
@@ -224,38 +224,38 @@ def _swapped(pressure: Pressures) -> Callable[..., Any]:
 
 def _well_pressure(
     blocks: Blocks, scene: Scene, layout: Layout, node: int, well: Well, held: Ints
-) -> tuple[Prescribed, Ints]:
+) -> tuple[PrescribedValues, Ints]:
     """The pressure kept at a well; "initial" is p0 there."""
     local = own(layout.flow_starts, blocks.comm.rank, np.array([node]))
     if isinstance(well.pressure, TimeTable):
-        return Prescribed(local, well.pressure, well.name), np.union1d(held, [node])
+        return PrescribedValues(local, well.pressure, well.name), np.union1d(held, [node])
     initial = initial_pressure(scene, blocks.flow.points[local])
-    return Prescribed(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, [node])
+    return PrescribedValues(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, [node])
 
 
 def assemble_loads(
     blocks: Blocks,
     scene: Scene,
-    layout: Layout,
-    expand: PETSc.Mat | None,
+    operators: Operators,
     points: Mapping[str, Ints],
     well_nodes: Mapping[str, int],
 ) -> Loads:
     """Patterns of all loads.
 
-    points      name -> split nodes of a named point
+    points      name -> split nodes (n,) of a named point
     well_nodes  name of a well -> PETSc number of its flow node
     Collective. Raises InputError, on every rank, for names the mesh does not have.
     """
-    comm, starts = blocks.comm, blocks.solid.unknown_starts
+    comm, starts, layout, expand = blocks.comm, blocks.solid.unknown_starts, operators.layout, operators.expand
     taken = blocks.solid.unused
-    supports = [Prescribed(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
+    supports = [PrescribedValues(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
     for support in scene.support:
         for name in support.on:
             for part, found in supported(blocks, support, name, points).items():
                 here, taken = prescribe(starts, comm, found, taken, motion(support, part))
                 supports.append(here)
-    resting, at_rest = prescribe(starts, comm, resting_unknowns(blocks, scene), taken, lambda time, place, around: 0.0)
+    held_by_terms = held_without_inertia(operators.terms)
+    resting, at_rest = prescribe(starts, comm, held_by_terms, taken, lambda time, place, around: 0.0)
     forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
     if scene.body_force is not None:
         forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
@@ -294,7 +294,6 @@ def assemble_loads(
         layout.solid_numbers(taken.astype(np.int64)),
         layout.flow_numbers(held),
         tuple(limits),
-        waves=waves_of(blocks, scene, expand),
         resting=resting.numbers,
         fixed_resting=layout.solid_numbers(np.setdiff1d(at_rest, taken).astype(np.int64)),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import sparse
@@ -11,14 +11,17 @@ from scipy.sparse.linalg import splu
 from fracflow._petsc import MPI, PETSc
 from fracflow.elements import solid
 from fracflow.errors import InputError
+from fracflow.integrators.explicit import critical_step
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.operators import Operators
 from fracflow.model.solid import by_shape, deformable, elasticity, rock_values
+from fracflow.model.terms.term import MeanDamping
 from fracflow.scene.scene import Scene
 
 MOST_VECTORS = 120  # of Lanczos
 SHARP = 1e-13  # relative, of the eigenvalue
+PASSES = 2  # in which the stable step is found with D: none is above it
 
 Solve = Callable[[Floats], Floats]
 
@@ -40,9 +43,9 @@ def damped_mass(operators: Operators, held: Ints, half: float) -> Solve:
 
 
 def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
-    """M^-1 of a lumped mass, nothing for what is ``held`` (local numbers): free blocks of rigid bodies are inverted whole.
+    """M^-1 of a lumped mass, nothing for the ``held`` (n,), local numbers: free blocks of rigid bodies are inverted whole.
 
-    InputError, on every rank, where a free unknown has no mass. The caller destroys the result. Collective.
+    Raises InputError, on every rank, where a free unknown has no mass. The caller destroys the result. Collective.
     """
     matrix, block, comm = operators.mass, operators.blocks.solid, operators.layout.comm
     start, stop = matrix.getOwnershipRange()
@@ -72,13 +75,26 @@ def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(matrix.getSizes(), csr=csr, comm=comm)
 
 
-def fastest(operators: Operators, scene: Scene, inverse: PETSc.Mat) -> float:
-    """Largest eigenvalue of M^-1 K_s [1/time^2], from above; 0 where no rock deforms.
+def longest_step(operators: Operators, scene: Scene, inverse: PETSc.Mat, damping: Sequence[MeanDamping]) -> float:
+    """The longest stable step: 2/omega without D, else of 4 = dt^2 omega^2 of M^-1 (K + 2 D/dt) [time]. Collective.
 
-    The lower of two bounds: the largest of single cells, which is sharp on uniform meshes, and that of Lanczos with what it may
-    still lack, which knows supports and graded meshes. Collective.
+    The cells and the K of terms bound it from below. A step below that bound cannot be the longest one.
     """
-    return min(fastest_cell(operators, scene), by_lanczos(operators, inverse))
+    of_terms = sum(
+        by_lanczos(operators, inverse, each.stiffness) for each in operators.terms if each.stiffness is not None
+    )
+    if not damping:
+        # the lower of two bounds: the cells' is sharp on uniform meshes, the other includes supports and graded meshes
+        return critical_step(min(fastest_cell(operators, scene) + of_terms, by_lanczos(operators, inverse)))
+    scale = np.prod([each.scale for each in damping], axis=0)
+    step = critical_step(fastest_cell(operators, scene, scale) + of_terms)
+    for _ in range(PASSES):
+        whole = operators.stiffness.copy()
+        for each in damping:
+            whole.axpy(2.0 / step, each.matrix, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        step = max(step, critical_step(by_lanczos(operators, inverse, whole)))
+        whole.destroy()
+    return step
 
 
 def fastest_cell(operators: Operators, scene: Scene, scale: Floats | float = 1.0) -> float:

@@ -1,4 +1,4 @@
-"""Parts of the network whose nodes exchange fluid, and what settles the pressure of one that nothing drains."""
+"""Connected components of the network, and the closure that sets the pressure of an undrained one."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from fracflow.model.layout import Layout, local_rows
 from fracflow.model.operators import Operators
 
 CONDUCTS = 1e-15
-"""Of what the elements at its ends conduct together: an element with less is pinched, for the balance at its ends does not
-see it. Not of all elements: a thin fracture far from a wide one conducts what it conducts."""
-FREE = 1e-10  # of what single nodes take up of a wall's motion: less is round-off
+"""Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.
+Elements elsewhere do not count: a thin fracture far from a wide one conducts."""
+FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less is round-off
 
 
-def label_parts(links: Ints, conducts: np.ndarray, count: int) -> Ints:
-    """The part (count,) that each node belongs to, by links (m, 2) of which those that conduct (m,) join."""
+def label_components(links: Ints, conducts: np.ndarray, count: int) -> Ints:
+    """Number (count,) of the component of each node, by links (m, 2) of which those that conduct (m,) join."""
     joined = links[conducts]
     graph = sparse.coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 @dataclass(frozen=True)
-class Part:
+class NetworkComponent:
     """A part of the network, the same on every rank.
 
     nodes      (n,) numbers of its flow nodes
@@ -48,17 +48,16 @@ class Part:
 
 @dataclass(frozen=True)
 class Closure:
-    """What stands for the balance at one node of a part that nothing drains and where nothing is stored.
+    """The row in place of the balance at one node of an undrained component without storage.
 
-    The balances of its nodes add up to nothing, so one says what the others do, and the level is left open.
+    The balances of its nodes add up to zero, so one of them is redundant and the level is undetermined.
 
-    by       "walls": the part keeps its volume; "fluid": the fluid it holds, which is compressible; "level": its mean
-             pressure, where its walls cannot move, or where it is one node that is pinched on all sides, which must be
-             free to open again
+    by       "walls": it keeps its volume. "fluid": it keeps its compressible fluid. "level": it keeps its mean pressure,
+             as its walls cannot move. So does one node pinched on all sides, which must be free to open again
     row      local number of the node on the rank that owns it, empty elsewhere
     weights  change of the volume with the displacements, or shares of the pressures in the mean
     size     of a volume, by which that of "walls" and "fluid" is divided [area]
-    nodes    (n,) numbers of the flow nodes of the part, the first has the row
+    nodes    (n,) numbers of the flow nodes of the component, the first has the row
     touched  local numbers of the displacements that weights may depend on
     """
 
@@ -99,12 +98,20 @@ def holding(operators: Operators, compression: Compression | None) -> np.ndarray
     return np.concatenate(layout.comm.allgather(found[0] > CONDUCTS * found[1]))
 
 
-def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
-    """All parts, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
+def leaving(operators: Operators) -> np.ndarray:
+    """Whether fluid leaves by terms at each flow node (n,), which determines its pressure. Collective."""
+    layout, flow = operators.layout, operators.blocks.joints.flow
+    joints = [term.joints() for term in operators.terms if term.drains]
+    here = flow[np.concatenate([np.zeros(0, dtype=np.int64), *joints])].ravel()
+    return np.isin(np.arange(int(layout.flow_starts[-1])), np.concatenate(layout.comm.allgather(here)))
+
+
+def find_components(operators: Operators, conducts: np.ndarray) -> tuple[NetworkComponent, ...]:
+    """All components, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
     blocks = operators.blocks
     comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
     links = np.concatenate(comm.allgather(joints.flow))
-    label = label_parts(links, np.concatenate(comm.allgather(conducts)), count)
+    label = label_components(links, np.concatenate(comm.allgather(conducts)), count)
     points = np.concatenate(comm.allgather(blocks.flow.points))
     pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
     here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}
@@ -114,14 +121,15 @@ def find_parts(operators: Operators, conducts: np.ndarray) -> tuple[Part, ...]:
     order = np.argsort(label, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if count else []
     return tuple(
-        Part(nodes, tuple(names.get(int(label[nodes[0]]), [])), points[nodes].mean(axis=0)) for nodes in groups
+        NetworkComponent(nodes, tuple(names.get(int(label[nodes[0]]), [])), points[nodes].mean(axis=0))
+        for nodes in groups
     )
 
 
-def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -> np.ndarray:
-    """Whether the volume of each part changes when its walls move, with some displacements held. Collective.
+def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fixed_solid: Ints) -> np.ndarray:
+    """Whether the volume of each component (k,) changes when its walls move, with some displacements held. Collective.
 
-    It does not, too, where walls move in such a way only that they make as much room as they take: a rigid block afloat.
+    Nor does it change where walls open on one side as much as they close on another, as around a floating rigid block.
     """
     layout, network = operators.layout, operators.flow
     assert network is not None
@@ -129,7 +137,7 @@ def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -
     part_of[np.concatenate([part.nodes for part in parts])] = np.repeat(
         np.arange(len(parts)), [len(part.nodes) for part in parts]
     )
-    walls = local_rows(network.squeeze)
+    walls = local_rows(network.storage_coupling)
     joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
     free = ~np.isin(joined, fixed_solid)[walls.rows]
     keys, inverse = np.unique(walls.rows[free] * len(parts) + part_of[walls.cols[free]], return_inverse=True)
@@ -144,8 +152,8 @@ def give_way(operators: Operators, parts: tuple[Part, ...], fixed_solid: Ints) -
     return gives
 
 
-def close(operators: Operators, part: Part, gives: bool, holds: bool = False) -> Closure:
-    """The closure of a part that nothing drains, by whether its walls give way. The caller owns its weights. Collective.
+def close(operators: Operators, part: NetworkComponent, gives: bool, holds: bool = False) -> Closure:
+    """The closure of an undrained component, by whether its walls can move. The caller owns its weights. Collective.
 
     holds  whether it holds a fluid that is compressible, in a step that stores nothing
     """
@@ -161,11 +169,11 @@ def close(operators: Operators, part: Part, gives: bool, holds: bool = False) ->
         return Closure("level", row, inside, size, part.nodes, nothing)
     inside.getArray()[local] = 1.0
     weights = layout.solid_vector()
-    network.squeeze.mult(inside, weights)
+    network.storage_coupling.mult(inside, weights)
     inside.destroy()
     if not holds:
         return Closure("walls", row, weights, size, part.nodes, nothing)
-    walls, here = local_rows(network.squeeze), np.isin(operators.blocks.joints.flow, part.nodes)
+    walls, here = local_rows(network.storage_coupling), np.isin(operators.blocks.joints.flow, part.nodes)
     volume = float(np.sum(np.where(here, 0.5 * network.length[:, None] * np.maximum(network.aperture, 0.0), 0.0)))
     soft = network.compressibility * scales.pressure * layout.comm.allreduce(volume)
     touched = np.unique(walls.rows[np.isin(walls.cols, part.nodes)])
@@ -173,7 +181,7 @@ def close(operators: Operators, part: Part, gives: bool, holds: bool = False) ->
 
 
 def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
-    """Joined numbers of the unknowns in a closure's row, and their weights; the same on every rank. Collective."""
+    """Joined numbers (n,) of the unknowns in a closure's row, and weights (n,); the same on every rank. Collective."""
     local = closure.weights.getArray(readonly=True)
     first = closure.weights.getOwnershipRange()[0]
     entries = np.union1d(np.flatnonzero(local), closure.touched)

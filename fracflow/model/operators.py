@@ -8,13 +8,12 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
-from fracflow.model.absorbing import damping
 from fracflow.model.flow import Flow, assemble_flow
-from fracflow.model.joints import Joints, assemble_joints
+from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
 from fracflow.model.layout import Layout, layout_of
 from fracflow.model.properties import along_fractures, initial_stress
-from fracflow.model.softening import refuse_steep_start
 from fracflow.model.solid import expansion, initial_stress_force, mass, stiffness
+from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Scene
 
 
@@ -40,8 +39,9 @@ class Scales:
 class Operators:
     """M, K_s, F_s(sigma_0), the joints with G, and the network with B and K_F; ``expand`` is E where rock is rigid.
 
-    ``damping`` is C of absorbing sides, blocks of dim x dim at nodes; None where there are none. ``inward`` is P of
-    ``contact_mass``, which ``mass`` has in it; None where every node carries its own mass.
+    ``terms`` are boundary conditions and the like; ``stiffness`` has K of theirs in it, ``damping`` is the sum of their C,
+    None where none has one. ``inward`` is P of ``contact_mass``, which ``mass`` has in it; None where every node carries its
+    own mass.
     """
 
     blocks: Blocks
@@ -55,6 +55,7 @@ class Operators:
     scales: Scales
     damping: PETSc.Mat | None = None
     inward: PETSc.Mat | None = None
+    terms: tuple[Term, ...] = ()
 
     def nodal(self, unknowns: PETSc.Vec) -> PETSc.Vec:
         """Nodal values of a vector of solid unknowns: u = E q. The caller destroys the result. Collective."""
@@ -84,7 +85,7 @@ def natural_scales(blocks: Blocks, scene: Scene, joints: Joints, stiff: PETSc.Ma
 
 
 def assemble(blocks: Blocks, scene: Scene) -> Operators:
-    """Make every operator. Collective."""
+    """Make every operator, of the rock and the network alone. Collective."""
     expand = expansion(blocks)
     joints = assemble_joints(blocks, scene, expand)
     if not scene.equilibrates:
@@ -100,5 +101,4 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
         joints,
         assemble_flow(blocks, scene, expand) if scene.has_flow else None,
         natural_scales(blocks, scene, joints, stiff),
-        damping(blocks, scene, expand),
     )

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow.elements.shape import line_shape
+from fracflow.elements import facet
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 
 
-def on_joints(at_ends: Floats, natural: Floats) -> Floats:
-    """Values at the ends of joints (j, 2, ...) brought to natural coordinates (q,) in [-1, 1]: (j, q, ...)."""
-    result: Floats = np.einsum("qa,ja...->jq...", line_shape(natural), at_ends)
+def on_joints(at_nodes: Floats, natural: Floats) -> Floats:
+    """Values at the nodes of joints (j, k, ...) brought to natural coordinates (q,) or (q, 2): (j, q, ...)."""
+    result: Floats = np.einsum("qa,ja...->jq...", facet.shapes(natural, at_nodes.shape[1]), at_nodes)
     return result
 
 
 def along_fractures(blocks: Blocks, scene: Scene, key: str, natural: Floats) -> Floats:
-    """A property of the fractures (j, q) at natural coordinates (q,) of this rank's joints; NaN where none is given."""
+    """A property of the fractures (j, q) at natural coordinates (q,) or (q, 2) of this rank's joints; NaN for none."""
     block = blocks.joints
     distance = on_joints(block.along, natural)
     values = np.full(distance.shape, np.nan)
@@ -34,7 +34,7 @@ def initial_stress(scene: Scene, points: Floats) -> Floats:
     stress = np.zeros((*points.shape[:-1], 3, 3))
     if given is None:
         return stress
-    depth = given.datum - points[..., 1]
+    depth = given.datum - points[..., -1]
     for row, column, name in ((0, 0, "xx"), (1, 1, "yy"), (2, 2, "zz"), (0, 1, "xy"), (1, 0, "xy")):
         stress[..., row, column] = getattr(given, name) + getattr(given.gradient, name) * depth
     return stress
@@ -44,7 +44,7 @@ def resting_pressure(scene: Scene, points: Floats) -> Floats:
     """The part of p0 that changes with depth (...) at points (..., dim) [stress]: the fluid does not flow at it."""
     if scene.fluid is None or scene.fluid.pressure_gradient == 0.0:
         return np.zeros(points.shape[:-1])
-    return np.asarray(scene.fluid.pressure_gradient * (scene.fluid.datum - points[..., 1]))
+    return np.asarray(scene.fluid.pressure_gradient * (scene.fluid.datum - points[..., -1]))
 
 
 def initial_pressure(scene: Scene, points: Floats) -> Floats:
@@ -62,18 +62,17 @@ def body_force(scene: Scene, rock: str) -> Floats:
 
 
 def side_facets(blocks: Blocks, name: str) -> Ints:
-    """Local numbers of this rank's facets of a named side."""
+    """Local numbers (f,) of this rank's facets of a named side."""
     sides = blocks.solid.sides
     return np.flatnonzero(blocks.solid.side_of == sides.index(name)) if name in sides else np.zeros(0, dtype=np.int64)
 
 
 def outward(blocks: Blocks, facets: Ints) -> Floats:
-    """Outward unit normals (s, 2) of boundary facets."""
+    """Outward unit normals (s, dim) of boundary facets."""
     points = blocks.solid.points
-    ends = points[blocks.solid.side_facets[facets]]
-    along = ends[:, 1] - ends[:, 0]
-    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
+    corners = points[blocks.solid.side_facets[facets]]
+    normal = -facet.frame(corners)[0][:, -1]
     nodes = blocks.solid.cells[blocks.solid.side_cell[facets]]
     inside = np.where(nodes[..., None] >= 0, points[nodes], np.nan)
-    away = ends.mean(axis=1) - np.nanmean(inside, axis=1) if len(facets) else ends.mean(axis=1)
+    away = corners.mean(axis=1) - np.nanmean(inside, axis=1) if len(facets) else corners.mean(axis=1)
     return normal * np.sign(np.einsum("si,si->s", normal, away))[:, None]

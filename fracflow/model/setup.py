@@ -15,18 +15,18 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place, tied_nodes
+from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
-from fracflow.mesh.refine import refined
 from fracflow.mesh.split import split
-from fracflow.model.absorbing import describe
 from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.loads import Loads, assemble_loads
-from fracflow.model.network_parts import label_parts
+from fracflow.model.network_parts import label_components
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
+from fracflow.model.terms.registry import with_terms
 from fracflow.scene.scene import Scene
-from fracflow.scene.values import FractureEnd, Place
+from fracflow.scene.values import FractureEnd, Position
 
 Result = TypeVar("Result")
 
@@ -39,7 +39,7 @@ class Placed:
     probes  name -> place
     points  name -> split nodes
     ties    (m, 2) pairs of node * dim + component that move alike
-    notes   what the log should tell
+    notes   lines for the log
     apart   parts of the network that have wells and never meet, where there is more than one; on rank 0
     """
 
@@ -91,7 +91,7 @@ class Model:
 
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
-    """Do ``work`` on rank 0; an InputError there is raised on every rank, what the system said as a DiskError. Collective."""
+    """Do ``work`` on rank 0; its InputError is raised on every rank, an OSError as a DiskError. Collective."""
     result, failure = None, None
     if comm.rank == 0:
         try:
@@ -108,7 +108,7 @@ def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
 
 @contextmanager
 def naming(scene: Scene) -> Iterator[None]:
-    """Let every InputError of what is done inside name the scene's file."""
+    """Add the name of the scene's file to every InputError inside. Raises that InputError."""
     try:
         yield
     except InputError as error:
@@ -183,14 +183,14 @@ def of_well(mesh: SplitMesh, name: str, node: int) -> str:
     return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
 
 
-def is_moved(mesh: SplitMesh, asked: Place, spot: Floats) -> bool:
-    """Whether a place given by coordinates is not where its node is."""
+def is_moved(mesh: SplitMesh, asked: Position, spot: Floats) -> bool:
+    """Whether a place given by coordinates is not at its node's ``spot`` (dim,)."""
     near = 1e-6 * float(np.ptp(mesh.points, axis=0).max())
     return isinstance(asked, tuple) and float(np.linalg.norm(np.asarray(asked) - spot)) > near
 
 
-def moved(name: str, asked: Place, spot: Floats) -> str:
-    """Say where a well or probe sits, and how far from where it was asked."""
+def moved(name: str, asked: Position, spot: Floats) -> str:
+    """Say at which node's ``spot`` (dim,) a well or probe sits, and how far from the place asked for."""
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot))
     return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
 
@@ -210,13 +210,13 @@ def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
 
 
 def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> None:
-    """Raise InputError where a steady stage would have to pump, by one well alone, into what nothing drains."""
+    """Raise InputError where a steady stage would have to pump, by one well alone, into an undrained component."""
     count = len(mesh.flow_origin)
     if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
         return
-    label = label_parts(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
+    label = label_components(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
     drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
-    held = [scene.fracture_named(name).pressure is not None for name in mesh.fractures]
+    held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
     pumped: dict[int, list[str]] = {}
     limited = {w.name for w in scene.well if w.maximum_pressure is not None or w.minimum_pressure is not None}
@@ -244,21 +244,21 @@ def set_up(
 
     mesh       on rank 0
     placed     where the scene's names sit on it
-    cell_rank  its partition in an earlier run, on rank 0
+    cell_rank  its partition (cells,) in an earlier run, on rank 0
     """
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
-    operators = assemble(blocks, scene)
+    operators = with_terms(assemble(blocks, scene), scene)
     wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
     numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
-    loads = assemble_loads(blocks, scene, operators.layout, operators.expand, placed.points, numbers)
+    loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, mesh)
-    placed = replace(placed, notes=(*placed.notes, *describe(blocks, scene)))
+    placed = replace(placed, notes=(*placed.notes, *(line for term in operators.terms for line in term.notes)))
     return Model(scene, mesh, placed, operators, loads, scene)
 
 
 def flow_numbers(blocks: Blocks, ids: Ints) -> Ints:
-    """PETSc numbers of flow nodes given by their original numbers. Collective."""
+    """PETSc numbers (n,) of flow nodes given by their original numbers (n,). Collective."""
     own = blocks.flow.starts[blocks.comm.rank] + np.arange(len(blocks.flow.ids))
     parts = blocks.comm.allgather([(i, own[blocks.flow.ids == i][0]) for i in np.intersect1d(ids, blocks.flow.ids)])
     known = {int(i): int(n) for part in parts for i, n in part}

@@ -8,18 +8,19 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.elements import solid
-from fracflow.laws.elastic import plane_strain_stiffness
+from fracflow.laws.elastic import STIFFNESS
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import body_force, initial_stress
 from fracflow.scene.scene import Scene
 
+TURNS = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # planes in which a body turns, by dimension
 CHUNK = 16384  # cells whose element matrices fit a processor's cache: two to three times faster than all at once
 
 
 def by_shape(cells: Ints) -> Iterator[tuple[Ints, Ints]]:
-    """Cells with equal numbers of nodes, a chunk at a time: (which cells, their nodes without padding)."""
+    """Those of cells (m, k) with equal numbers of nodes, a chunk at a time: numbers (n,), nodes without padding (n, w)."""
     count = (cells >= 0).sum(axis=1)
     for width in np.unique(count):
         alike = np.flatnonzero(count == width)
@@ -46,14 +47,14 @@ def unknown_layout(blocks: Blocks) -> tuple[int, int]:
 
 
 def expansion(blocks: Blocks) -> PETSc.Mat | None:
-    """Nodal displacements from the unknowns, u = E q: a rigid body moves by translations and a rotation, tied nodes as one.
+    """Nodal displacements from the unknowns, u = E q: a rigid body moves by translations and turns, tied nodes as one.
 
     None where no rock is rigid and nothing tied: then both are the same vector. The caller destroys it. Collective.
     """
     block, dim = blocks.solid, blocks.sizes.dim
     if not len(block.body_rock) and not len(block.unused):
         return None
-    matrix = create_matrix((nodal_layout(blocks), unknown_layout(blocks)), dim + 1, blocks.comm)
+    matrix = create_matrix((nodal_layout(blocks), unknown_layout(blocks)), block.body_unknown.shape[1], blocks.comm)
     own = np.arange(block.owned)
     free = own[block.body[own] < 0]
     rows = node_unknowns(blocks, free)
@@ -63,8 +64,9 @@ def expansion(blocks: Blocks) -> PETSc.Mat | None:
     arm = block.points[on_body] - block.body_center[body]
     values = np.zeros((len(on_body), dim, block.body_unknown.shape[1]))
     values[:, np.arange(dim), np.arange(dim)] = 1.0
-    values[:, 0, dim] = -arm[:, 1]
-    values[:, 1, dim] = arm[:, 0]
+    for turn, (i, j) in enumerate(TURNS[dim], start=dim):
+        values[:, i, turn] = -arm[:, j]
+        values[:, j, turn] = arm[:, i]
     add_blocks(matrix, node_unknowns(blocks, on_body), block.body_unknown[body], values)
     matrix.assemble()
     return matrix
@@ -96,15 +98,15 @@ def rock_values(blocks: Blocks, scene: Scene, key: str) -> Floats:
 
 
 def deformable(blocks: Blocks, scene: Scene) -> Ints:
-    """Local cells of rock that deforms."""
+    """Local cells (n,) of rock that deforms."""
     rigid = np.array([scene.rock[name].rigid for name in blocks.solid.rocks], dtype=bool)
     return np.flatnonzero(~rigid[blocks.solid.cell_rock])
 
 
 def elasticity(blocks: Blocks, scene: Scene) -> Floats:
-    """Plane-strain moduli (m, 3, 3) of each local cell [stress]; 1 in rigid rock, where nothing reads them."""
+    """Moduli (m, v, v) of each local cell, in the plane of plane strain [stress]; 1 in rigid rock, where they are not used."""
     rigid = np.array([scene.rock[name].rigid for name in blocks.solid.rocks], dtype=bool)[blocks.solid.cell_rock]
-    return plane_strain_stiffness(
+    return STIFFNESS[blocks.sizes.dim](
         np.where(rigid, 1.0, rock_values(blocks, scene, "youngs_modulus")),
         np.where(rigid, 0.0, rock_values(blocks, scene, "poissons_ratio")),
     )
@@ -112,12 +114,17 @@ def elasticity(blocks: Blocks, scene: Scene) -> Floats:
 
 def stiffness(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
     """K_s of (2.39) on the unknowns [force/length per thickness]. The caller destroys it. Collective."""
-    moduli = elasticity(blocks, scene)
+    return projected(stiffness_of(blocks, deformable(blocks, scene), elasticity(blocks, scene)), expand)
+
+
+def stiffness_of(blocks: Blocks, cells: Ints, moduli: Floats) -> PETSc.Mat:
+    """(2.39) Stiffness of some local cells on all nodes, of moduli (m, v, v) of each cell. The caller destroys it.
+
+    Collective.
+    """
     points = blocks.solid.points
-    matrix = _assemble(
-        blocks, deformable(blocks, scene), lambda cells, nodes: solid.stiffness(points[nodes], moduli[cells]), 20
-    )
-    return projected(matrix, expand)
+    room = {2: 20, 3: 90}[blocks.sizes.dim]
+    return _assemble(blocks, cells, lambda here, nodes: solid.stiffness(points[nodes], moduli[here]), room)
 
 
 def mass(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
@@ -160,14 +167,14 @@ def nodal_force(blocks: Blocks, nodes: Ints, force: Floats, expand: PETSc.Mat | 
 
 def initial_stress_force(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Vec:
     """F_s(sigma_0) of (4.4b) on the unknowns [force per thickness]. The caller destroys it. Collective."""
-    nodes_all, forces = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
+    dim = blocks.sizes.dim
+    nodes_all, forces = [np.zeros(0, dtype=np.int64)], [np.zeros((0, dim))]
     cells = deformable(blocks, scene)
     for _, nodes in by_shape(blocks.solid.cells[cells]):
         points = blocks.solid.points[nodes]
         sigma = initial_stress(scene, solid.stiffness_points(points))
-        voigt = np.stack([sigma[..., 0, 0], sigma[..., 1, 1], sigma[..., 0, 1]], axis=-1)
         nodes_all.append(nodes.ravel())
-        forces.append(solid.initial_stress_force(points, voigt).reshape(-1, 2))
+        forces.append(solid.initial_stress_force(points, solid.voigt(sigma[..., :dim, :dim])).reshape(-1, dim))
     return nodal_force(blocks, np.concatenate(nodes_all), np.concatenate(forces), expand)
 
 
@@ -177,10 +184,11 @@ def body_forces(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc
 
 
 def forces_in_rocks(blocks: Blocks, each: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
-    """Nodal forces of a force per area in each rock (rocks, 2) [stress/length]. The caller destroys it. Collective."""
-    nodes_all, forces = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
+    """Nodal forces of a body force in each rock (rocks, dim) [stress/length]. The caller destroys it. Collective."""
+    dim = blocks.sizes.dim
+    nodes_all, forces = [np.zeros(0, dtype=np.int64)], [np.zeros((0, dim))]
     for cells, nodes in by_shape(blocks.solid.cells):
         nodes_all.append(nodes.ravel())
         force = each[blocks.solid.cell_rock[cells]]
-        forces.append(solid.body_force(blocks.solid.points[nodes], force).reshape(-1, 2))
+        forces.append(solid.body_force(blocks.solid.points[nodes], force).reshape(-1, dim))
     return nodal_force(blocks, np.concatenate(nodes_all), np.concatenate(forces), expand)

@@ -1,4 +1,4 @@
-"""The state of a run: what one step takes and the next one is given. Nothing in it is changed in place."""
+"""The state of a run: output of one step and input of the next one. Nothing in it is changed in place."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fracflow._petsc import PETSc
 from fracflow.mesh.data import Floats
 
-Past = tuple[Mapping[str, Floats], ...]
+SectionHistory = tuple[Mapping[str, Floats], ...]
 """Histories of the joint sections, one mapping a law."""
 
 
@@ -44,9 +44,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Sections:
-    """What the laws answered at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
+    """Response of the laws at this rank's joint sections; meanings as in ``laws.base.JointResponse``.
 
-    blur    (s, dim) what round-off may have done to the strain since the start [length]
+    blur    (s, dim) round-off bound of the strain since the start [length]
     record  (s,) largest traction that the section has carried since the start [stress]
     """
 
@@ -62,53 +62,49 @@ class Sections:
     margin: Floats
     blur: Floats
     record: Floats
-    past: Past
+    history: SectionHistory
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Terms of the balances at one instant, kept for the energy books.
+    """Terms of the balances at one instant, kept for the energy balance.
 
     load        outer forces R on the solid unknowns [force per thickness]
     support     reactions at supported unknowns, zero elsewhere
     conduction  K_F p of (3.20) [volume rate per thickness]
-    source      well rates Q, and what prescribed pressures draw in
-    absorbed    forces of absorbing sides against the motion, less those of the waves that come in; None where none act
-    anchor      the part of ``load`` that was the reaction of absorbing sides when inertia came in; None as above
-    incident    power that the waves bring in [energy/time per thickness]
-    damped      forces of the damping at faults against the motion; None where none act
+    source      well rates Q, and inflow at prescribed pressures
+    of_terms    by the names of terms: forces of their C and D against the motion, less those that they bring in
+    powers      likewise: power of the forces that they bring in [energy/time per thickness]
+    anchor      part of ``load``: reactions of terms that held unknowns until inertia came in; None without such terms
     """
 
     load: PETSc.Vec
     support: PETSc.Vec
     conduction: PETSc.Vec
     source: PETSc.Vec
-    absorbed: PETSc.Vec | None = None
+    of_terms: Mapping[str, PETSc.Vec] = field(default_factory=dict)
+    powers: Mapping[str, float] = field(default_factory=dict)
     anchor: PETSc.Vec | None = None
-    incident: float = 0.0
-    damped: PETSc.Vec | None = None
 
     def copy(self) -> Forces:
         """The same in vectors of its own."""
-        absorbed, anchor, damped = (
-            None if vector is None else vector.copy() for vector in (self.absorbed, self.anchor, self.damped)
-        )
+        of_terms = {name: vector.copy() for name, vector in self.of_terms.items()}
+        anchor = None if self.anchor is None else self.anchor.copy()
         load, support, conduction, source = (
             vector.copy() for vector in (self.load, self.support, self.conduction, self.source)
         )
-        return Forces(load, support, conduction, source, absorbed, anchor, self.incident, damped)
+        return Forces(load, support, conduction, source, of_terms, self.powers, anchor)
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        vectors = (self.load, self.support, self.conduction, self.source, self.absorbed, self.anchor, self.damped)
-        for vector in vectors:
-            if vector is not None:
-                vector.destroy()
+        kept = () if self.anchor is None else (self.anchor,)
+        for vector in (self.load, self.support, self.conduction, self.source, *self.of_terms.values(), *kept):
+            vector.destroy()
 
 
 @dataclass(frozen=True)
-class Memory:
-    """What a rule without inertia remembers of the step before, in the same stage.
+class PreviousStep:
+    """Values of the step before in the same stage, which a multistep rule without inertia uses.
 
     time_step  its length, 0 where there was none [time]
     velocity   the mean velocity over it of the solid unknowns [length/time]
@@ -133,14 +129,15 @@ class State:
     """Everything at the end of a step.
 
     controls  value of each load factor
-    energy    running totals of the energy books [energy per thickness]
-    limited   wells that are kept at a limit of their pressure
-    friction  (s,) what friction has dissipated at each joint section of this rank since the start [energy/area]
+    energy    running totals of the energy balance [energy per thickness]
+    wells_at_limit  wells that are kept at a limit of their pressure
+    friction  (s,) dissipation by friction at each joint section of this rank since the start [energy/area]
     injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
-    around    lengths of the step that led here and of the next one as foreseen, by which what jumps in time was sampled
+    left      net volume that has left the network by each term since the start, by their names [length^3]
+    adjacent_steps  lengths of the step that led here and of the planned next one, by which jumps in time were sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
-    drive     largest pressure, above that at rest, at the end of a step since the start [stress]
-    power     most that the flow has dissipated at the end of a step since the start [energy/time per thickness]
+    max_overpressure  largest pressure, above that at rest, at the end of a step since the start [stress]
+    max_dissipation  largest dissipation of the flow at the end of a step since the start [energy/time per thickness]
     """
 
     time: float
@@ -150,45 +147,46 @@ class State:
     forces: Forces
     controls: Mapping[str, float]
     energy: Mapping[str, float]
-    limited: tuple[str, ...] = ()
+    wells_at_limit: tuple[str, ...] = ()
     friction: Floats = field(default_factory=lambda: np.zeros(0))
-    memory: Memory = Memory()
+    previous_step: PreviousStep = PreviousStep()
     uptake: PETSc.Vec | None = None
-    drive: float = 0.0
-    power: float = 0.0
+    max_overpressure: float = 0.0
+    max_dissipation: float = 0.0
     injected: float = 0.0
-    around: tuple[float, float] = (0.0, 0.0)
+    left: Mapping[str, float] = field(default_factory=dict)
+    adjacent_steps: tuple[float, float] = (0.0, 0.0)
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""
         self.motion.destroy()
         self.pressure.destroy()
         self.forces.destroy()
-        self.memory.destroy()
+        self.previous_step.destroy()
         if self.uptake is not None:
             self.uptake.destroy()
 
 
 def forgetful(state: State) -> State:
-    """A copy with vectors of its own, without what a rule remembers of the step before."""
+    """A copy with vectors of its own, without the previous step."""
     motion = Motion(*(v.copy() for v in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)))
     uptake = None if state.uptake is None else state.uptake.copy()
     forces, pressure = state.forces.copy(), state.pressure.copy()
-    return replace(state, motion=motion, pressure=pressure, forces=forces, memory=Memory(), uptake=uptake)
+    return replace(state, motion=motion, pressure=pressure, forces=forces, previous_step=PreviousStep(), uptake=uptake)
 
 
 @dataclass(frozen=True)
 class StepReport:
-    """What a step cost and how it ended.
+    """Cost and end of a step.
 
-    solid_residual  beyond ``round_off``, what displacements of finite digits leave of the balances; both relative
+    solid_residual  beyond ``round_off``, the round-off bound of the balances; both relative
     digits          fewest digits that round-off leaves of the tractions of a fracture
     out_of_balance  (4.9a) at the start of the step and after each iteration [force per thickness]; of a monolithic solve
     predicted       factor of the error in a plain cycle of the fixed point, before the first; NaN elsewhere
     measured        that of the cycles as they were made, between the last two
     handed_over     why the fixed point left the step to the monolithic solver; empty if it did not
-    located         sections whose friction changed its status at the end of the step, which was sought
-    rejected        trials thrown away on the way to this step: they found no balance, ran away, or were not accurate
+    located         sections whose friction changed its status at the end of the step, which was located there
+    rejected        trials rejected on the way to this step: they did not converge, were unstable, or were not accurate
     wasted          Newton iterations spent on those, which ``newton`` does not count
     widening        largest factor by which an aperture grew in the step, and ``widest``, its fracture and place
     """
@@ -212,11 +210,11 @@ class StepReport:
     widest: str = ""
 
     def with_rejected(self, newton: int) -> StepReport:
-        """The same with one more trial thrown away, on which so many iterations were spent."""
+        """The same with one more rejected trial, and its Newton iterations."""
         return replace(self, rejected=self.rejected + 1, wasted=self.wasted + newton)
 
     def after_trials(self, trials: StepReport) -> StepReport:
-        """The same with the trials thrown away before it."""
+        """The same with the trials rejected before it."""
         return replace(self, rejected=self.rejected + trials.rejected, wasted=self.wasted + trials.wasted)
 
     def after(self, earlier: StepReport) -> StepReport:

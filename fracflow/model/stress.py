@@ -6,7 +6,6 @@ Four components are xx, yy, zz, xy; xy of a strain is half the engineering shear
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,6 @@ from fracflow.model.properties import initial_stress
 from fracflow.model.solid import by_shape
 from fracflow.scene.scene import Scene
 
-Data = dict[str, NDArray[Any]]
-
 
 def deforms(mesh: SplitMesh, scene: Scene) -> NDArray[np.bool_]:
     """Which cells (m,) are of rock that is not rigid."""
@@ -27,7 +24,7 @@ def deforms(mesh: SplitMesh, scene: Scene) -> NDArray[np.bool_]:
 
 
 def per_cell(cells: Ints, kernel: Callable[[Ints, Ints], Floats], *shape: int) -> Floats:
-    """Values (m, *shape) that ``kernel`` gives for cells of one number of nodes: (which cells, their nodes)."""
+    """Values (m, *shape) of cells (m, k); ``kernel`` gives them for numbers (n,) and nodes (n, w) of one shape."""
     result = np.zeros((len(cells), *shape))
     for chosen, nodes in by_shape(cells):
         result[chosen] = kernel(chosen, nodes)
@@ -62,65 +59,46 @@ def tensors(values: Floats) -> Floats:
 
 
 def properties(mesh: SplitMesh, scene: Scene, key: str, cells: Ints | slice = slice(None)) -> Floats:
-    """A property of the rock in cells; 0 where the scene leaves it out."""
+    """A property (n,) of the rock in cells; 0 where the scene leaves it out."""
     return np.array([getattr(scene.rock[name], key) or 0.0 for name in mesh.rocks])[mesh.cell_rock[cells]]
 
 
-def total_stress(mesh: SplitMesh, scene: Scene, strains: Floats) -> Floats:
-    """Stress (m, 4) at the centres of all cells, with the initial one [stress]; zero in rigid rock."""
-
-    def centre(_: Ints, nodes: Ints) -> Floats:
-        return mesh.points[nodes].mean(axis=1)
-
-    able, result = np.flatnonzero(deforms(mesh, scene)), np.zeros((len(mesh.cells), 4))
-    moduli = (properties(mesh, scene, key, able) for key in ("youngs_modulus", "poissons_ratio"))
-    centres = per_cell(mesh.cells[able], centre, 2)
-    result[able] = stress_change(strains[able], *moduli) + initial_components(scene, centres)
-    return result
+def elastic_moduli(mesh: SplitMesh, scene: Scene, cells: Ints) -> tuple[Floats, Floats]:
+    """Young's modulus [stress] and Poisson's ratio of the rock in cells (m,)."""
+    return properties(mesh, scene, "youngs_modulus", cells), properties(mesh, scene, "poissons_ratio", cells)
 
 
-def strain_energy_density(mesh: SplitMesh, scene: Scene, displacement: Floats) -> Floats:
+def centres(points: Floats, cells: Ints) -> Floats:
+    """Centres (m, 2) of cells (m, k), -1 pads, of points (n, 2)."""
+    return per_cell(cells, lambda _, nodes: points[nodes].mean(axis=1), 2)
+
+
+def strain_energy_density(
+    scene: Scene, points: Floats, cells: Ints, displacement: Floats, moduli: tuple[Floats, Floats]
+) -> Floats:
     """Energy (m,) that each cell stored since the initial state, the work against the initial stress with it [energy/volume].
 
-    Times the areas it adds up to the book ``rock_strain``; under a stress that changes with depth but for what the
-    start takes up in the rock beside fractures. Zero in rigid rock.
+    Its integral is the entry ``rock_strain``. Under a stress that changes with depth the imbalance taken up at the start, in
+    the rock beside fractures, is excepted. Arguments as of ``strain``, with Young's moduli and Poisson's ratios (m,).
     """
-    able, result = np.flatnonzero(deforms(mesh, scene)), np.zeros(len(mesh.cells))
-    young, poisson = (properties(mesh, scene, key, able) for key in ("youngs_modulus", "poissons_ratio"))
+    young, poisson = moduli
 
     def kernel(chosen: Ints, nodes: Ints) -> Floats:
-        points = mesh.points[nodes]
-        initial = initial_components(scene, solid.stiffness_points(points))[..., [0, 1, 3]]
-        moduli = plane_strain_stiffness(young[chosen], poisson[chosen])
-        return solid.strain_energy(points, displacement[nodes], moduli, initial) / solid.area(points)
+        initial = initial_components(scene, solid.stiffness_points(points[nodes]))[..., [0, 1, 3]]
+        stiffness = plane_strain_stiffness(young[chosen], poisson[chosen])
+        return solid.strain_energy(points[nodes], displacement[nodes], stiffness, initial) / solid.area(points[nodes])
 
-    result[able] = per_cell(mesh.cells[able], kernel)
-    return result
+    return per_cell(cells, kernel)
 
 
-def kinetic_energy_density(mesh: SplitMesh, scene: Scene, velocity: Floats) -> Floats:
-    """Kinetic energy (m,) of the mass that the run has, spread over the cells it comes from [energy/volume]."""
-    density, lumped = properties(mesh, scene, "density"), scene.method.mass == "lumped"
+def kinetic_energy_density(scene: Scene, points: Floats, cells: Ints, velocity: Floats, density: Floats) -> Floats:
+    """Kinetic energy (m,) of the mass that the run has, spread over the cells it comes from [energy/volume].
+
+    Arguments as of ``strain``, with densities (m,).
+    """
+    lumped = scene.method.mass == "lumped"
 
     def kernel(chosen: Ints, nodes: Ints) -> Floats:
-        points = mesh.points[nodes]
-        return solid.kinetic_energy(points, velocity[nodes], density[chosen], lumped) / solid.area(points)
+        return solid.kinetic_energy(points[nodes], velocity[nodes], density[chosen], lumped) / solid.area(points[nodes])
 
-    return per_cell(mesh.cells, kernel)
-
-
-def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, kinetic: bool) -> tuple[Data, Data]:
-    """Point and cell data of the rock from displacement and velocity (n, 2, 2) of all nodes.
-
-    ``kinetic`` False leaves the kinetic energy at zero, as the books do in stages without inertia.
-    """
-    displacement, velocity = motion[:, 0], motion[:, 1]
-    strains = strain(mesh.points, mesh.cells, displacement)
-    moving = kinetic_energy_density(mesh, scene, velocity) if kinetic else np.zeros(len(mesh.cells))
-    return {"displacement": displacement, "velocity": velocity}, {
-        "stress": tensors(total_stress(mesh, scene, strains)),
-        "strain": tensors(strains),
-        "strain_energy_density": strain_energy_density(mesh, scene, displacement),
-        "kinetic_energy_density": moving,
-        "rock": mesh.cell_rock,
-    }
+    return per_cell(cells, kernel)

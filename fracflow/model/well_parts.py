@@ -1,4 +1,4 @@
-"""Parts of a network that never meet, and the wells in each: told before a run."""
+"""Components of a network that never meet, and the wells in each: reported before a run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fracflow.mesh.data import Bools, Floats, SplitMesh
-from fracflow.model.network_parts import label_parts
+from fracflow.model.network_parts import label_components
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 
@@ -43,14 +43,14 @@ class WellPart:
 
 
 def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart]:
-    """The parts of a network that have wells, those of the first well first; ``wells`` name -> flow node. On one process.
+    """Components of a network with wells, that of the first well first; ``wells`` name -> flow node. On one process.
 
-    Whatever the walls do, fluid never flows from one to the other.
+    Whatever the motion of walls, fluid never flows from one to the other.
     """
     count = len(mesh.flow_origin)
     if not wells or not count:
         return []
-    label = label_parts(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
+    label = label_components(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
     of_joint = label[mesh.joint_flow[:, 0]]
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=1)
     inside: dict[int, list[str]] = {}

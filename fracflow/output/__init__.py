@@ -1,4 +1,4 @@
-"""What a run leaves behind: its folder, history, events, fields and pictures. Rank 0 only, plain NumPy."""
+"""The results of a run: its folder, history, events, fields and pictures. Rank 0 only, plain NumPy."""
 
 from fracflow.output.events import EventLog, FractureNodes, read_events
 from fracflow.output.fields import FieldWriter, list_steps, read_mesh, read_step

@@ -13,22 +13,23 @@ from numpy.typing import NDArray
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.model.state import State
 from fracflow.output.sampling import Snapshot
+from fracflow.scene.quantities import magnitude, one_less, with_components
 from fracflow.scene.scene import Scene
 
-SLIPPED = 1e-9  # of the largest slip of an event: what is less is none
+SLIPPED = 1e-9  # of the largest slip of an event: less counts as none
 RELEASED = ("friction", "radiated", "damping", "dropped", "scheme")
-"""Entries of the energy books in which the energy that an event sets free ends, but for what the fluid takes."""
+"""Entries of the energy balance in which the energy released by an event ends, except the share of the fluid."""
 
 
 @dataclass(frozen=True)
 class FaultEnds:
-    """The joint ends (n,) of all fractures: whose they are, and what a unit of slip there is worth.
+    """The joint ends (n,) of all fractures: their nodes, and the factors of slip in moment and energy.
 
     place    row of each end in the table of fracture nodes
     length   that an end stands for; 0 at tips, which have no slip [length]
     modulus  shear modulus of the rock beside, two rocks in series; inf where both are rigid [stress]
     depth    to which an event reaches, for its magnitude; None leaves it out [length]
-    to_si    what brings a moment in the units of the scene to N m; None where they have none
+    to_si    factor from the scene's unit of moment to N m; None without units
     """
 
     place: NDArray[np.int64]
@@ -46,11 +47,11 @@ class FaultEnds:
 
 @dataclass(frozen=True)
 class Instant:
-    """What the catalogue looks at of a recorded state: plastic slip, shear traction, slip rate (n,) and who slides.
+    """Input of the catalogue from a recorded state: plastic slip, shear traction, slip rate (n, dim-1), sliding flags (n,).
 
-    energy    the books
+    energy    running totals of the energy balance
     injected  net volume that wells have brought since the start of the run [length^3]
-    began     from when on what slides in it may have slid, ``time`` if not given [time]
+    began     earliest time at which its sliding sections may have begun, ``time`` if not given [time]
     """
 
     time: float
@@ -67,14 +68,14 @@ class Catalogue:
     """Makes a row of each event, from its last state without inertia before it to the first one after it."""
 
     def __init__(self, ends: FaultEnds) -> None:
-        """Begin where nothing is under way."""
+        """Begin without an event."""
         self.ends, self.is_moving = ends, False
         self.before: dict[str, Any] = {}
         self.now: Instant | None = None
         self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros(len(ends.length))
 
     def update(self, now: Instant, moves: bool) -> dict[str, Any] | None:
-        """Look at a state, reached with inertia if it ``moves``; gives the row of the event that it ends, without its place."""
+        """Take up a state, reached with inertia if it ``moves``; return the event that it ends, without its place."""
         row = self.row(now) if self.is_moving and not moves and self.first >= 0 else None
         if moves:
             sliding = np.flatnonzero(now.sliding & (self.ends.length > 0.0))
@@ -84,9 +85,9 @@ class Catalogue:
                     self.first, self.start = int(sliding[0]), now.time if now.began is None else now.began
             elif math.isnan(self.end):
                 self.end = now.time
-            self.peak = np.fmax(self.peak, np.abs(now.rate))
+            self.peak = np.fmax(self.peak, magnitude(now.rate))
         else:
-            self.before = {"slip": now.slip.tolist(), "traction": now.traction.tolist()}
+            self.before = {"slip": one_less(now.slip).tolist(), "traction": one_less(now.traction).tolist()}
             self.before |= {"energy": dict(now.energy), "injected": now.injected}
             self.first, self.start, self.end, self.peak = -1, math.nan, math.nan, np.zeros_like(self.peak)
         self.is_moving, self.now = moves, now
@@ -101,11 +102,13 @@ class Catalogue:
     def row(self, now: Instant) -> dict[str, Any]:
         """The event under way as it is at a state; ``end`` is when the last section stuck, ``place`` where the first slid."""
         length, before = self.ends.length, self.before
-        change = np.where(length > 0.0, now.slip - np.array(before["slip"]), 0.0)
-        size = np.abs(change)
+        slip, traction = (np.reshape(before[name], now.slip.shape) for name in ("slip", "traction"))
+        change = np.where(length[:, None] > 0.0, now.slip - slip, 0.0)
+        size = magnitude(change)
         slipped = size > SLIPPED * size.max(initial=0.0)
         whole = float(length[slipped].sum())
-        drop = (np.array(before["traction"]) - now.traction) * np.sign(change) * slipped
+        along = change / np.where(size > 0.0, size, 1.0)[:, None]
+        drop = ((traction - now.traction) * along).sum(axis=1) * slipped
         moment = float((length * np.where(slipped, self.ends.modulus * size, 0.0)).sum())
         since = {name: now.energy[name] - value for name, value in before["energy"].items()}
         released = sum(since.get(name, 0.0) for name in RELEASED)
@@ -113,7 +116,7 @@ class Catalogue:
             "place": int(self.ends.place[self.first]),
             "start": self.start,
             "end": now.time if math.isnan(self.end) else self.end,
-            "slip": float(change[size.argmax()]),
+            **with_components("slip", change[size.argmax()]),
             "peak_slip_rate": float(self.peak[slipped].max(initial=0.0)),
             "sections": int(slipped.sum()),
             "length": whole,
@@ -129,7 +132,7 @@ class Catalogue:
         }
 
     def memory(self) -> dict[str, Any]:
-        """All that it knows, as plain numbers and lists."""
+        """Its data for a checkpoint, as plain numbers and lists."""
         about = {"is_moving": self.is_moving, "before": self.before, "peak": self.peak.tolist()}
         return about | {"first": self.first, "start": self.start, "end": self.end}
 
@@ -140,7 +143,7 @@ class Catalogue:
 
 
 def catalogue_of(scene: Scene, mesh: SplitMesh, place: Ints, notes: Mapping[str, Any] | None) -> Catalogue | None:
-    """The catalogue of a scene with a stage auto, new or with what a checkpoint's ``notes`` kept; ``place`` as below."""
+    """The catalogue of a scene with a stage auto, new or from a checkpoint's ``notes``; ``place`` (joints * 2,) as below."""
     if all(stage.kind != "auto" for stage in scene.stage):
         return None
     catalogue = Catalogue(fault_ends(scene, mesh, place))
@@ -173,6 +176,9 @@ def _shear_modulus(scene: Scene, name: str) -> float:
 
 def instant(state: State, snapshot: Snapshot, began: float) -> Instant:
     """The instant of a recorded state, for the catalogue; ``began`` as ``Instant`` has it."""
-    slip, traction, rate = (snapshot.column(name).ravel() for name in ("plastic_slip", "shear_traction", "slip_rate"))
+    slip, traction, rate = (
+        values.reshape(-1, values.shape[2])
+        for values in map(snapshot.column, ("plastic_slip", "shear_traction", "slip_rate"))
+    )
     sliding = snapshot.column("sliding").astype(bool).ravel()
     return Instant(state.time, slip, traction, rate, sliding, state.energy, state.injected, began)

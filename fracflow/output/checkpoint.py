@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import NonNegativeInt, TypeAdapter, ValidationError
+from pydantic import ConfigDict, NonNegativeInt, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import InputError
+from fracflow.laws.base import zero_history
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Memory, Motion, Past, Sections, State
+from fracflow.model.state import Forces, Motion, PreviousStep, SectionHistory, Sections, State
 from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 Arrays = dict[str, NDArray[Any]]
@@ -48,17 +49,20 @@ NOTES = (
 )
 _NO_CHECKPOINT = "is no checkpoint"
 MEMORY = "mean_velocity"
-SIDES = ("absorbed", "anchor", "damped")  # of absorbing sides, and of damping at faults, where they act
+ANCHOR = "anchor"
 RATES = ("uptake", "mean_uptake")  # of a compressible fluid, where there are any
+ENDLESS = ("sections/strength", "sections/margin", "sections/utilisation")  # inf where a joint never fails
 DIMENSIONS = {"strain": 1, "traction": 1, "tangent": 2, "inelastic": 1, "blur": 1}  # of each section's value
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
 class Notes(TypedDict, total=False):
-    """What a checkpoint says beside its arrays; what NOTES names must be there.
+    """The notes of a checkpoint beside its arrays; those named in NOTES must be there.
 
     seals  digests of what it belongs to: the roots of "mesh", the last row of "history", the text of "scene"
     """
+
+    __pydantic_config__ = ConfigDict(allow_inf_nan=False)  # type: ignore[misc]
 
     time: float
     controls: dict[str, float]
@@ -76,18 +80,19 @@ class Notes(TypedDict, total=False):
     events: dict[str, Any]
     injected: float
     around: tuple[float, float]
-    incident: float
+    powers: dict[str, float]
+    left: dict[str, float]
     through: dict[str, float]
     seals: dict[str, str]
 
 
 def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], notes: Mapping[str, Any]) -> None:
-    """Write a checkpoint and its seal aside, bring it to disk, and put it in the place of the last one. Rank 0 only."""
+    """Write arrays (...) and their seal to a temporary file, flush it, and replace the last checkpoint. Rank 0 only."""
     write_sealed(path, arrays, {"notes": json.dumps(notes, ensure_ascii=False)})
 
 
 def read_notes(path: Path) -> dict[str, Any]:
-    """What a checkpoint says beside its arrays, ``seals`` empty where it has none. Raises InputError as ``read_arrays``."""
+    """The notes of a checkpoint beside its arrays, ``seals`` empty where it has none. Raises InputError as ``read_arrays``."""
     found = read_sealed(path, _NO_CHECKPOINT, names=())
     try:
         notes: dict[str, Any] = json.loads(str(found.notes["notes"]))
@@ -112,12 +117,18 @@ def read_arrays(path: Path) -> Arrays:
 
 @contextmanager
 def restoring(path: Path) -> Iterator[None]:
-    """Let what does not fit in a checkpoint, with seal or without, be an InputError that names it."""
+    """Give faults of a checkpoint, with seal or without, as an InputError that names it. Raises InputError."""
     try:
         yield
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: {_NO_CHECKPOINT} of this version ({what}); {AGAIN}") from error
+
+
+def check_stage(notes: Mapping[str, Any], stages: int) -> None:
+    """Raise InputError for a checkpoint of a stage that the scene, which has so many, has not."""
+    if notes["stage"] >= stages:
+        raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} of this scene (stage {notes['stage']} of {stages}); {AGAIN}")
 
 
 def spread(comm: MPI.Comm, arrays: Arrays | None) -> Arrays:
@@ -141,21 +152,23 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
     for name, part in FLOW.items() if operators.flow is not None else ():
         local = getattr(getattr(state, part) if part else state, name).getArray(readonly=True)
         arrays[name] = blocks.gather(blocks.flow.ids, local.copy(), blocks.sizes.flow_nodes)
-    if state.memory.velocity is not None:
-        local = state.memory.velocity.getArray(readonly=True)
+    if state.previous_step.velocity is not None:
+        local = state.previous_step.velocity.getArray(readonly=True)
         arrays[MEMORY] = blocks.gather(places[used], local[used], total)
-    for name in SIDES:
-        if (vector := getattr(state.forces, name)) is not None:
-            arrays[name] = blocks.gather(places[used], vector.getArray(readonly=True)[used], total)
-    for name, rate in zip(RATES, (state.uptake, state.memory.uptake), strict=True):
+    anchor = {} if state.forces.anchor is None else {ANCHOR: state.forces.anchor}
+    for name, vector in {**state.forces.of_terms, **anchor}.items():
+        arrays[name] = blocks.gather(places[used], vector.getArray(readonly=True)[used], total)
+    for name, rate in zip(RATES, (state.uptake, state.previous_step.uptake), strict=True):
         if rate is not None:
             arrays[name] = blocks.gather(blocks.flow.ids, rate.getArray().copy(), blocks.sizes.flow_nodes)
     joints, points = blocks.joints.ids, operators.joints.points
-    at_sections = {f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "past"}
+    at_sections = {
+        f"sections/{f.name}": getattr(state.sections, f.name) for f in fields(Sections) if f.name != "history"
+    }
     for name, values in {**at_sections, "friction": state.friction}.items():
         rows = values.reshape(len(joints), points, *values.shape[1:])
         arrays[name] = blocks.gather(joints, rows, blocks.sizes.joints)
-    for number, (group, past) in enumerate(zip(operators.joints.laws, state.sections.past, strict=True)):
+    for number, (group, past) in enumerate(zip(operators.joints.laws, state.sections.history, strict=True)):
         for name, values in past.items():
             whole = np.zeros((len(joints) * points, *values.shape[1:]))
             whole[group.sections] = values
@@ -167,7 +180,7 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
 
 
 def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]) -> State:
-    """The state that was saved, spread over the ranks of now. Raises InputError for that of another mesh. Collective."""
+    """The saved state, distributed over the present ranks. Raises InputError for that of another mesh. Collective."""
     blocks, layout = operators.blocks, operators.layout
     places, total = _solid_places(blocks)
     _check_shapes(arrays, operators, total, notes["last_step"] > 0.0)
@@ -183,9 +196,6 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
             vector.setArray(arrays[name][blocks.flow.ids])
         return vector
 
-    def side(name: str) -> PETSc.Vec | None:
-        return solid(name) if name in arrays else None
-
     def saved(name: str) -> PETSc.Vec | None:
         return flow(name) if name in arrays else None
 
@@ -193,39 +203,44 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         values = arrays[name][blocks.joints.ids]
         return values.reshape(-1, *values.shape[2:])
 
-    past: Past = tuple(
+    past: SectionHistory = tuple(
         {name: at_sections(f"past/{number}/{name}")[group.sections] for name in group.law.history}
         for number, group in enumerate(operators.joints.laws)
     )
-    parts = {f.name: at_sections(f"sections/{f.name}") for f in fields(Sections) if f.name != "past"}
+    parts = {f.name: at_sections(f"sections/{f.name}") for f in fields(Sections) if f.name != "history"}
     return State(
         time=notes["time"],
         motion=Motion(solid("displacement"), solid("velocity"), solid("acceleration")),
         pressure=flow("pressure"),
-        sections=Sections(past=past, **parts),
+        sections=Sections(history=past, **parts),
         forces=Forces(
             solid("load"),
             solid("support"),
             flow("conduction"),
             flow("source"),
-            side(SIDES[0]),
-            side(SIDES[1]),
-            notes.get("incident", 0.0),
-            side(SIDES[2]),
+            {name: solid(name) for name in _names_of_terms(operators, arrays)},
+            notes.get("powers") or dict.fromkeys(_names_of_terms(operators, arrays), notes.get("incident", 0.0)),
+            solid(ANCHOR) if ANCHOR in arrays else None,
         ),
         controls=notes["controls"],
         energy=notes["energy"],
-        limited=tuple(notes["limited"]),
+        wells_at_limit=tuple(notes["limited"]),
         friction=at_sections("friction"),
-        memory=Memory(notes["last_step"], solid(MEMORY), saved(RATES[1]), notes.get("through", {}))
+        previous_step=PreviousStep(notes["last_step"], solid(MEMORY), saved(RATES[1]), notes.get("through", {}))
         if notes["last_step"]
-        else Memory(),
+        else PreviousStep(),
         uptake=saved(RATES[0]),
-        drive=notes["drive"],
-        power=notes["power"],
+        max_overpressure=notes["drive"],
+        max_dissipation=notes["power"],
         injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
-        around=tuple(notes.get("around", (0.0, 0.0))),
+        left=notes.get("left", {}),
+        adjacent_steps=tuple(notes.get("around", (0.0, 0.0))),
     )
+
+
+def _names_of_terms(operators: Operators, arrays: Arrays) -> list[str]:
+    """The terms with stored forces."""
+    return [term.name for term in operators.terms if term.name in arrays]
 
 
 def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
@@ -235,23 +250,29 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
     shapes |= {name: (sizes.flow_nodes,) for name in flow}
     shapes |= {MEMORY: (unknowns,)} if remembers else {}
     shapes |= {name: (sizes.flow_nodes,) for name in RATES if name in arrays}
-    shapes |= {name: (unknowns,) for name in SIDES if name in arrays}
-    parts = {f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "past"}
+    kept = (*_names_of_terms(operators, arrays), *([ANCHOR] if ANCHOR in arrays else []))
+    shapes |= {name: (unknowns,) for name in kept}
+    parts = {
+        f.name: (*joint, *(sizes.dim,) * DIMENSIONS.get(f.name, 0)) for f in fields(Sections) if f.name != "history"
+    }
     shapes |= {f"sections/{name}": shape for name, shape in parts.items()} | {"friction": joint}
     for number, group in enumerate(operators.joints.laws):
-        past = group.law.rest(1, sizes.dim)
+        past = zero_history(group.law.history, 1, sizes.dim)
         shapes |= {f"past/{number}/{name}": (*joint, *past[name].shape[1:]) for name in group.law.history}
     for name, shape in shapes.items():
         found = arrays[name].shape if name in arrays else (0,)
         if found != shape:
             rows = f"{found[0] if found else 0} rows, not {shape[0]}"
             raise InputError(
-                f"checkpoint.h5: is no checkpoint of this mesh ({name} has"
+                f"checkpoint.h5: {_NO_CHECKPOINT} of this mesh ({name} has"
                 f" {rows if found[:1] != shape[:1] else f'the shape {found}, not {shape}'}); {AGAIN}"
             )
         wanted = "b" if name in ("sections/is_sliding", "sections/is_open") else "f"
         if name in arrays and arrays[name].dtype.kind != wanted:
-            raise InputError(f"checkpoint.h5: is no checkpoint ({name} is of type {arrays[name].dtype}); {AGAIN}")
+            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} is of type {arrays[name].dtype}); {AGAIN}")
+        is_wrong = np.isnan if name in ENDLESS else lambda values: ~np.isfinite(values)
+        if name in arrays and np.any(is_wrong(arrays[name])):
+            raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} ({name} has values that are no finite numbers); {AGAIN}")
 
 
 def _solid_places(blocks: Blocks) -> tuple[Ints, int]:

@@ -1,9 +1,9 @@
-"""What levels of refinement tell about each other: observed orders, estimated errors, and where neither can be trusted.
+"""Comparison of levels of refinement: observed orders, estimated errors, and warnings where neither is reliable.
 
 Of quantities q_0, q_1, q_2, each of half the mesh size and step, p = log2(|q_0 - q_1|/|q_1 - q_2|) is the order that was
 observed, and |q_1 - q_2|/(2^p - 1) the error of the last (Richardson 1911; Roache 1998). That holds of an error c(t) h^p,
 whose differences have one course in time, whatever the level. Where they have not, errors of mesh and steps cancel, or a
-front is not resolved, and p is an accident. Two levels leave p to be assumed: 1 where fractures have tips in rock (Strang
+front is not resolved, and p is an accident. With two levels p is assumed: 1 where fractures have tips in rock (Strang
 and Fix 1973), and of what derives from displacements, else the method's.
 """
 
@@ -23,18 +23,18 @@ from fracflow.output.events import read_events
 from fracflow.output.export import unit_of, units_of_run
 from fracflow.output.folder import to_json, write_atomic
 from fracflow.output.history import read_history
+from fracflow.scene.quantities import row_of
 
 Floats = NDArray[np.float64]
 Histories = dict[str, Floats]
 
 ORDER_OF_MESH = 2.0
-OF_GRADIENTS = OF_TIPS = 1.0  # the least of what derives from displacements, and of all where fractures end in rock
-GRADIENTS = ("strain", "stress", "shear_traction", "normal_traction", "strength", "flow_rate")
+OF_SLOPES = OF_TIPS = 1.0  # the least of what derives from displacements, and of all where fractures end in rock
 LATITUDE, ABOVE = 0.3, 0.6  # of observed orders below the least and above the highest that there is
-LOWEST = min(OF_TIPS, OF_GRADIENTS) - LATITUDE  # slower falls leave no order to estimate errors by
+LOWEST = min(OF_TIPS, OF_SLOPES) - LATITUDE  # slower falls give no order for an estimate of errors
 JUMP = 0.6  # between successive orders
 ALIKE = 0.95  # cosine of successive differences, as vectors over times: below it estimates may be any factor off
-ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences tell nothing
+CHANGE_ROUND_OFF = 1e-9  # of the largest quantity of its kind: smaller differences are round-off
 SAME_TIME = 1e-9  # of the time span
 MOST_COMMON = 0.5  # of the coarsest level's times that must be everywhere, or all are interpolated
 NO_RESULTS = ("residual", "residual_closed", "scheme")  # errors themselves
@@ -50,10 +50,9 @@ class Row:
     differences  rms of q_k - q_(k+1), level by level
     alike        cosine between the last two differences as vectors over times, 1 where they have one course; nan of two
                  levels
-    order        observed between the last three levels, inf where the last two are the same; of two levels, and where
-                 there is nothing to observe, nan
+    order observed between the last three levels, inf where the last two agree; nan for two levels or no differences
     error        estimated, of the finest level; nan where there is no estimate
-    warning      why order and error are not to be trusted; "" where they are
+    warning      why order and error are unreliable; "" where they are reliable
     is_seen      whether differences are more than round-off
     unit         of the scene; "" where there is none
     """
@@ -99,8 +98,8 @@ def judged(row: Row, scale: float) -> Row:
 
     An order between that of tips and the method's is no fault of the estimate, which goes by the order observed.
     """
-    row, last = replace(row, change=row.change * (row.change > ROUND_OFF * scale)), row.differences[-1]
-    if max(row.differences) <= ROUND_OFF * scale:
+    row, last = replace(row, change=row.change * (row.change > CHANGE_ROUND_OFF * scale)), row.differences[-1]
+    if max(row.differences) <= CHANGE_ROUND_OFF * scale:
         return replace(row, error=last, is_seen=False)
     if len(row.differences) == 1:
         return replace(row, error=last / (2.0**row.least - 1.0))
@@ -113,16 +112,16 @@ def judged(row: Row, scale: float) -> Row:
     if order < LOWEST:
         return replace(row, warning=f"order below {LOWEST:g}: a jump, or not yet fine enough")
     if order > ORDER_OF_MESH + ABOVE:
-        return replace(row, warning=f"order above {ORDER_OF_MESH:g}: coarser levels are not fine enough to tell")
+        return replace(row, warning=f"order above {ORDER_OF_MESH:g}: coarser levels are not fine enough to show it")
     if earlier and not abs(order - earlier[0]) <= JUMP:
-        return replace(row, warning="orders jump from level to level: not yet fine enough to tell")
+        return replace(row, warning="orders jump from level to level: not yet fine enough to show it")
     if row.alike < ALIKE:
         return replace(row, warning="differences of levels change their course: errors of mesh and steps may cancel")
     return row
 
 
 def alike(steps: Sequence[Floats]) -> float:
-    """Cosine between the last two of the differences (times, components) of levels, nan where there are fewer."""
+    """Cosine between the last two of the differences (t, c) of levels, by time and component; nan where there are fewer."""
     if len(steps) < 2:
         return float("nan")
     before, last = (each.ravel() / (np.abs(each).max() or 1.0) for each in steps[-2:])
@@ -165,7 +164,8 @@ def _sampled(histories: list[Histories], times: Floats, least: float, units: Map
         moved = [fine[known] - coarse[known] for coarse, fine in pairwise(values)]
         steps = tuple(_rms(each) for each in moved)
         place, _, quantity = name.rpartition("/")
-        lowest = min(least, OF_GRADIENTS) if quantity in GRADIENTS else least
+        in_table = row_of(key)
+        lowest = min(least, OF_SLOPES) if in_table is not None and in_table.of_slopes else least
         sizes[key] = max(_rms(each[known]) for each in values)
         changes[key] = [_change(each[known]) for each in values]
         row = Row(kind, f"{place} {quantity}".strip(), lowest, changes[key][-1], steps, unit=unit_of(key, units))
@@ -173,7 +173,7 @@ def _sampled(histories: list[Histories], times: Floats, least: float, units: Map
     kinds = {key: (row.kind, row.name.rpartition(" ")[2] if row.kind == "probe" else "") for key, row in rows.items()}
     for key, row in rows.items():
         scale = max(size for name, size in sizes.items() if kinds[name] == kinds[key])
-        found, moves = judged(row, scale), np.array(changes[key]) > ROUND_OFF * scale
+        found, moves = judged(row, scale), np.array(changes[key]) > CHANGE_ROUND_OFF * scale
         if found.is_seen and not moves.all() and moves.any():
             found = replace(found, warning=f"no change at level {', '.join(map(str, np.flatnonzero(~moves)))}")
         yield found

@@ -1,6 +1,6 @@
 """events.csv: when and where fractures slipped or opened; of stages auto also a row for each event as a whole.
 
-Contact chatters where fracture nodes open and close from step to step, which no wave does that the steps resolve.
+Contact chatters where fracture nodes open and close from step to step, unlike in any wave that the steps resolve.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import write_atomic
+from fracflow.scene.quantities import component_names, magnitude, one_less, with_components
 from fracflow.storage.files import read_text, steers
 
 OF_EVENTS = (
@@ -31,7 +32,6 @@ LATEST = "start_latest"
 """Until when what slips or opens may have begun: ``start`` where that instant was found, else the end of its step."""
 COLUMNS = (*_BEFORE, LATEST)
 _KINDS = ("open", "slip")
-LARGEST = 64 << 20  # bytes of a file: some four hundred thousand events
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -56,7 +56,7 @@ class FractureNodes:
 
 @dataclass
 class _Running:
-    """Events of one kind now under way; row is -1 at a node that has none."""
+    """Events of one kind now under way: row (n,), -1 at a node that has none, slip (n, dim-1) before, peak rate (n,)."""
 
     row: NDArray[np.int64]
     slip_before: Floats
@@ -68,16 +68,20 @@ class EventLog:
 
     path          the CSV file, rewritten as a whole when an event starts or ends
     nodes         static table of the n fracture nodes
-    plastic_slip  (n,) before the first update; zero if not given [length]
+    plastic_slip  (n, dim-1) before the first update; zero if not given [length]
+    tangents      dim-1
     """
 
-    def __init__(self, path: str | Path, nodes: FractureNodes, plastic_slip: Floats | None = None) -> None:
-        count = len(nodes.node)
+    def __init__(
+        self, path: str | Path, nodes: FractureNodes, plastic_slip: Floats | None = None, tangents: int = 1
+    ) -> None:
+        self._shape = (len(nodes.node), tangents)
         self.path = Path(path)
         self.nodes = nodes
         self.rows: list[dict[str, Any]] = []
-        self._plastic_slip = np.array(np.zeros(count) if plastic_slip is None else plastic_slip, dtype=float)
-        self._running = {kind: _Running(np.full(count, -1), np.zeros(count), np.zeros(count)) for kind in _KINDS}
+        self._plastic_slip = np.zeros(self._shape) if plastic_slip is None else self._vectors(plastic_slip)
+        count = len(nodes.node)
+        self._running = {kind: _Running(np.full(count, -1), np.zeros(self._shape), np.zeros(count)) for kind in _KINDS}
         self._write()
 
     def update(
@@ -89,22 +93,22 @@ class EventLog:
         slip_rate: Floats,
         began: float | None = None,
     ) -> bool:
-        """Book one accepted step; returns whether an event started or ended.
+        """Record one accepted step; return whether an event started or ended.
 
         time          at the end of the step [time]
-        began         from when on what is found in it may have been so, ``time`` if not given [time]
+        began         earliest time at which its slip or opening may have begun, ``time`` if not given [time]
         sliding       (n,) whether any section at the node slides
         is_open       (n,) whether any section at the node is open
-        plastic_slip  (n,) signed, top minus bottom [length]
-        slip_rate     (n,) signed [length/time]
+        plastic_slip  (n, dim-1) signed, top minus bottom [length]
+        slip_rate     (n, dim-1) signed [length/time]
         """
-        changed = False
+        changed, plastic_slip, speed = False, self._vectors(plastic_slip), magnitude(self._vectors(slip_rate))
         began = time if began is None else began
         starts: list[tuple[int, str]] = []
         for kind, now in (("slip", np.asarray(sliding, bool)), ("open", np.asarray(is_open, bool))):
             running = self._running[kind]
             was = running.row >= 0
-            running.peak_rate = np.where(was | now, np.fmax(running.peak_rate, np.abs(slip_rate)), 0.0)
+            running.peak_rate = np.where(was | now, np.fmax(running.peak_rate, speed), 0.0)
             starts += [(int(i), kind) for i in np.flatnonzero(now & ~was)]
             for i in np.flatnonzero(was & ~now):
                 self._measure(kind, int(i), plastic_slip)
@@ -112,20 +116,24 @@ class EventLog:
                 running.row[i], running.peak_rate[i], changed = -1, 0.0, True
         for i, kind in sorted(starts, key=lambda start: (self.nodes.node[start[0]], start)):
             self._start(kind, i, began, time)
-        self._plastic_slip = np.array(plastic_slip, dtype=float)
+        self._plastic_slip = plastic_slip
         if changed or starts:
             self._write()
         return changed or bool(starts)
 
+    def _vectors(self, values: ArrayLike) -> Floats:
+        """Values at the nodes as (n, dim-1), a copy."""
+        return np.array(values, dtype=float).reshape(self._shape)
+
     def add(self, event: Mapping[str, Any]) -> None:
-        """A row of kind "event", of what ``Catalogue`` gives: ``place`` is the row of a node in the table of nodes."""
+        """A row of kind "event" from ``Catalogue``: ``place`` is the row of a node in the table of nodes."""
         self.rows.append(self._of(event))
         self._write()
 
     def close(self, unfinished: Mapping[str, Any] | None = None) -> None:
-        """Write the file with the latest slip of what is under way, and the row of an ``unfinished`` event.
+        """Write the file with the latest slip of events under way, and the row of an ``unfinished`` event.
 
-        That row is no part of the memory: a run that goes on puts another in its place.
+        That row is not stored in a checkpoint: a restarted run replaces it.
         """
         self._write([self._of(unfinished)] if unfinished is not None else [])
 
@@ -133,27 +141,32 @@ class EventLog:
         return {"kind": "event", **self._place(event["place"])} | {k: v for k, v in event.items() if k != "place"}
 
     def memory(self) -> dict[str, Any]:
-        """All that the log knows, as plain lists."""
+        """Its data for a checkpoint, as plain lists."""
         running = {
-            kind: {name: getattr(found, name).tolist() for name in ("row", "slip_before", "peak_rate")}
+            kind: {
+                "row": found.row.tolist(),
+                "slip_before": one_less(found.slip_before).tolist(),
+                "peak_rate": found.peak_rate.tolist(),
+            }
             for kind, found in self._running.items()
         }
-        return {"rows": self.rows, "plastic_slip": self._plastic_slip.tolist(), "running": running}
+        return {"rows": self.rows, "plastic_slip": one_less(self._plastic_slip).tolist(), "running": running}
 
     def remember(self, memory: Mapping[str, Any]) -> None:
         """Go on from what ``memory`` gave."""
         self.rows = [dict(row) for row in memory["rows"]]
-        self._plastic_slip = np.array(memory["plastic_slip"], dtype=float)
+        self._plastic_slip = self._vectors(memory["plastic_slip"])
         for kind, found in memory["running"].items():
-            rates = (np.array(found[name], dtype=float) for name in ("slip_before", "peak_rate"))
-            self._running[kind] = _Running(np.array(found["row"], dtype=np.int64), *rates)
+            row, peak_rate = np.array(found["row"], dtype=np.int64), np.array(found["peak_rate"], dtype=float)
+            self._running[kind] = _Running(row, self._vectors(found["slip_before"]), peak_rate)
         self._write()
 
     def _start(self, kind: str, i: int, began: float, latest: float) -> None:
         running = self._running[kind]
         running.row[i], running.slip_before[i] = len(self.rows), self._plastic_slip[i]
-        since = {"start": float(began), LATEST: float(latest), "end": None, "slip": 0.0, "peak_slip_rate": 0.0}
-        self.rows.append({"kind": kind, **self._place(i), **since})
+        since = {"start": float(began), LATEST: float(latest), "end": None, "peak_slip_rate": 0.0}
+        none = with_components("slip", np.zeros(self._shape[1]))
+        self.rows.append({"kind": kind, **self._place(i), **since, **none})
 
     def _place(self, i: int) -> dict[str, Any]:
         nodes = self.nodes
@@ -163,7 +176,7 @@ class EventLog:
     def _measure(self, kind: str, i: int, plastic_slip: Floats) -> None:
         running = self._running[kind]
         row = self.rows[running.row[i]]
-        row["slip"] = float(plastic_slip[i] - running.slip_before[i])
+        row.update(with_components("slip", plastic_slip[i] - running.slip_before[i]))
         row["peak_slip_rate"] = float(running.peak_rate[i])
 
     def _write(self, besides: Sequence[dict[str, Any]] = ()) -> None:
@@ -171,10 +184,16 @@ class EventLog:
             for i in np.flatnonzero(running.row >= 0):
                 self._measure(kind, int(i), self._plastic_slip)
         text = io.StringIO()
-        table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        table = csv.DictWriter(text, columns_of(self._shape[1]), lineterminator="\n")
         table.writeheader()
         table.writerows([*self.rows, *besides])
         write_atomic(self.path, text.getvalue())
+
+
+def columns_of(tangents: int) -> tuple[str, ...]:
+    """Heads of the columns of a file whose slip has so many components."""
+    slip = component_names("slip", "shear", tangents)
+    return tuple(name for head in COLUMNS for name in (slip if head == "slip" else [head]))
 
 
 def read_events(path: str | Path) -> list[dict[str, Any]]:
@@ -183,29 +202,31 @@ def read_events(path: str | Path) -> list[dict[str, Any]]:
     A file of version 0.1.0 has no ``start_latest``: None. Raises InputError if the file is missing, has other columns, or a
     row that no run writes.
     """
-    table = csv.reader(io.StringIO(read_text(Path(path), "name an events.csv of a run", LARGEST), newline=""))
+    table = csv.reader(io.StringIO(read_text(Path(path), "name an events.csv of a run"), newline=""))
     rows: list[dict[str, Any]] = []
     try:
         heads = tuple(next(table, ()))
-        if heads not in (COLUMNS, _BEFORE):
+        if heads not in (COLUMNS, columns_of(2), _BEFORE):
             raise InputError(f"{path}: columns are {', '.join(heads)[:200]}, should be {', '.join(COLUMNS)}")
-        rows.extend(_typed(row) for row in table if row)
+        rows.extend(_typed(row, heads) for row in table if row)
     except (ValueError, csv.Error) as error:
         raise InputError(f"{path}: row {len(rows) + 1} is no event ({error}); put back a copy of the file") from None
     return rows
 
 
-def _typed(row: list[str]) -> dict[str, Any]:
-    may_lack = ("end", *OF_EVENTS, LATEST)
+def _typed(row: list[str], heads: Sequence[str]) -> dict[str, Any]:
     if any(steers(word) for word in row):
         raise ValueError("control characters")
-    texts = dict(zip(COLUMNS, [*row, *[""] * (len(COLUMNS) - len(row))], strict=True))
-    numbers = {k: None if k in may_lack and not texts[k] else float(texts[k]) for k in (*_NUMBERS, *OF_EVENTS, LATEST)}
-    return {**texts, **numbers, "node": int(texts["node"])}
+    heads = [*dict.fromkeys((*heads, LATEST))]
+    texts = dict(zip(heads, [*row, *[""] * (len(heads) - len(row))], strict=True))
+    numbers = [name for name in texts if name not in ("kind", "fracture", "node", "probe")]
+    lacking = {name for name in ("end", *OF_EVENTS, LATEST) if not texts[name]}
+    found = {name: None if name in lacking else float(texts[name]) for name in numbers}
+    return {**texts, **found, "node": int(texts["node"])}
 
 
 STEPS = 20  # of a stage that are looked at together
-CHANGES = 6  # of a node within them: resolved, it would not have parted and met three times
+CHANGES = 6  # of a node within them: a resolved contact would not open and close three times
 
 
 class Chatter:
@@ -218,7 +239,7 @@ class Chatter:
         self._changes: deque[NDArray[np.bool_]] = deque(maxlen=STEPS)
 
     def update(self, stage: int, is_open: NDArray[np.bool_]) -> str:
-        """Count a step of a stage with the nodes (n,) that are open at its end; what is to be told, mostly nothing."""
+        """Count a step of a stage with the nodes (n,) that are open at its end; a line to report, mostly empty."""
         if stage != self._stage:
             self._stage, self._told = stage, False
             self._changes.clear()

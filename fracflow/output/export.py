@@ -15,23 +15,10 @@ from numpy.typing import NDArray
 from fracflow.errors import InputError
 from fracflow.output.folder import check_own, write_atomic
 from fracflow.output.history import read_history, read_units
+from fracflow.scene.quantities import component_names, dimension_of, row_of
+from fracflow.scene.units import unit_text
 
 Columns = dict[str, NDArray[Any]]
-
-# Last word of a key of the history -> kind of its unit; what is not here is a count or a ratio
-KINDS = {
-    "time": "time",
-    "dt": "time",
-    "velocity": "velocity",
-    "slip_rate": "velocity",
-    "acceleration": "acceleration",
-    "flow_rate": "flow rate",
-    **dict.fromkeys(
-        ("displacement", "displacement_bottom", "slip", "plastic_slip", "opening", "aperture", "head"), "length"
-    ),
-    **dict.fromkeys(("shear_traction", "normal_traction", "strength", "pressure", "stress"), "stress"),
-}
-PARTS = {2: ("x", "y"), 4: ("xx", "yy", "zz", "xy")}
 
 
 def unit_of(key: str, units: Mapping[str, str]) -> str:
@@ -39,20 +26,7 @@ def unit_of(key: str, units: Mapping[str, str]) -> str:
 
     units  names of length, force and time
     """
-    length, force, time = (units.get(part, "") for part in ("length", "force", "time"))
-    if not (length and force and time):
-        return ""
-    texts = {
-        "length": length,
-        "time": time,
-        "velocity": f"{length}/{time}",
-        "acceleration": f"{length}/{time}^2",
-        "stress": f"{force}/{length}^2",
-        "flow rate": f"{length}^3/{time}",
-    }
-    if key.startswith("energy/"):
-        return f"{force} {length}/{length}"
-    return texts.get(KINDS.get(key.rsplit("/", 1)[-1], ""), "") if not key.startswith("step/control/") else ""
+    return unit_text(dimension_of(key), units)
 
 
 def units_of_run(folder: Path) -> dict[str, str]:
@@ -75,25 +49,22 @@ def tables(folder: str | Path) -> dict[str, Columns]:
         if group == "probe":
             probe, _, name = name.rpartition("/")
             group = f"probe_{probe}"
-        table = found.setdefault(
-            {"step": "steps"}.get(group, group), {_head("time", key="time", units=units): history["time"]}
-        )
-        flat = values.reshape(len(values), -1)
-        parts = PARTS.get(flat.shape[1], range(flat.shape[1])) if values.ndim > 1 else [""]
-        table |= {
-            _head(f"{name}_{part}" if part != "" else name, key=key, units=units): flat[:, n]
-            for n, part in enumerate(parts)
-        }
+        table = found.setdefault({"step": "steps"}.get(group, group), {_head("time", "time", units): history["time"]})
+        flat, row = values.reshape(len(values), -1), row_of(key)
+        kind = "scalar" if values.ndim == 1 else row.kind if row is not None else None
+        heads = [_head(each, key, units) for each in component_names(name, kind, flat.shape[1])]
+        table |= dict(zip(heads, flat.T, strict=True))
     return found
 
 
 def export_csv(folder: str | Path, output: str | Path | None = None) -> list[Path]:
     """Write the history of a run as CSV and return the files.
 
-    output  a folder for one file a table, by default "csv" in the run's folder; or a file NAME.csv for all of them
-            side by side, the columns of energies and probes led by "energy/" and "probe_<name>/"
+        output  a folder for one file a table, by default "csv" in the run's folder. Or a file NAME.csv for all of them side by
+                side,
+    with columns of energies and probes named "energy/..." and "probe_<name>/..."
 
-    Raises InputError if there is no history, or nothing can be written there.
+        Raises InputError if there is no history, or nothing can be written there.
     """
     found = tables(folder)
     target = Path(folder) / "csv" if output is None else Path(output)

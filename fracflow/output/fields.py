@@ -181,7 +181,7 @@ def _write(path: Path, arrays: Mapping[str, NDArray[Any]], attrs: Mapping[str, A
 
 
 def _topology(cells: Ints) -> tuple[Ints, str]:
-    """Cells as XDMF wants them: one array if all have the same shape, else codes and nodes in a row."""
+    """Cells in the form of XDMF: one array if all have the same shape, else codes and nodes in a row."""
     sizes = (cells >= 0).sum(axis=1)
     if not np.isin(sizes, list(_SHAPES)).all():
         raise ValueError(f"cells have {sorted(set(sizes.tolist()))} nodes, should be 2, 3 or 4")
@@ -208,7 +208,7 @@ def _stored(values: NDArray[Any]) -> NDArray[Any]:
     if values.ndim == 2 and values.shape[1] in (2, 3):
         return _padded(values, 3)
     if values.ndim == 3 and values.shape[1:] in ((2, 2), (3, 3)):
-        # XDMF readers want a tensor as nine numbers in a row.
+        # XDMF readers need a tensor as nine numbers in a row.
         return _padded(values, 3).reshape(len(values), 9)
     return values
 

@@ -9,7 +9,6 @@ import os
 import re
 import secrets
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TextIO
@@ -17,7 +16,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.storage.files import fresh, no_plain_file, open_own, read_text
+from fracflow.storage.files import fresh, no_plain_file, open_own, read_text, replacing
 
 MARKER = ".fracflow"
 _OWN_FILES = (
@@ -37,19 +36,13 @@ _OWN_FILES = (
     "csv/*.csv",
 )
 _OWN_FOLDERS = ("fields", "pictures", "csv")
-_UNFINISHED = ("*.part", *(f"{folder}/*.part" for folder in _OWN_FOLDERS))  # what a kill left half written
+_UNFINISHED = ("*.part", *(f"{folder}/*.part" for folder in _OWN_FOLDERS))  # files that a kill left half written
 
 
 def write_atomic(path: Path, text: str) -> None:
     """Write ``text`` aside and rename, so that ``path`` always holds a whole text. Raises OSError."""
-    part = path.with_name(path.name + ".part")
-    try:
+    with replacing(path) as part:
         fresh(part).write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink()
-        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
@@ -80,7 +73,7 @@ def step_of(file: Path, family: str = "") -> int | None:
 
 
 def check_own(path: Path, writes: bool = False) -> None:
-    """Look at what has our names in a run folder, changing nothing: files and folders that are no links.
+    """Check that entries with our names in a run folder are files and folders, not links. Changes nothing.
 
     A folder may come from anybody: a link in it leads out of it, and a pipe or a device never ends. Raises InputError. Where
     something ``writes``, files that are changed in their place have no second name.
@@ -108,11 +101,11 @@ def _check_entries(folder: Path, patterns: Sequence[str]) -> None:
                 if is_own and not entry.is_file(follow_symlinks=False):
                     raise InputError(no_plain_file(folder / entry.name))
     except (FileNotFoundError, NotADirectoryError):
-        pass  # others tell of it
+        pass  # other checks report it
 
 
 def check_folder(path: Path, resume: bool = False) -> None:
-    """Look whether a run can be written to ``path``, changing nothing. Raises InputError as RunFolder does."""
+    """Check whether a run can be written to ``path``, changing nothing. Raises InputError as RunFolder does."""
     try:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; name a folder for the run")
@@ -164,8 +157,8 @@ class RunFolder:
     scene   text of scene.toml: where it is there already, it stays with its mesh, so that a kill leaves what to go on with
     resume  keep the earlier run's files, but for half written ones, and go on
 
-    Until it is closed no other run may have the folder. Raises InputError if ``path`` is a file, or holds files but no
-    run of fracflow, or (with ``resume``) no run at all, or if another run is under way in it.
+    Until it is closed no other run may have the folder. Raises InputError if ``path`` is a file, if it holds files but no run
+    of fracflow, or with ``resume`` no run at all. Likewise if another run is under way in it.
     """
 
     def __init__(self, path: str | Path, resume: bool = False, scene: str | None = None) -> None:
@@ -233,10 +226,10 @@ class RunFolder:
         return path.stat().st_size if path.exists() else 0
 
     def cut_back(self, steps: int, log_bytes: int, every: int) -> None:
-        """Take away fields and lines of the log that came after so many steps and bytes.
+        """Remove fields and lines of the log after so many steps and bytes.
 
-        ``every`` is the number of steps from one file of fields to the next, 0 for the first step's alone: one that is
-        out of turn was left where an earlier run ended.
+        ``every`` is the number of steps from one file of fields to the next, 0 for the first step's alone. Another file was
+        left where an earlier run ended.
         """
         for file in (self.path / "fields").glob("*.h5"):
             number = step_of(file)

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import to_json
-from fracflow.storage.hdf5 import Committed, complete
+from fracflow.storage.files import part_of
+from fracflow.storage.hdf5 import Committed, complete, uninterrupted
 from fracflow.storage.reader import Found, read_h5
 from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
 
@@ -35,9 +36,10 @@ class HistoryFile:
     OSError where a record cannot be written.
     """
 
+    @uninterrupted()
     def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
-        self._part = self.path.with_name(self.path.name + ".part")
+        self._part = part_of(self.path)
         if self.path.exists():
             complete(self.path)
         self._disk, self._is_shown = Committed(self._part), False
@@ -52,12 +54,13 @@ class HistoryFile:
 
     @classmethod
     def resume(cls, path: str | Path, rows: int, seal: str = "") -> HistoryFile:
-        """Go on after the first ``rows`` records of the history at ``path``, as ``read_rows``; what follows is dropped."""
+        """Go on after the first ``rows`` records of the history at ``path``, as ``read_rows``; later ones are dropped."""
         return cls.after(path, *read_rows(path, rows, seal))
 
     @classmethod
+    @uninterrupted()
     def after(cls, path: str | Path, old: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any]) -> HistoryFile:
-        """Go on after these records, with these attributes."""
+        """Go on after records (steps, ...), with these attributes."""
         history = cls(path, attrs)
         if old:
             history._create(old)
@@ -71,6 +74,7 @@ class HistoryFile:
         """Digest of the last record, in hexadecimal digits; empty before the first."""
         return self._last.hex()
 
+    @uninterrupted()
     def append(self, record: Mapping[str, ArrayLike]) -> None:
         """Add one step.
 
@@ -91,6 +95,7 @@ class HistoryFile:
         self._extend(row)
         self._show()
 
+    @uninterrupted()
     def close(self) -> None:
         """Close the file, if it is open; a closed history needs no SWMR reader. Raises OSError."""
         if self._disk.file < 0:
@@ -155,7 +160,7 @@ def _path(key: str) -> str:
 
 
 def _append(dataset: h5py.h5d.DatasetID, row: int, values: NDArray[Any]) -> None:
-    """Write rows at the end; HDF5's own calls, four times as fast as h5py's slices, which a history of many keys feels."""
+    """Write rows at the end; HDF5's own calls are four times as fast as h5py's slices, which matters with many keys."""
     dataset.set_extent((row + len(values), *values.shape[1:]))
     space = dataset.get_space()
     space.select_hyperslab((row, *(0 for _ in values.shape[1:])), values.shape)
@@ -171,7 +176,7 @@ def read_history(path: str | Path) -> dict[str, NDArray[Any]]:
 
 
 def read_rows(path: str | Path, rows: int, seal: str = "") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The first ``rows`` records and the attributes; the last of them must have the digest ``seal`` where there is one.
+    """The first ``rows`` records (rows, ...) and attributes; the last must have the digest ``seal`` where there is one.
 
     Raises InputError where there are fewer, or one of them is not as it was written; later ones may be anything.
     """
@@ -238,7 +243,7 @@ def _read(
 
 
 def _check_start(path: str | Path, found: Found) -> bytes:
-    """What the chain begins from, empty where there are no seals. Raises InputError where attributes or names were changed."""
+    """The start of the chain, empty where there are no seals. Raises InputError where attributes or names were changed."""
     layout = {name: about for name, about in found.layout.items() if name != SEAL}
     notes = {name: value for name, value in found.attributes.items() if name != SEAL}
     if SEAL not in found.attributes and SEAL not in found.layout:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fracflow.output.plot_style import COLOURS, INK, PALE, plain, styled
-from fracflow.output.reader import PROBE_QUANTITIES, RunData, load_run_data
-from fracflow.storage.files import fresh
+from fracflow.output.reader import RunData, load_run_data
+from fracflow.scene.quantities import QUANTITIES, OutputQuantity, probed
+from fracflow.scene.units import ENERGY, LENGTH, STRESS, VELOCITY
+from fracflow.storage.files import fresh, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +28,7 @@ _ENERGIES = (
     ("damping", "damped at faults"),
 )
 _MAX_LINES = 7
-_MOST_FIRST = 5  # more than these at once is no place where it began
+_MOST_FIRST = 5  # more than these at once show no place of the onset
 
 
 def draw(folder: str | Path) -> list[Path]:
@@ -44,9 +46,8 @@ def draw(folder: str | Path) -> list[Path]:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    part = fresh(path.with_name(path.name + ".part"))
-    figure.savefig(part, format="png")
-    part.replace(path)
+    with replacing(path) as part:
+        figure.savefig(fresh(part), format="png")
     return path
 
 
@@ -57,13 +58,16 @@ def _overview(run: RunData) -> Figure:
     axes = figure.subplot_mosaic([["map", "slip"], ["map", "energy"], ["map", "pressure"]], width_ratios=[1.15, 1])
     _draw_head(figure, run.title, run.account)
     _draw_map(axes["map"], run)
-    slips = {name: run.probe(name, "slip") for name in run.probes_with("slip")}
-    _draw_lines(axes["slip"], run, slips, "Slip at the probes", "slip", "length", run.settled)
+    _draw_probes(axes["slip"], run, QUANTITIES["slip"], "Slip at the probes")
     _draw_energy(axes["energy"], run)
     if not _draw_pressure_profiles(axes["pressure"], run):
-        pressures = {name: run.probe(name, "pressure") for name in run.probes_with("pressure")}
-        _draw_lines(axes["pressure"], run, pressures, "Pressure at the probes", "pressure", "stress", run.settled)
+        _draw_probes(axes["pressure"], run, QUANTITIES["pressure"], "Pressure at the probes")
     return figure
+
+
+def _draw_probes(axes: Axes, run: RunData, row: OutputQuantity, title: str) -> None:
+    lines = {name: run.probe(name, row.name) for name in run.probes_with(row.name)}
+    _draw_lines(axes, run, lines, title, row.axis, row.dimension, run.settled)
 
 
 def _draw_head(figure: Figure, title: str, below: str) -> None:
@@ -76,27 +80,29 @@ def _draw_head(figure: Figure, title: str, below: str) -> None:
 
 
 def _height(run: RunData) -> float:
-    """Inches that a map as wide as its column needs, within what the panels beside it bear."""
+    """Height in inches of a map as wide as its column, within the limits of the panels beside it."""
     if not run.rock:
         return 7.4
     wide, high = np.ptp(np.concatenate([cell.reshape(-1, 2) for cell in run.rock]), axis=0)
     return float(np.clip(5.2 * high / max(wide, 1e-300) + 2.2, 6.2, 7.6))
 
 
-def _unit(run: RunData, word: str, kind: str, largest: float) -> tuple[float, str]:
+_SCALED = {
+    STRESS: ((1e6, "MPa"), (1e3, "kPa")),
+    ENERGY: ((1e6, "MJ/m"), (1e3, "kJ/m")),
+    LENGTH: ((1e-1, ""), (1e-3, "mm"), (1e-6, "µm")),
+    VELOCITY: ((1e-1, ""), (1e-3, "mm/s")),
+}
+"""Dimension -> sizes in SI from which on numbers are drawn in a unit, "" for that of the run; the largest first."""
+
+
+def _unit(run: RunData, word: str, dimension: str, largest: float) -> tuple[float, str]:
     """Factor and axis label: in MPa, MJ and mm where the run is in SI and its numbers call for it."""
-    if (run.units.get("length"), run.units.get("force")) != ("m", "N") or not 0.0 < largest < np.inf:
-        return 1.0, run.label(word, kind)
-    steps = {
-        "stress": ((1e6, "MPa"), (1e3, "kPa")),
-        "energy": ((1e6, "MJ/m"), (1e3, "kJ/m")),
-        "length": ((1e-1, ""), (1e-3, "mm"), (1e-6, "µm")),
-        "velocity": ((1e-1, ""), (1e-3, "mm/s")),
-    }
-    for size, unit in steps.get(kind, ()):
-        if largest >= size:
-            return (1.0 / size, f"{word} [{unit}]") if unit else (1.0, run.label(word, kind))
-    return 1.0, run.label(word, kind)
+    if (run.units.get("length"), run.units.get("force")) == ("m", "N") and 0.0 < largest < np.inf:
+        for size, unit in _SCALED.get(dimension, ()):
+            if largest >= size:
+                return (1.0 / size, f"{word} [{unit}]") if unit else (1.0, run.label(word, dimension))
+    return 1.0, run.label(word, dimension)
 
 
 def _draw_map(axes: Axes, run: RunData) -> None:
@@ -124,7 +130,7 @@ def _draw_map(axes: Axes, run: RunData) -> None:
             lines = LineCollection(
                 list(ends[moved]), cmap="viridis_r", linewidths=(2.0 + 6.0 * share[moved]), capstyle="round"
             )
-            factor, label = _unit(run, f"plastic slip at {run.at(fractures.time)}", "length", top)
+            factor, label = _unit(run, f"plastic slip at {run.at(fractures.time)}", LENGTH, top)
             lines.set_array(factor * slip[moved])
             lines.set_clim(0.0, factor * top)
             axes.add_collection(lines)
@@ -137,8 +143,8 @@ def _draw_map(axes: Axes, run: RunData) -> None:
     axes.autoscale_view()
     axes.margins(0.03)
     axes.locator_params(axis="x", nbins=5)
-    axes.set_xlabel(run.label("x", "length"))
-    axes.set_ylabel(run.label("y", "length"))
+    axes.set_xlabel(run.label("x", LENGTH))
+    axes.set_ylabel(run.label("y", LENGTH))
 
 
 def _draw_marks(axes: Axes, run: RunData) -> None:
@@ -173,7 +179,13 @@ def _tag(axes: Axes, text: str, x: float, y: float, shift: tuple[float, float], 
 
 
 def _draw_lines(
-    axes: Axes, run: RunData, lines: dict[str, np.ndarray], title: str, word: str, kind: str, span: slice = slice(None)
+    axes: Axes,
+    run: RunData,
+    lines: dict[str, np.ndarray],
+    title: str,
+    word: str,
+    dimension: str,
+    span: slice = slice(None),
 ) -> None:
     """Histories, named at their right ends; the largest ones if there are many."""
     axes.set_title(title)
@@ -186,7 +198,7 @@ def _draw_lines(
     if len(shown) < len(lines):
         axes.set_title(f"{title} (the {len(shown)} that change most)")
     largest = max(float(np.abs(np.nan_to_num(lines[name][span])).max()) for name in shown)
-    factor, label = _unit(run, word, kind, largest)
+    factor, label = _unit(run, word, dimension, largest)
     drawn = {name: factor * lines[name][span] for name in shown}
     for (_, values), colour in zip(drawn.items(), COLOURS, strict=False):
         axes.plot(x, values, color=colour, marker="." if len(x) == 1 else "")
@@ -243,7 +255,7 @@ def _draw_energy(axes: Axes, run: RunData) -> None:
     lines = {label: v for label, v in changes.items() if np.abs(v[start:]).max() > 1e-3 * scale}
     settled = "Energy since equilibrium" if start else "Energy since the start"
     title = "Energy since the dynamics began" if run.has_dynamics else settled
-    _draw_lines(axes, run, lines, title, "change", "energy", slice(start, None))
+    _draw_lines(axes, run, lines, title, "change", ENERGY, slice(start, None))
     if lines:
         axes.axhline(0.0, color=PALE, lw=0.8, zorder=1)
 
@@ -257,13 +269,13 @@ def _draw_pressure_profiles(axes: Axes, run: RunData) -> bool:
     axes.set_title(f"Pressure along the fractures at {first}{run.at(fractures.time)}")
     profiles = fractures.profiles("pressure", _MAX_LINES)
     largest = max((float(np.abs(after).max()) for _, _, after in profiles.values()), default=0.0)
-    factor, label = _unit(run, "pressure", "stress", largest)
+    factor, label = _unit(run, QUANTITIES["pressure"].axis, STRESS, largest)
     for (name, (along, before, after)), colour in zip(profiles.items(), COLOURS, strict=False):
         if before is not None:
             axes.plot(along, factor * before, color=colour, lw=1.0, ls=(0, (4, 2)), alpha=0.7)
         axes.plot(along, factor * after, color=colour)
         _tag(axes, name, along[-1], factor * after[-1], (4, 2), color=colour)
-    axes.set_xlabel(run.label("distance along the fracture", "length"))
+    axes.set_xlabel(run.label("distance along the fracture", LENGTH))
     axes.set_ylabel(label)
     _tidy_numbers(axes)
     axes.margins(x=0.0)
@@ -273,17 +285,15 @@ def _draw_pressure_profiles(axes: Axes, run: RunData) -> bool:
 def _probes(run: RunData) -> Figure | None:
     from matplotlib.figure import Figure
 
-    shown = {key: kind for key, kind in PROBE_QUANTITIES.items() if run.probes_with(key)}
+    shown = [row for row in probed().values() if row.drawn and run.probes_with(row.name)]
     if not shown:
         return None
     rows = -(-len(shown) // 2)
     figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
     _draw_head(figure, f"{run.title}: probes", run.account.partition(". Map")[0])
     grid = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes, (key, kind) in zip(grid, shown.items(), strict=False):
-        word = {"displacement": "length of the displacement"}.get(key, key.replace("_", " "))
-        lines = {name: run.probe(name, key) for name in run.probes_with(key)}
-        _draw_lines(axes, run, lines, word.capitalize(), word, kind, run.settled)
+    for axes, row in zip(grid, shown, strict=False):
+        _draw_probes(axes, run, row, row.axis.capitalize())
     for axes in grid[len(shown) :]:
         axes.remove()
     return figure

@@ -62,7 +62,7 @@ def plain(text: str) -> str:
 
 @contextmanager
 def one_note_on_letters() -> Iterator[None]:
-    """Bring Matplotlib's warnings, one a letter that no font has, down to one that says what to do."""
+    """Replace Matplotlib's warnings, one for each missing letter, by one with the remedy."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         yield

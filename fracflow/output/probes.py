@@ -1,85 +1,192 @@
-"""Values of probes at a step."""
+"""Values of probes, and fields, of a state that rank 0 has gathered."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracflow.elements import solid
-from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model import stress as rock
-from fracflow.model.probes import MOTION, SOLID, Place, available
-from fracflow.output.sampling import Snapshot
+from fracflow.model.probes import ProbePlace, available
+from fracflow.output.sampling import Columns, Snapshot
+from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
 
+Data = dict[str, NDArray[Any]]
 
-def probe_record(scene: Scene, mesh: SplitMesh, places: Mapping[str, Place], snapshot: Snapshot) -> dict[str, Any]:
-    """History entries ``probe/NAME/QUANTITY`` of all probes.
 
-    On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace; what
-    belongs to joints is the mean over those that end there. In the rock, strain and stress are means by area over the
-    cells around the node, sigma_0 being that of the node itself; inside a cell everything is interpolated from its corners
-    by their shape functions, but for sigma_0, which is that of the point.
+def measured(scene: Scene, mesh: SplitMesh, places: Mapping[str, ProbePlace]) -> dict[str, Sequence[str]]:
+    """Names of the quantities of each probe: those that it names, else all defaults at its place."""
+    return {p.name: p.quantities or available(scene, mesh, places[p.name], default=True) for p in scene.probe}
+
+
+def probe_record(
+    scene: Scene,
+    mesh: SplitMesh,
+    places: Mapping[str, ProbePlace],
+    names: Mapping[str, Sequence[str]],
+    snapshot: Snapshot,
+) -> dict[str, Any]:
+    """History entries ``probe/NAME/QUANTITY`` of all probes, of the names of their quantities.
+
+    On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace. Quantities of
+    joints are means over those that end there. In the rock, strain and stress are means by area over the cells around the
+    node, with sigma_0 of the node itself. Inside a cell all values are interpolated from its corners by their shape functions,
+    except sigma_0, which is that of the point.
     """
     record: dict[str, Any] = {}
-    for probe in scene.probe:
-        place = places[probe.name]
+    rows = quantities("node", "wall", "cell")
+    for probe, wanted in names.items():
+        place = places[probe]
+        at: OnFracture | InRock
         if isinstance(place, FracturePlace):
-            values = _on_fracture(scene, place, snapshot)
+            at, sampled = OnFracture(place, snapshot), snapshot.at_ends(place.joints, place.ends)
         else:
-            values = _in_rock(scene, mesh, place, snapshot, wants_strain(probe.quantities))
-        names: Sequence[str] = probe.quantities or available(scene, mesh, place)
-        record |= {f"probe/{probe.name}/{name}": values[name] for name in names}
+            at, sampled = InRock(scene, mesh, place, snapshot), {}
+        for name in wanted:
+            record[f"probe/{probe}/{name}"] = one_less(sampled[name] if name in sampled else rows[name].formula(at))
     return record
 
 
-def wants_strain(quantities: Sequence[str] | None) -> bool:
-    """Whether a probe in the rock asks for strain or stress."""
-    return quantities is None or not set(SOLID).isdisjoint(quantities)
+class OnFracture:
+    """Motion (dim,) of the walls at a probe: of the top one, and the displacement of the bottom one."""
+
+    def __init__(self, place: FracturePlace, snapshot: Snapshot) -> None:
+        self.displacement, self.velocity, self.acceleration = snapshot.nodes[place.nodes[1]]
+        self.bottom = snapshot.nodes[place.nodes[0]][0]
 
 
-def _moves(node: int, snapshot: Snapshot) -> dict[str, Floats]:
-    return dict(zip(MOTION, snapshot.nodes[node], strict=True))
+@dataclass(frozen=True)
+class Cells:
+    """Cells of the rock and the motion of their nodes; values (m, ...) of cells are computed at first use.
+
+    numbers  (m,) of the cells in the mesh
+    points   (n, 2) coordinates of nodes [length]
+    corners  (m, k) nodes of the cells among these, -1 pads
+    motion   (n, 3, 2) displacement, velocity and acceleration of the nodes
+    moves    whether there is inertia: without, kinetic energy is zero, as in the energy balance
+    """
+
+    scene: Scene
+    mesh: SplitMesh
+    numbers: Ints
+    points: Floats
+    corners: Ints
+    motion: Floats
+    moves: bool = True
+
+    @cached_property
+    def strain(self) -> Floats:
+        """Strain (m, 4) at the centres."""
+        return rock.strain(self.points, self.corners, self.motion[:, 0])
+
+    @cached_property
+    def _deforms(self) -> Ints:
+        return np.flatnonzero(rock.deforms(self.mesh, self.scene)[self.numbers])
+
+    @property
+    def _moduli(self) -> tuple[Floats, Floats]:
+        return rock.elastic_moduli(self.mesh, self.scene, self.numbers[self._deforms])
+
+    @cached_property
+    def stress_change(self) -> Floats:
+        """Stress (m, 4) that the strain adds; zero in rigid rock."""
+        result = np.zeros((len(self.numbers), 4))
+        result[self._deforms] = rock.stress_change(self.strain[self._deforms], *self._moduli)
+        return result
+
+    @property
+    def stress(self) -> Floats:
+        """Total stress (m, 4) at the centres; zero in rigid rock."""
+        able, result = self._deforms, self.stress_change.copy()
+        result[able] += rock.initial_components(self.scene, rock.centres(self.points, self.corners[able]))
+        return result
+
+    @property
+    def strain_energy(self) -> Floats:
+        """Energy (m,) stored since the start per volume; zero in rigid rock."""
+        able, result = self._deforms, np.zeros(len(self.numbers))
+        result[able] = rock.strain_energy_density(
+            self.scene, self.points, self.corners[able], self.motion[:, 0], self._moduli
+        )
+        return result
+
+    @property
+    def kinetic_energy(self) -> Floats:
+        """Kinetic energy (m,) per volume."""
+        if not self.moves:
+            return np.zeros(len(self.numbers))
+        density = rock.properties(self.mesh, self.scene, "density", self.numbers)
+        return rock.kinetic_energy_density(self.scene, self.points, self.corners, self.motion[:, 1], density)
 
 
-def _on_fracture(scene: Scene, place: FracturePlace, snapshot: Snapshot) -> dict[str, Any]:
-    values: dict[str, Any] = _moves(place.nodes[1], snapshot)
-    values["displacement_bottom"] = snapshot.nodes[place.nodes[0]][0]
-    values |= snapshot.at_ends(place.joints, place.ends)
-    if "pressure" in values and scene.fluid is not None and scene.fluid.specific_weight:
-        values["head"] = values["pressure"] / scene.fluid.specific_weight
-    return values
+class InRock:
+    """Motion (2,) and values (...) of the rock at a probe in it."""
+
+    def __init__(self, scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapshot) -> None:
+        self._scene, self._mesh, self._place, self._snapshot = scene, mesh, place, snapshot
+        moved = np.stack([snapshot.nodes[part.node] for part in place.within or (place,)], axis=1)
+        self.displacement, self.velocity, self.acceleration = map(self._combined, moved)
+
+    def _combined(self, values: Any) -> Floats:
+        """Values at a node, or those at the corners of a cell brought to a point in it."""
+        return np.array(self._place.shares) @ np.array(values) if self._place.within else values[0]
+
+    @cached_property
+    def _around(self) -> list[tuple[Cells, Floats]]:
+        """Cells that deform around each node, and their shares by area."""
+        return [self._cells(part) for part in self._place.within or (self._place,)]
+
+    def _cells(self, place: RockPlace) -> tuple[Cells, Floats]:
+        able = rock.deforms(self._mesh, self._scene)[place.cells]
+        cells, corners = place.cells[able], place.corners[able]
+        nodes, inverse = np.unique(corners[corners >= 0], return_inverse=True)
+        local = np.full(corners.shape, -1)
+        local[corners >= 0] = inverse
+        points, motion = self._mesh.points[nodes], np.array([self._snapshot.nodes[int(node)] for node in nodes])
+        area = rock.per_cell(local, lambda _, corner: solid.area(points[corner]))
+        return Cells(self._scene, self._mesh, cells, points, local, motion), area / area.sum()
+
+    def __getattr__(self, name: str) -> Floats:
+        """Strain (4,), and other values of ``Cells``, as means over the cells around."""
+        return self._combined([shares @ getattr(cells, name) for cells, shares in self._around])
+
+    @property
+    def stress(self) -> Floats:
+        """Total stress (4,), with the initial one at the point itself."""
+        initial: Floats = rock.initial_components(self._scene, self._place.point)
+        return self.stress_change + initial
 
 
-def _in_rock(scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapshot, strained: bool) -> dict[str, Any]:
-    found = []
-    for part in place.within or (place,):
-        moves: dict[str, Any] = _moves(part.node, snapshot)
-        found.append(moves | _in_cells(scene, mesh, part, snapshot) if strained else moves)
-    values, shares = found[0], np.array(place.shares)
-    if place.within:
-        values = {name: shares @ np.array([each[name] for each in found]) for name in values}
-    if "stress" in values:
-        values["stress"] = values["stress"] + rock.initial_components(scene, place.point)
-    return values
+def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, moves: bool) -> tuple[Data, Data]:
+    """Point and cell data of the rock from the motion (n, 3, 2) of all nodes; arguments as of ``Cells``."""
+    nodes = SimpleNamespace(displacement=motion[:, 0], velocity=motion[:, 1], acceleration=motion[:, 2])
+    cells = Cells(scene, mesh, np.arange(len(mesh.cells)), mesh.points, mesh.cells, motion, moves)
+    point = {row.name: row.formula(nodes) for row in quantities("node").values() if row.field}
+    cell: Data = {"rock": mesh.cell_rock}
+    for row in quantities("cell").values():
+        if row.field:
+            values = row.formula(cells)
+            cell[row.name] = rock.tensors(values) if row.kind == "tensor" else values
+    return point, cell
 
 
-def _in_cells(scene: Scene, mesh: SplitMesh, place: RockPlace, snapshot: Snapshot) -> dict[str, Any]:
-    """Strain and the stress it adds (4,) at a node: xx, yy, zz, xy."""
-    able = rock.deforms(mesh, scene)[place.cells]
-    if not able.any():
-        return {}
-    cells, corners = place.cells[able], place.corners[able]
-    nodes, inverse = np.unique(corners[corners >= 0], return_inverse=True)
-    local = np.full(corners.shape, -1)
-    local[corners >= 0] = inverse
-    points, moved = mesh.points[nodes], np.array([snapshot.nodes[int(node)][0] for node in nodes])
-    strains = rock.strain(points, local, moved)
-    moduli = (rock.properties(mesh, scene, key, cells) for key in ("youngs_modulus", "poissons_ratio"))
-    change = rock.stress_change(strains, *moduli)
-    area = rock.per_cell(local, lambda _, corner: solid.area(points[corner]))
-    mean = area / area.sum()
-    return {"strain": mean @ strains, "stress": mean @ change}
+def fracture_fields(columns: Columns, table: Floats) -> Data:
+    """Point data of fractures from a table (joints, 2, width) of all joint ends; components along them are scalars."""
+    found: Data = {}
+    for row in columns.rows:
+        values = columns.of(table, row.name)
+        values = values.reshape(values.shape[0] * 2, *values.shape[2:])
+        if row.kind == "shear":
+            found |= dict(zip(component_names(row.name, row.kind, values.shape[1]), values.T, strict=True))
+        else:
+            found[row.name] = values
+    return found

@@ -1,4 +1,4 @@
-"""What the pictures show, read from a run folder; every part may be missing but the history."""
+"""The data of the pictures, read from a run folder; every part may be missing but the history."""
 
 from __future__ import annotations
 
@@ -17,25 +17,14 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.plot_style import plain
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
+from fracflow.scene.units import TIME, unit_text
 from fracflow.storage.files import steers
 
 Floats = NDArray[np.float64]
-Profile = tuple[Floats, Floats | None, Floats]
+FieldProfile = tuple[Floats, Floats | None, Floats]
 
-# quantity of a probe -> kind of its unit
-PROBE_QUANTITIES = {
-    "displacement": "length",
-    "slip": "length",
-    "plastic_slip": "length",
-    "slip_rate": "velocity",
-    "opening": "length",
-    "aperture": "length",
-    "shear_traction": "stress",
-    "normal_traction": "stress",
-    "pressure": "stress",
-    "flow_rate": "flow rate",
-}
 _DYNAMIC, _EQUILIBRATE = 2, 3
+LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
 
 @dataclass(frozen=True)
@@ -93,9 +82,9 @@ class FractureFields:
                 places[name] = (float(x), float(y))
         return places
 
-    def profiles(self, key: str, most: int) -> dict[str, Profile]:
+    def profiles(self, key: str, most: int) -> dict[str, FieldProfile]:
         """Name -> (distance along the trace, field before or None, field after), longest fractures first."""
-        found: dict[str, Profile] = {}
+        found: dict[str, FieldProfile] = {}
         for i, name in enumerate(self.names):
             nodes = self._trace(self.cells[self.fracture == i])
             if len(nodes):
@@ -129,7 +118,7 @@ class FractureFields:
 
 @dataclass(frozen=True)
 class RunData:
-    """All that is drawn. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium."""
+    """Data of the pictures. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium."""
 
     title: str
     units: dict[str, str]
@@ -145,7 +134,7 @@ class RunData:
 
     @property
     def is_behind(self) -> bool:
-        """Whether the histories go on after the last fields that were written."""
+        """Whether the histories continue after the last written fields."""
         return self.fractures is not None and self.fractures.step < len(self.history["time"]) - 1
 
     def slipped_since(self) -> list[str]:
@@ -155,7 +144,7 @@ class RunData:
 
     @property
     def account(self) -> str:
-        """A line on how the run stands, and of which times its pictures are."""
+        """A line on the status of the run, and the times of its pictures."""
         reached = self.at(float(self.history["time"][-1]))
         words = {
             "": f"Histories to {reached}",
@@ -180,26 +169,16 @@ class RunData:
         time = self.history["time"]
         return slice(int(np.flatnonzero(time == time[0])[-1]) if np.ptp(time) > 0.0 else 0, None)
 
-    def label(self, word: str, kind: str) -> str:
-        """Axis label with the run's unit of a kind: length, time, stress, velocity, energy or flow rate."""
-        length, force, time = (self.units.get(key, "") for key in ("length", "force", "time"))
-        if not (length and force and time):
-            return word
-        units = {
-            "length": length,
-            "time": time,
-            "stress": f"{force}/{length}²",
-            "velocity": f"{length}/{time}",
-            "energy": f"{force}·{length}/{length}",
-            "flow rate": f"{length}³/{time}",
-        }
-        return f"{word} [{units[kind]}]"
+    def label(self, word: str, dimension: str) -> str:
+        """Axis label with the run's unit of a dimension."""
+        unit = unit_text(dimension, self.units, is_printed=True)
+        return f"{word} [{unit}]" if unit else word
 
     def axis(self, span: slice) -> tuple[Floats, str]:
-        """Abscissa of histories: time, or the step's number if no time passes."""
+        """Abscissa (steps,) of histories: time, or the step's number if no time passes."""
         time = self.history["time"][span]
         if len(time) and np.ptp(time) > 0.0:
-            return time, self.label("time", "time")
+            return time, self.label("time", TIME)
         return np.arange(len(self.history["time"]), dtype=float)[span], "step"
 
     def probes_with(self, quantity: str) -> list[str]:
@@ -209,13 +188,14 @@ class RunData:
         return [key[len("probe/") : -len(tail)] for key in keys]
 
     def probe(self, name: str, quantity: str) -> Floats:
-        """(steps,) a probe's quantity; of a vector, its length with the sign of the largest component."""
+        """(steps,) a probe's quantity; of a vector, its component along the largest of all steps."""
         values = self.history[f"probe/{name}/{quantity}"]
         if values.ndim == 1:
             return values
         flat = values.reshape(len(values), -1)
-        main = int(np.abs(flat).max(axis=0, initial=0.0).argmax())
-        return np.asarray(np.linalg.norm(flat, axis=1) * np.where(flat[:, main] < 0, -1.0, 1.0))
+        largest = flat[int(np.linalg.norm(flat, axis=1).argmax())] if len(flat) else np.zeros(flat.shape[1])
+        along = largest / (np.linalg.norm(largest) or 1.0)
+        return np.asarray(flat @ along * (-1.0 if along[np.abs(along).argmax()] < 0.0 else 1.0))
 
     def first_events(self) -> list[dict[str, Any]]:
         """The events of slip that started first."""
@@ -231,6 +211,7 @@ def load_run_data(folder: str | Path) -> RunData:
     history, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
     if not len(history.get("time", ())):
         raise InputError(f"{folder}: has no finished step; run it first")
+    _check_sizes(folder / "history.h5", history)
     kind = history.get("step/kind", np.array([]))
     dynamic, found = np.flatnonzero(kind == _DYNAMIC), np.flatnonzero(kind == _EQUILIBRATE)
     start = (
@@ -256,7 +237,9 @@ def load_run_data(folder: str | Path) -> RunData:
 def _places(folder: Path, attrs: dict[str, Any], key: str) -> dict[str, tuple[float, float]]:
     try:
         found = read_table(folder / "history.h5", key, attrs)
-        return {name: (float(at[0]), float(at[1])) for name, at in found.items()}
+        places = {name: (float(at[0]), float(at[1])) for name, at in found.items()}
+        _check_sizes(folder / "history.h5", {name: np.array(at) for name, at in places.items()})
+        return places
     except (TypeError, ValueError, LookupError):
         raise InputError(
             f"{folder / 'history.h5'}: its attribute {key} holds no places; name the folder of a run"
@@ -266,7 +249,7 @@ def _places(folder: Path, attrs: dict[str, Any], key: str) -> dict[str, tuple[fl
 def _rock(folder: Path) -> list[Floats] | None:
     if not (folder / "fields" / "rock_mesh.h5").exists():
         return None
-    points, cells, _ = read_mesh(folder, "rock")
+    points, cells, _ = _drawn_mesh(folder, "rock")
     sizes = (cells >= 0).sum(axis=1)
     blocks = [points[cells[sizes == size, :size], :2] for size in np.unique(sizes)]
     return [cell for block in blocks for cell in block]
@@ -276,7 +259,7 @@ def _fractures(folder: Path, start: float) -> FractureFields | None:
     steps = list_steps(folder, "fractures")
     if not steps or not (folder / "fields" / "fractures_mesh.h5").exists():
         return None
-    points, cells, attrs = read_mesh(folder, "fractures")
+    points, cells, attrs = _drawn_mesh(folder, "fractures")
     times = np.array([read_time(path) for _, path in steps])
     # The steps of a steady stage may share their time: the last of them is where the dynamics begin.
     first = max(0, int(np.searchsorted(times, start, side="right")) - 1)
@@ -295,16 +278,32 @@ def _fractures(folder: Path, start: float) -> FractureFields | None:
     return FractureFields(points[:, :2], cells[:, :2], fracture, names, before, after, begins, time, step)
 
 
+def _drawn_mesh(folder: Path, name: str) -> tuple[Floats, NDArray[np.int64], dict[str, Any]]:
+    found = read_mesh(folder, name)
+    _check_sizes(folder / "fields" / f"{name}_mesh.h5", {"points": found[0]})
+    return found
+
+
+def _check_sizes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Raise InputError where a number is too large for axes, which no run reaches."""
+    for name, values in arrays.items():
+        if np.any(np.isfinite(values) & (np.abs(values) > LARGEST)):
+            raise InputError(
+                f"{path}: {name} has values above {LARGEST:g}, too large for a picture; put back a copy of the file"
+            )
+
+
 def _check_rows(path: Path, data: dict[str, NDArray[Any]], rows: int) -> None:
     for name, values in data.items():
         if values.shape[:1] != (rows,) or (rows and not values.size):
             raise InputError(
                 f"{path}: {name} has the shape {values.shape}, not {rows} rows; put back a copy of the file"
             )
+    _check_sizes(path, data)
 
 
 def _names(folder: Path, attrs: dict[str, Any]) -> list[str]:
-    """Names of fractures as the mesh of the fields has them; none where it has none. Raises InputError for what is no name."""
+    """Names of fractures in the mesh of the fields; none where it has none. Raises InputError for other values."""
     stored = attrs.get("fractures", attrs.get("names"))
     if not stored:
         return []

@@ -1,65 +1,100 @@
-"""What a step leaves on record: probes, fracture nodes and rock, gathered on rank 0 in original order."""
+"""The record of a step: probes, fracture nodes and rock, gathered on rank 0 in original order."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
-from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow._petsc import MPI
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
+from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
-from fracflow.model.state import State
+from fracflow.model.state import Sections, State
+from fracflow.scene.quantities import OutputQuantity, quantities
 from fracflow.scene.scene import Scene
 
-COLUMNS = (
-    "slip", "opening", "slip_rate", "shear_traction", "normal_traction", "plastic_slip", "sliding", "open", "strength",
-    "utilisation", "margin", "stored_energy", "friction_energy", "aperture", "pressure", "flow_rate",
-)  # fmt: skip
-"""What there is at each joint end, in 2-D; the energies are per area of the fracture, since the start."""
 EVERY_STEP = ("sliding", "open", "margin", "plastic_slip", "slip_rate", "shear_traction")
-"""What events and counts need of all joint ends at every step."""
-FLOW = {"aperture", "pressure", "flow_rate"}
+"""The values of all joint ends that events and counts need at every step."""
+
+
+class Columns:
+    """Quantities of the joint ends side by side in one array (j, 2, width)."""
+
+    def __init__(self, names: Iterable[str], dim: int) -> None:
+        rows = quantities("section", "flow")
+        self.rows: tuple[OutputQuantity, ...] = tuple(rows[name] for name in names)
+        starts = np.cumsum([0, *(row.width(dim) for row in self.rows)]).tolist()
+        self.width = int(starts[-1])
+        self._places = {row.name: slice(*starts[n : n + 2]) for n, row in enumerate(self.rows)}
+
+    def fill(self, at: JointEnds) -> Floats:
+        """The values of this rank's joint ends (j, 2, width). Collective."""
+        table = np.empty((*at.aperture_given.shape, self.width))
+        for row in self.rows:
+            values = np.asarray(row.formula(at))
+            table[:, :, self._places[row.name]] = values if values.ndim == 3 else values[..., None]
+        return table
+
+    def of(self, table: Floats, name: str) -> Floats:
+        """One quantity out of (..., width): (...), or with the components of a vector behind."""
+        row = next(row for row in self.rows if row.name == name)
+        part: Floats = table[..., self._places[name]]
+        return part[..., 0] if row.kind == "scalar" else part
 
 
 @dataclass(frozen=True)
 class Sampler:
-    """What of this rank goes on record.
+    """The recorded values of this rank.
 
     aperture  (j, 2) initial aperture at the joint ends, NaN where none is given [length]
     nodes     (n,) owned nodes whose motion probes need
     probed    (k,) joints that end at probes
-    names     columns that events and probes need at every step; the same on all ranks
+    always    columns that events need at every step at all joint ends
+    columns   these, and those that probes need; the same on all ranks
+    fields    columns of the fields of fractures
     """
 
     operators: Operators
-    flow_depth: float
+    scene: Scene
     aperture: Floats
     nodes: Ints
     probed: Ints
-    names: tuple[str, ...]
+    always: Columns
+    columns: Columns
+    fields: Columns
 
 
 def make_sampler(operators: Operators, scene: Scene, places: Mapping[str, FracturePlace | RockPlace]) -> Sampler:
-    """Find what the probes need on this rank."""
-    blocks = operators.blocks
-    ends = np.array([-1.0, 1.0])
+    """Find the nodes and joints of the probes on this rank."""
+    blocks, dim = operators.blocks, operators.blocks.sizes.dim
     on_fractures = [place for place in places.values() if isinstance(place, FracturePlace)]
     joints = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(place.joints for place in on_fractures)]))
-    asked = {q for p in scene.probe if isinstance(places[p.name], FracturePlace) for q in p.quantities or COLUMNS}
-    asked |= {"pressure"} if "head" in asked else set()
-    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    rows = quantities("section", "flow").values()
+    there = {row.name: row for row in rows if _is_anywhere(row, scene, blocks.joints.fractures)}
+    default = [name for name, row in there.items() if row.default]
+    asked = {q for p in scene.probe if isinstance(places[p.name], FracturePlace) for q in p.quantities or default}
     return Sampler(
         operators,
-        depth,
-        along_fractures(blocks, scene, "aperture", ends),
+        scene,
+        along_fractures(blocks, scene, "aperture", np.array([-1.0, 1.0])),
         np.flatnonzero(np.isin(blocks.solid.node_ids[: blocks.solid.owned], _nodes(places))),
         np.flatnonzero(np.isin(blocks.joints.ids, joints)),
-        (*EVERY_STEP, *(name for name in COLUMNS if name in asked and name not in EVERY_STEP)),
+        Columns(EVERY_STEP, dim),
+        Columns((*EVERY_STEP, *(name for name in there if name in asked and name not in EVERY_STEP)), dim),
+        Columns((name for name, row in there.items() if row.field), dim),
     )
+
+
+def _is_anywhere(row: OutputQuantity, scene: Scene, fractures: Sequence[str]) -> bool:
+    """Whether a fracture of the scene has a quantity."""
+    tables = [[scene.fracture_named(name)] for name in fractures] or [[]]
+    return not all(row.missing(scene, here) for here in tables)
 
 
 def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
@@ -71,108 +106,177 @@ def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *parts]))
 
 
+class JointEnds:
+    """A state at this rank's joint ends, as formulas of the homes "section" and "flow" take it; see ``scene.quantities``.
+
+    Arrays (j, 2, ...) are computed at first use. Collective.
+    """
+
+    def __init__(self, sampler: Sampler, state: State) -> None:
+        self._operators, self._scene, self._state = sampler.operators, sampler.scene, state
+        self.aperture_given = sampler.aperture
+
+    def _ends(self, values: Floats) -> Floats:
+        """Values of sections (s, ...) at the ends of joints; of the one-point rule the same at both."""
+        points = self._operators.joints.points
+        rows = values.reshape(len(self.aperture_given), points, *values.shape[1:])
+        return rows[:, :: points - 1] if points > 1 else np.repeat(rows, 2, axis=1)
+
+    @cached_property
+    def sections(self) -> Sections:
+        """Response of the laws."""
+        found = self._state.sections
+        ends: dict[str, Any] = {
+            f.name: self._ends(getattr(found, f.name)) for f in fields(found) if f.name != "history"
+        }
+        return replace(found, **ends)
+
+    @cached_property
+    def rate(self) -> Floats:
+        """Rate of the strain (j, 2, dim) [length/time]."""
+        return self._ends(self._operators.joints.strain(self._state.motion.velocity))
+
+    @property
+    def friction(self) -> Floats:
+        """Dissipation by friction (j, 2) [energy/area]."""
+        return self._ends(self._state.friction)
+
+    def history(self, name: str) -> Floats:
+        """A history variable of joint laws, (j, 2) or (j, 2, dim-1); NaN where the law has none of that name."""
+        return self._ends(self._operators.joints.history(self._state.sections.history, name))
+
+    @cached_property
+    def _openings(self) -> Floats | None:
+        return self._operators.joints.openings(self._state.sections.strain)
+
+    @cached_property
+    def network(self) -> Conduction | None:
+        """Conduction of the network; None where there is no flow."""
+        flow, state = self._operators.flow, self._state
+        if flow is None:
+            return None
+        walls = self._operators.joints.walls(state.sections, flow.law)
+        return flow.conduct(state.motion.displacement, state.pressure, walls)
+
+    @property
+    def _through(self) -> Floats:
+        """Flow from the first to the second end of each joint (j,) [volume rate per thickness]; NaN without flow."""
+        if self.network is None:
+            return np.full(len(self.aperture_given), np.nan)
+        return self.network.conductance * (self.network.pressure[:, 0] - self.network.pressure[:, 1])
+
+    @property
+    def _depth(self) -> float:
+        return self._scene.fluid.flow_depth if self._scene.fluid is not None else 1.0
+
+    @property
+    def aperture(self) -> Floats:
+        """(3.1b) d0 + opening (j, 2); NaN where no aperture is given [length]."""
+        flow = self._operators.flow
+        if flow is None:
+            return self.aperture_given + self.sections.strain[..., -1]
+        return flow.apertures(self._state.motion.displacement, self._openings)
+
+    @property
+    def pressure(self) -> Floats:
+        """Pressure (j, 2) of the fluid; NaN without flow [stress]."""
+        if self.network is None or self._operators.flow is None:
+            return np.full(self.aperture_given.shape, np.nan)
+        return self.network.pressure + self._operators.flow.resting_end
+
+    @property
+    def flow_rate(self) -> Floats:
+        """Flow (j, 2) along the joint, over the whole depth; NaN without flow [volume rate]."""
+        return np.repeat(self._through[:, None] * self._depth, 2, axis=1)
+
+    @property
+    def specific_weight(self) -> float:
+        """That of the fluid; NaN where none is given [force/volume]."""
+        return (self._scene.fluid.specific_weight if self._scene.fluid is not None else None) or np.nan
+
+    def at_least(self) -> tuple[int, float]:
+        """Number of joint ends that conduct by their minimum aperture, and the most that flows through one. Collective."""
+        flow, comm = self._operators.flow, self._operators.blocks.comm
+        if flow is None:
+            return 0, 0.0
+        ends = flow.at_least(self._state.motion.displacement, self._openings)
+        through = np.abs(self._through)[ends.any(axis=1)]
+        most = comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX) * self._depth
+        return comm.allreduce(int(ends.sum())), most
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """A state on rank 0.
 
-    ends    (joints, 2, EVERY_STEP) in original order
-    probed  joint -> (2, names) at the joints that end at probes
-    names   columns of ``probed``
+    ends    (joints, 2, width of ``always``) in original order
+    probed  joint -> (2, width of ``columns``) at the joints that end at probes
     nodes   node -> (3, dim) its displacement, velocity and acceleration
     least   number of joint ends that conduct by their minimum aperture, and the most that flows through one
     """
 
+    always: Columns
+    columns: Columns
     ends: Floats
     probed: Mapping[int, Floats]
-    names: tuple[str, ...]
     nodes: Mapping[int, Floats]
     least: tuple[int, float] = (0, 0.0)
 
     def column(self, name: str) -> Floats:
-        """One quantity of every step at all joint ends (joints, 2)."""
-        return self.ends[:, :, EVERY_STEP.index(name)]
+        """One quantity of every step at all joint ends (joints, 2), a vector along fractures (joints, 2, dim-1)."""
+        return self.always.of(self.ends, name)
 
-    def at_ends(self, joints: Ints, ends: Ints) -> dict[str, float]:
-        """Means of the columns over some ends of probed joints."""
+    @cached_property
+    def margin(self) -> float:
+        """Smallest distance of a status from its threshold."""
+        return float(self.column("margin").min(initial=np.inf))
+
+    def at_ends(self, joints: Ints, ends: Ints) -> dict[str, Floats]:
+        """Means of the columns over ``ends`` (n,) of probed ``joints`` (n,), () or (dim-1,) each."""
         rows = np.array([self.probed[int(joint)][end] for joint, end in zip(joints, ends, strict=True)])
-        return dict(zip(self.names, rows.mean(axis=0).tolist(), strict=True))
-
-
-def joint_ends(sampler: Sampler, state: State, names: tuple[str, ...]) -> Floats:
-    """Quantities at this rank's joint ends (j, 2, names). Collective."""
-    operators, sections = sampler.operators, state.sections
-    joints, flow = operators.joints, operators.flow
-    rate = joints.strain(state.motion.velocity)
-    found: dict[str, Floats] = dict(
-        slip=sections.strain[:, 0], opening=sections.strain[:, -1], slip_rate=rate[:, 0],
-        shear_traction=sections.traction[:, 0], normal_traction=sections.traction[:, -1],
-        plastic_slip=sections.inelastic[:, 0], sliding=sections.is_sliding, open=sections.is_open,
-        strength=sections.strength, utilisation=sections.utilisation, margin=sections.margin,
-        stored_energy=sections.stored, friction_energy=state.friction,
-    )  # fmt: skip
-    count = len(sampler.aperture)
-    found = {name: values.reshape(count, joints.points)[:, [0, -1]] for name, values in found.items() if name in names}
-    if flow is None and not FLOW.isdisjoint(names):
-        found["aperture"] = sampler.aperture + sections.strain[:, -1].reshape(count, joints.points)[:, [0, -1]]
-        found["pressure"] = found["flow_rate"] = np.full((count, 2), np.nan)
-    if flow is not None and not FLOW.isdisjoint(names):
-        opening = joints.openings(sections.strain)
-        network = flow.conduct(state.motion.displacement, state.pressure, opening)
-        found["pressure"] = network.pressure + flow.resting_end
-        found["aperture"] = flow.apertures(state.motion.displacement, opening)
-        through = network.conductance * (network.pressure[:, 0] - network.pressure[:, 1])
-        found["flow_rate"] = np.repeat(through[:, None] * sampler.flow_depth, 2, axis=1)
-    return np.stack([found[name] for name in names], axis=-1).astype(float)
+        mean = rows.mean(axis=0)
+        return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}
 
 
 def take(sampler: Sampler, state: State) -> Snapshot | None:
-    """Gather what probes and events need; None off rank 0. Collective."""
-    blocks = sampler.operators.blocks
-    table = joint_ends(sampler, state, sampler.names)
-    ends = blocks.gather(blocks.joints.ids, table[:, :, : len(EVERY_STEP)], blocks.sizes.joints)
-    motion = _motion(
-        sampler, (state.motion.displacement, state.motion.velocity, state.motion.acceleration), sampler.nodes
+    """Gather the values for probes and events; None off rank 0. Collective."""
+    blocks, at = sampler.operators.blocks, JointEnds(sampler, state)
+    table = sampler.columns.fill(at)
+    ends = blocks.gather(blocks.joints.ids, table[:, :, : sampler.always.width], blocks.sizes.joints)
+    here = (
+        blocks.joints.ids[sampler.probed],
+        table[sampler.probed],
+        blocks.solid.node_ids[sampler.nodes],
+        _motion(sampler, state, sampler.nodes),
     )
-    here = (blocks.joints.ids[sampler.probed], table[sampler.probed], blocks.solid.node_ids[sampler.nodes], motion)
-    least = _at_least(sampler, state)
+    least = at.at_least()
     parts = blocks.comm.gather(here, root=0)
     if parts is None or ends is None:
         return None
     joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
     nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
-    return Snapshot(ends, joints, sampler.names, nodes, least)
-
-
-def _at_least(sampler: Sampler, state: State) -> tuple[int, float]:
-    flow, comm = sampler.operators.flow, sampler.operators.blocks.comm
-    if flow is None:
-        return 0, 0.0
-    opening = sampler.operators.joints.openings(state.sections.strain)
-    ends = flow.at_least(state.motion.displacement, opening)
-    network = flow.conduct(state.motion.displacement, state.pressure, opening)
-    through = np.abs(network.conductance * (network.pressure[:, 0] - network.pressure[:, 1]))[ends.any(axis=1)]
-    most = comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX) * sampler.flow_depth
-    return comm.allreduce(int(ends.sum())), most
+    return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least)
 
 
 def all_ends(sampler: Sampler, state: State) -> Floats | None:
-    """All columns at all joint ends (joints, 2, COLUMNS) on rank 0, original order. Collective."""
+    """The columns of the fields (joints, 2, width) at all joint ends on rank 0, original order. Collective."""
     blocks = sampler.operators.blocks
-    return blocks.gather(blocks.joints.ids, joint_ends(sampler, state, COLUMNS), blocks.sizes.joints)
+    table = sampler.fields.fill(JointEnds(sampler, state))
+    return blocks.gather(blocks.joints.ids, table, blocks.sizes.joints)
 
 
 def all_motion(sampler: Sampler, state: State) -> Floats | None:
-    """Displacement and velocity (n, 2, dim) of all split nodes on rank 0, original order. Collective."""
+    """Displacement, velocity and acceleration (n, 3, dim) of all split nodes on rank 0, original order. Collective."""
     blocks = sampler.operators.blocks
-    local = _motion(sampler, (state.motion.displacement, state.motion.velocity), np.arange(blocks.solid.owned))
+    local = _motion(sampler, state, np.arange(blocks.solid.owned))
     return blocks.gather(blocks.solid.node_ids[: blocks.solid.owned], local, blocks.sizes.nodes)
 
 
-def _motion(sampler: Sampler, vectors: tuple[PETSc.Vec, ...], rows: Ints) -> Floats:
-    """Values (n, vectors, dim) at owned nodes. Collective."""
-    operators = sampler.operators
+def _motion(sampler: Sampler, state: State, rows: Ints) -> Floats:
+    """Displacement, velocity and acceleration (n, 3, dim) at owned nodes. Collective."""
+    operators, motion = sampler.operators, state.motion
     values = []
-    for vector in vectors:
+    for vector in (motion.displacement, motion.velocity, motion.acceleration):
         nodal = operators.nodal(vector) if operators.expand is not None else vector
         values.append(nodal.getArray(readonly=True).reshape(-1, operators.blocks.sizes.dim)[rows])
         if nodal is not vector:
@@ -189,10 +293,14 @@ def node_table(mesh: SplitMesh) -> tuple[Ints, Ints, Ints]:
     return unique[:, 0], unique[:, 1], inverse.ravel()
 
 
-def at_nodes(snapshot: Snapshot, name: str, inverse: Ints, count: int, any_of: bool = False) -> Floats:
-    """A quantity of joint ends brought to fracture nodes (count,): their mean, or 1 where any end has it."""
-    values = snapshot.column(name).ravel()
-    total = np.bincount(inverse, weights=values, minlength=count)
-    if any_of:
-        return (total > 0).astype(float)
-    return total / np.maximum(np.bincount(inverse, minlength=count), 1)
+def at_nodes(snapshot: Snapshot, name: str, inverse: Ints, count: int) -> Floats:
+    """Means (count, dim-1) at fracture nodes of a vector of joint ends (joints, 2, dim-1); ``inverse`` (joints * 2,)."""
+    parts = np.moveaxis(snapshot.column(name), -1, 0)
+    total = np.stack([np.bincount(inverse, weights=part.ravel(), minlength=count) for part in parts], axis=1)
+    mean: Floats = total / np.maximum(np.bincount(inverse, minlength=count), 1)[:, None]
+    return mean
+
+
+def any_at_nodes(snapshot: Snapshot, name: str, inverse: Ints, count: int) -> Bools:
+    """Which fracture nodes (count,) have a joint end where a flag is set."""
+    return np.bincount(inverse, weights=snapshot.column(name).ravel(), minlength=count) > 0

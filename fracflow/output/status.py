@@ -18,9 +18,9 @@ FILE = "status.json"
 
 @dataclass(frozen=True)
 class Status:
-    """How a run stands, and the line that it was stopped or failed with.
+    """Status of a run, and the message with which it stopped or failed.
 
-    word  running, ended, stopped, failed, or cut off: killed before it could tell; empty where the folder does not tell
+    word  running, ended, stopped, failed, or cut off: killed before it could write it; empty where the folder has none
     """
 
     word: str = ""
@@ -33,7 +33,7 @@ def write_status(folder: RunFolder, status: Status) -> None:
 
 
 def read_status(folder: str | Path) -> Status:
-    """How the run of a folder stands now; a run that says it is under way and holds its folder no more was cut off."""
+    """Present status of a folder's run; one marked as under way that no longer holds its folder was cut off."""
     try:
         found = json.loads(read_text(Path(folder) / FILE, "name a run folder"))
         word, line = str(found["status"]), str(found["line"])

@@ -1,13 +1,13 @@
-"""What a scene needs and what it does not: model no more than that, say so, and look again while it runs.
+"""The parts of a model that a scene needs: the others are left out, on record, and checked while the scene runs.
 
-What would save no work is not left out: the record says so. What is decided, each in a function of DECISIONS:
+A part whose omission would save no work stays: the record says so. The decisions, each in a function of DECISIONS:
 
-flow       the pressures; what walls that move do to them; storage of the film; compressibility; inertia of the fluid
+flow       the pressures; what walls that move do to them; storage of fractures; compressibility; inertia of the fluid
 inertia    of the rock, in stages whose loads are slow; the run begins anew with it where one swings, slips or opens
-tied       fractures that can neither slip, open nor conduct; the run begins anew with them where one might
+tied       locked fractures, which can neither slip, open nor conduct; the run begins anew with them where one might
 parts      of the rock, which nothing loads; exact
 solver     factors of matrices that joints have changed since; the unknowns of the rock, condensed to the joints; exact
-outputs    fields of steps that nobody asks for; rock beyond absorbing sides
+outputs    fields of steps that are not requested; rock beyond absorbing sides
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from collections.abc import Iterable
 from dataclasses import asdict, replace
 
 from fracflow.reduction import flow, outputs, solver
-from fracflow.reduction.decision import Decision, Facts
-from fracflow.reduction.idle_rock import decide_parts
+from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.inertia import decide_inertia
+from fracflow.reduction.locked_fractures import decide_tied
 from fracflow.reduction.solver import factorisations
-from fracflow.reduction.tied_fractures import decide_tied
+from fracflow.reduction.unloaded_blocks import decide_parts
 
-__all__ = ["Decision", "Facts", "as_lines", "as_records", "decide", "factorisations"]
+__all__ = ["Decision", "ReductionInput", "as_lines", "as_records", "decide", "factorisations"]
 
 DECISIONS = (
-    flow.flow_block, flow.one_way, flow.film_storage, flow.compressibility, flow.fluid_inertia,
+    flow.flow_block, flow.one_way, flow.fracture_storage, flow.compressibility, flow.fluid_inertia,
     decide_inertia, decide_tied, decide_parts, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
 )  # fmt: skip
 
 
-def decide(facts: Facts) -> list[Decision]:
+def decide(facts: ReductionInput) -> list[Decision]:
     """All decisions, before the first step; not left out is what was put back in an earlier try."""
     found = [decision for find in DECISIONS for decision in find(facts)]
     keys = ((each, f"{each.part}, {each.stage}" if each.stage else each.part) for each in found)

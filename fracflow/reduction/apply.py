@@ -1,4 +1,4 @@
-"""What the plan looks at in a model that was set up, and the model that it leaves."""
+"""Input of the plan from a model that was set up, and the model that the plan leaves."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import replace
 from time import process_time
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.mesh.data import Ints
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model, SlowLoads
 from fracflow.model.state import State
-from fracflow.reduction.decision import Facts
-from fracflow.reduction.idle_rock import without_idle
+from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.inertia import asks_period, key_of, reduced, slow_stages
-from fracflow.reduction.tied_fractures import PART
-from fracflow.reduction.tied_mesh import find_shut, tied
+from fracflow.reduction.locked_fractures import EARLIER, PART
+from fracflow.reduction.locked_mesh import find_locked, tied
+from fracflow.reduction.unloaded_blocks import without_idle
 from fracflow.solve.period import longest_period
 
 LARGEST = PETSc.NormType.INFINITY
@@ -24,29 +24,29 @@ LARGEST = PETSc.NormType.INFINITY
 
 def planned(
     model: Model, undone: Mapping[str, str] | None = None, cell_rank: Ints | None = None
-) -> tuple[Model, Facts]:
-    """The model without what its scene does not need, and the facts that say why. It was settled before. Collective.
+) -> tuple[Model, ReductionInput]:
+    """The model without the parts that its scene does not need, and the facts for that. It was settled before. Collective.
 
-    undone     what an earlier try of the same run has taken back
-    cell_rank  partition of an earlier run, on rank 0
+    undone     decisions that an earlier try of the same run has undone
+    cell_rank  partition (cells,) of an earlier run, on rank 0
     """
     shut, undone = (
-        find_shut(model, Facts(model.scene, unknowns=int(model.operators.layout.solid_starts[-1]))),
-        undone or {},
+        find_locked(model, ReductionInput(model.scene, unknowns=int(model.operators.layout.solid_starts[-1]))),
+        {PART if part == EARLIER else part: when for part, when in (undone or {}).items()},
     )
     if shut.names and PART not in undone:
         model = tied(model, shut.names, cell_rank)
-        settle(model)
+        refuse_imbalance(model)
     model, parts = without_idle(model)
-    facts = replace(find_facts(model), shut=shut, parts=parts, undone=undone)
+    facts = replace(reduction_input(model), locked=shut, parts=parts, undone=undone)
     slow = {number: SlowLoads(facts.tolerance, key_of(number, stage)) for number, stage in slow_stages(facts).items()}
     return replace(model, scene=reduced(facts), slow=slow), facts
 
 
-def find_facts(model: Model) -> Facts:
-    """What decisions look at, but for the scene card, tied fractures and parts of the rock. Collective."""
+def reduction_input(model: Model) -> ReductionInput:
+    """The input of decisions, except the pre-run checks, locked fractures and blocks of the rock. Collective."""
     ops, scene = model.operators, model.scene
-    facts = Facts(
+    facts = ReductionInput(
         scene,
         unknowns=int(ops.layout.solid_starts[-1]),
         pressures=int(ops.layout.flow_starts[-1]),
@@ -56,7 +56,7 @@ def find_facts(model: Model) -> Facts:
     )
     if not facts.leaves_out or not asks_period(scene):
         return facts
-    state = rest(model)
+    state = equilibrium_state(model)
     period, unrest = longest_period(ops, model.loads, state.sections), _unrest(model, state)
     state.destroy()
     return replace(facts, period=period, unrest=unrest)

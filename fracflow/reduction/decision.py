@@ -1,4 +1,4 @@
-"""What the plan decides by, and what a decision is."""
+"""The input of the plan, and the record of a decision."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Decision:
     saves   what it saves; what would have been saved is no reason by itself
     stage   the stage that it is about, empty for the whole run
     undone  when it was taken back during the run, and by which value; empty while it stands
-    asked   the scene has it; what a scene has not is no decision, and its number tells whether it should
+    asked   the scene has it; its number in the pre-run checks shows whether it should have a part that it lacks
     """
 
     part: str
@@ -41,7 +41,7 @@ class Decision:
 
 
 @dataclass(frozen=True)
-class Shut:
+class LockedFractures:
     """The fractures that can neither slip, open nor conduct.
 
     names       of them; empty where the plan ties none
@@ -63,7 +63,7 @@ class Shut:
 
 
 @dataclass(frozen=True)
-class Parts:
+class UnloadedBlocks:
     """The parts of the rock that hang together with no other, and how many of them something loads; unknowns of the rest."""
 
     count: int = 1
@@ -72,16 +72,16 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Facts:
-    """A scene as it is stated, and what its model tells of it.
+class ReductionInput:
+    """A scene as it is stated, and values from its model.
 
     period      longest period in which it vibrates while its joints stick; infinite where that was not asked [time]
     unrest      what the first instant changes in the loads, over their scale [1]
     unknowns    of displacement, and ``pressures`` of pressure, on all ranks
     jumps       components of the jumps of all joint sections
-    damps       some sides absorb waves
-    card        numbers of the scene card by their names; on rank 0 only
-    shut        fractures that are tied, also where that was undone
+    damps       terms have a C
+    card        numbers of the pre-run checks by their names; on rank 0 only
+    locked      fractures that are tied, also where that was undone
     parts       parts of the rock, also where all of them are kept
     undone      what was taken back in an earlier try of the run: "part, stage" -> when and why
     """
@@ -95,12 +95,12 @@ class Facts:
     ranks: int = 1
     damps: bool = False
     card: Mapping[str, Number] = field(default_factory=dict)
-    shut: Shut = Shut()
-    parts: Parts = Parts()
+    locked: LockedFractures = LockedFractures()
+    parts: UnloadedBlocks = UnloadedBlocks()
     undone: Mapping[str, str] = field(default_factory=dict)
 
-    def with_card(self, numbers: Sequence[Number]) -> Facts:
-        """The same with the scene card."""
+    def with_card(self, numbers: Sequence[Number]) -> ReductionInput:
+        """The same with the pre-run checks."""
         return replace(self, card={number.name: number for number in numbers})
 
     @property

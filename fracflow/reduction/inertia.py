@@ -1,8 +1,8 @@
 """Inertia where loads are slow: a stage dynamic is then run as a stage auto, which has inertia only while something fails.
 
-A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static answer (Biggs
-1964, 2.3): for a ramp that takes T_load, with a kink at each end, at most T/(pi T_load) of what the load does. Many small
-changes in time with a mode add up, for as long as they last.
+A load whose rate changes at once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static response
+(Biggs 1964, 2.3). For a ramp that takes T_load, with a kink at each end, this is at most T/(pi T_load) of the effect of
+the load. Many small changes in time with a mode add up, for as long as they last.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from math import isfinite, pi
 import numpy as np
 
 from fracflow.integrators import EXPLICIT
-from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.scene.boundary import Stage
+from fracflow.scene.quantities import probed
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 
 FEWER = 10.0  # times fewer steps, at least: each costs about as much as one with inertia, and all may have been in vain
-RATES = ("velocity", "acceleration", "slip_rate", "flow_rate")  # a small vibration is most of them
 PART = "inertia"
 CRITERION = "T sum(changes of load rate)/(2 pi range), T the longest period, joints sticking"
 
 
-def kick(table: TimeTable, start: float, end: float, period: float) -> float:
+def kink_response(table: TimeTable, start: float, end: float, period: float) -> float:
     """Sum of all changes of rate, times the period over 2 pi times the range of the table [1].
 
     Nothing damps a mode, and no two changes are sure not to add up. Between two instants, before the first of which nothing
@@ -62,13 +62,15 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
         return "a start that is not at rest"
     if any(stage.kind == "dynamic" for stage in earlier):
         return "the stage before has inertia"
+    rates = {name for name, row in probed().items() if row.is_rate}
     for probe in scene.probe:
-        if asked := sorted(set(RATES).intersection(probe.quantities or RATES)):
+        if asked := sorted(rates.intersection(probe.quantities or rates)):
             return (
                 f"probe {probe.name} measures {asked[0]}, of which vibration is all (its quantities may leave that out)"
             )
-    if scene.absorbing:
-        return "absorbing sides, which give way to slow loads and stand still without inertia"
+    for term in scene.terms:
+        if term.moving:
+            return term.moving
     if any(start <= time <= end for time in scene.jump_times):
         return "something prescribed jumps"
     pumped = [well.flow_rate for well in scene.well if well.flow_rate is not None]
@@ -78,21 +80,21 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
 
 
 def asks_period(scene: Scene) -> bool:
-    """Whether the longest period would tell anything."""
+    """Whether the longest period is of use."""
     return any(stage.kind == "dynamic" and not why_not(scene, n, start, end) for n, stage, start, end in spans(scene))
 
 
-def _kicks(facts: Facts, start: float, end: float) -> float:
-    return max((kick(table, start, end, facts.period) for table in facts.scene.time_tables), default=0.0)
+def _kicks(facts: ReductionInput, start: float, end: float) -> float:
+    return max((kink_response(table, start, end, facts.period) for table in facts.scene.time_tables), default=0.0)
 
 
-def longest_step(facts: Facts, value: float, stage: Stage, start: float, end: float) -> float:
-    """Step without inertia: the tolerance's share of the shortest ramp, twice that without a film, which fills in time."""
+def longest_step(facts: ReductionInput, value: float, start: float, end: float) -> float:
+    """Step without inertia: the tolerance's share of the shortest ramp, twice that without flow, which takes time."""
     ramp = facts.period / (pi * value) if value > 0.0 else end - start
     return min(ramp, end - start) * facts.tolerance * (1.0 if facts.scene.has_flow else 2.0)
 
 
-def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: float) -> Decision:
+def decide_stage(facts: ReductionInput, number: int, stage: Stage, start: float, end: float) -> Decision:
     """Whether a dynamic stage goes without inertia until something fails."""
     label = f"{number} ({stage.title})"
     limit, error = facts.tolerance, "the vibration that slow loads set off, relative to what they do"
@@ -115,13 +117,13 @@ def decide_stage(facts: Facts, number: int, stage: Stage, start: float, end: flo
         return kept("no load changes, so that whatever moves was there at the start", value)
     if value >= limit:
         return kept("the loads are not slow", value)
-    fewer = longest_step(facts, value, stage, start, end) / (stage.time_step or 1.0)
+    fewer = longest_step(facts, value, start, end) / (stage.time_step or 1.0)
     if fewer < FEWER:
         return kept(f"steps without inertia would be only {fewer:.3g} times longer", value)
     return Decision(PART, True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", label)
 
 
-def decide_inertia(facts: Facts) -> list[Decision]:
+def decide_inertia(facts: ReductionInput) -> list[Decision]:
     """One decision for each dynamic stage, or one for a scene that has none."""
     bounded = {number: (start, end) for number, _, start, end in spans(facts.scene)}
     found = []
@@ -141,11 +143,11 @@ def decide_inertia(facts: Facts) -> list[Decision]:
 
 
 def key_of(number: int, stage: Stage) -> str:
-    """What the decision on a stage is called where it is undone."""
+    """The name of the decision on a stage where it is undone."""
     return f"{PART}, {number} ({stage.title})"
 
 
-def slow_stages(facts: Facts) -> dict[int, Stage]:
+def slow_stages(facts: ReductionInput) -> dict[int, Stage]:
     """Number -> the stage auto that takes the place of a dynamic one, where that was not undone."""
     found = {}
     for number, stage, start, end in spans(facts.scene) if facts.leaves_out else ():
@@ -156,13 +158,13 @@ def slow_stages(facts: Facts) -> dict[int, Stage]:
         ):
             continue
         assert isinstance(decision.value, float)
-        step = longest_step(facts, decision.value, stage, start, end)
+        step = longest_step(facts, decision.value, start, end)
         change = {"kind": "auto", "steps": None, "end": end, "time_step": step, "dynamic_time_step": stage.time_step}
         found[number] = stage.model_copy(update={**change, "name": stage.title})
     return found
 
 
-def reduced(facts: Facts) -> Scene:
+def reduced(facts: ReductionInput) -> Scene:
     """The scene that is run: what the plan leaves out is not in it."""
     slow = slow_stages(facts)
     if not slow:

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from fracflow.diagnostics import slip
-from fracflow.diagnostics.film import EVENT_STEPS
+from fracflow.diagnostics.fracture_flow import EVENT_STEPS
 from fracflow.diagnostics.joints import cell_rocks, gather
-from fracflow.diagnostics.number import View, spans
+from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
-from fracflow.mesh.quality import cell_areas
+from fracflow.mesh.plane.quality import cell_areas
+from fracflow.mesh.plane.snap import natural_snap
+from fracflow.mesh.plane.traces import polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
-from fracflow.mesh.snap import natural_snap
-from fracflow.mesh.traces import polygon_area
-from fracflow.reduction.coarse_rock import GENTLE, coarse_beside
-from fracflow.reduction.lengths import (
-    affordable,
-    cell_count,
-    corner_period,
-    front_length,
-    mean_spacing,
-    shortest_period,
-    typical_length,
-)
+from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
 from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import LENGTH, TIME
 
 PER_LENGTH = 16  # joints along a fracture that ends in the rock
@@ -42,11 +34,80 @@ MOST_CELLS = 100_000
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
 LATE = "beside fractures that weaken with slip, cells that grow faster let it run away late, and send its waves back"
+PER_TRIANGLE = 4.0 / 3.0**0.5  # cells of size h in an area h^2
 SAME = 0.99  # sizes that differ by less need no new mesh
 MARGIN = 0.95  # cells of a size asked for differ from it
 
 Build = Callable[[Scene], tuple[SplitMesh, Mapping[str, int]]]
 """scene -> its mesh, and the flow nodes of its wells by name"""
+
+
+def typical_length(lengths: Floats) -> float:
+    """Mean of the lengths (n,) of fractures, each weighted by itself: of the ones that matter; inf of none [length]."""
+    return float(np.sum(lengths**2) / np.sum(lengths)) if np.sum(lengths) > 0.0 else np.inf
+
+
+def mean_spacing(area: float, length: float) -> float:
+    """1/P21, area over the length of all fractures in it; inf without any (Dershowitz and Herda 1992) [length]."""
+    return area / length if length > 0.0 else np.inf
+
+
+def front_length(conducting: Floats, normal: Floats, held: Floats | float, time: float) -> Floats:
+    """sqrt(D t), the reach of a pressure along a fracture: D = C/(1/k_n + c_f d), C = d^3/(12 mu) [length].
+
+    The diffusivity of (3.9) with walls that move by k_n alone, which gives the shortest reach. All arrays are (n,).
+    """
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(conducting / (1.0 / normal + held) * time))
+
+
+def corner_period(length: float, speed: float) -> float:
+    """1/f_c of the waves that slip along a length sends out, f_c = 2.34 c_s/(2 pi r) for a radius r = L/2 (Brune 1970) [time].
+
+    Their displacements have little of what is faster.
+    """
+    return np.pi * length / (2.34 * speed)
+
+
+def shortest_period(tables: Iterable[TimeTable], start: float, end: float) -> float:
+    """Period of the fastest swing of any table between two times; inf where all stand still, 0 where one jumps [time].
+
+    Half of it is the time of a swing over the whole range at the steepest mean slope of a stretch that rises or falls.
+    It is exact for a sine, and twice the length of a ramp. Small fast ripples count by their share of the range.
+    """
+    found = np.inf
+    for table in tables:
+        times, values = np.array(table.times), np.array(table.values)
+        jumps = table.jumps[0]
+        if np.any((jumps >= start) & (jumps < end)):
+            return 0.0
+        if table.interpolation == "step" or not np.ptp(values) > 0.0:
+            continue
+        turns = np.sign(np.diff(values))
+        first = np.flatnonzero(np.append(True, turns[1:] != turns[:-1]))
+        last = np.append(first[1:], len(turns))
+        change, lasts = np.abs(values[last] - values[first]), times[last] - times[first]
+        here = (change > 0.0) & (lasts > 0.0) & (times[first] < end) & (times[last] > start)
+        found = min(found, (2.0 * np.ptp(values) * lasts[here] / change[here]).min(initial=np.inf))
+    return float(found)
+
+
+def cell_count(size: float, fine: float, area: float, length: float, growth: float) -> float:
+    """Triangles of a mesh of ``size`` that is ``fine`` along fractures of a length, and grows from there: an upper estimate.
+
+    Around a line, 2 L times the integral of 1/(h + g r)^2 is 2 L/(g h).
+    """
+    graded = area / size**2 + 2.0 * length / (growth * fine)
+    return PER_TRIANGLE * min(graded, area / fine**2)
+
+
+def affordable(size: float, fine: float, area: float, length: float, growth: float, most: float) -> tuple[float, float]:
+    """Sizes that are at least so large that neither part of ``cell_count`` is over half of ``most``."""
+    if cell_count(size, fine, area, length, growth) <= most:
+        return size, fine
+    share = 0.5 * most / PER_TRIANGLE
+    fine = max(fine, min(2.0 * length / (growth * share), (area / share) ** 0.5))
+    return max(size, (area / share) ** 0.5, fine), fine
 
 
 @dataclass(frozen=True)
@@ -57,7 +118,7 @@ class Need:
     size     the largest joint or cell that resolves it there [length]
     found    the one there [length]
     along    whether it is joints that must be so short, else cells
-    is_told  whether ``unresolved`` tells: the card tells of others, or no stated mesh need be like that
+    is_told  whether ``unresolved`` lists it: the pre-run checks list others, or no stated mesh need be like that
     where    fracture or rock, and place
     """
 
@@ -70,8 +131,8 @@ class Need:
 
 
 def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
-    """A line for each length that a mesh does not resolve, but for those of the scene card. On one process."""
-    view = View(scene, gather(scene, mesh, wells))
+    """A line for each length that a mesh does not resolve, except those of the pre-run checks. On one process."""
+    view = CheckInput(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)
     coarse = slip.coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
     return (
@@ -90,12 +151,12 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
     )
 
 
-def needs(view: View, mesh: SplitMesh) -> list[Need]:
+def needs(view: CheckInput, mesh: SplitMesh) -> list[Need]:
     """All lengths of a scene, each where its mesh is worst at it."""
     return [*_along_fractures(view, mesh), *_in_rock(view, mesh)]
 
 
-def _along_fractures(view: View, mesh: SplitMesh) -> Iterator[Need]:
+def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     joints = view.joints
     if not len(joints.length):
         return
@@ -127,7 +188,7 @@ def _along_fractures(view: View, mesh: SplitMesh) -> Iterator[Need]:
         yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
 
 
-def _in_rock(view: View, mesh: SplitMesh) -> Iterator[Need]:
+def _in_rock(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     edges = cell_sizes(mesh)
 
     def need(what: str, size: Floats, is_told: bool) -> Iterator[Need]:
@@ -145,7 +206,7 @@ def _in_rock(view: View, mesh: SplitMesh) -> Iterator[Need]:
         )
 
 
-def _periods(view: View, speed: float) -> Iterator[tuple[str, float, bool]]:
+def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]]:
     """Periods of waves in each stage with inertia, none under ten of its steps: of loads, of slip; of jumps if of neither.
 
     speed  the lowest shear speed
@@ -210,7 +271,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
         keys = snap | _keys(geometry, size, fine, at_tips, growth, traces)
         trial = scene.with_geometry({**keys, "refine": 0})
         mesh, wells = build(trial)
-        view = View(trial, gather(trial, mesh, wells))
+        view = CheckInput(trial, gather(trial, mesh, wells))
         found = [width, *needs(view, mesh)]
         crowding = len(mesh.cells) / cell_count(size, fine, area, total, growth)
         finer = _finer(size, found, along=False), _finer(fine, found, along=True)
@@ -306,3 +367,41 @@ def _why(key: str, found: list[Need]) -> str:
 
 def _spot(point: Floats) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"
+
+
+def may_run_away(scene: Scene) -> bool:
+    """Whether a stage has no inertia, so that the onset of slip is a matter of the rock at rest."""
+    return any(stage.kind != "dynamic" for stage in scene.stage)
+
+
+def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]:
+    """A line for each fracture whose joints may resolve where slip runs away, and the rock beside it, of ``edges`` (m,), not.
+
+    Rock is too stiff by the square of the rate at which its cells grow away from a patch of the nucleation length.
+    """
+    if not view.weakens.any() or not may_run_away(view.scene):
+        return []
+    from scipy.spatial import cKDTree  # imports much
+
+    joints = view.joints
+    middle = mesh.points[mesh.joint_bottom].mean(axis=1)
+    reach = np.nanmin(np.where(view.weakens, slip.nucleation_lengths(view), np.inf), axis=1)
+    weak = np.flatnonzero(np.isfinite(reach))
+    corners = mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])]
+    away, nearest = cKDTree(middle[weak]).query(corners.mean(axis=1)) if len(weak) else (np.zeros(0), np.zeros(0, int))
+    lines = []
+    for number, name in enumerate(joints.names):
+        own = weak[nearest]
+        here = joints.fracture[own] == number
+        here &= (away > 2.0 * joints.length[own]) & (away < reach[own])
+        if not here.any():
+            continue
+        grows = float((edges[here] - joints.length[own[here]]).sum() / away[here].sum())
+        if grows > GENTLE:
+            lines.append(
+                f"mesh: the nucleation length of {name} is not resolved in the rock beside it: within"
+                f" {reach[own[here]].min():.3g}{view.unit(LENGTH)} cells grow by {grows:.3g} of the distance, more than"
+                f" {GENTLE:g}, which holds the fracture too stiffly and lets slip run away late: geometry.growth ="
+                f" {GENTLE:g}, or refine"
+            )
+    return lines

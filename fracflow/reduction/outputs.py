@@ -1,12 +1,12 @@
-"""What is computed only where someone asks for it, and what lies outside of what is modelled."""
+"""Quantities computed only on request, and the rock outside of the model."""
 
 from __future__ import annotations
 
 from fracflow.elements import dashpot
-from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.decision import Decision, ReductionInput
 
 
-def fields(facts: Facts) -> list[Decision]:
+def fields(facts: ReductionInput) -> list[Decision]:
     """Stresses and energy densities of the rock, and files of whole fields."""
     every = facts.scene.output.fields_every
     value = "the first and the last state" if every == 0 else f"every {every} steps"
@@ -14,11 +14,11 @@ def fields(facts: Facts) -> list[Decision]:
     return [Decision("fields", every != 1, "output.fields_every", value, "asked for", "none", saves)]
 
 
-def far_field(facts: Facts) -> list[Decision]:
-    """Rock beyond absorbing sides, which waves that meet them at an angle would tell from none."""
+def far_field(facts: ReductionInput) -> list[Decision]:
+    """Rock beyond absorbing sides, which changes waves that meet them at an angle."""
     scene = facts.scene
     ratios = sorted({rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None})
-    sides = ", ".join(name for absorbing in scene.absorbing for name in absorbing.on)
+    sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)
     if not sides or not scene.has_dynamics:
         return []
     return [

@@ -47,8 +47,8 @@ def prepare(
 ) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 
-    saved, cell_rank  mesh and partition of an earlier run, on rank 0
-    begins            whether the run begins, and notes tell which lengths its mesh does not resolve
+    saved, cell_rank  mesh and partition (cells,) of an earlier run, on rank 0
+    begins            whether the run begins, and notes list the lengths that its mesh does not resolve
     """
     with naming(scene):
         set_defaults(scene.petsc)

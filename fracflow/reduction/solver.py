@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from math import inf, isfinite
 
-from fracflow.reduction.decision import Decision, Facts
+from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.inertia import reduced
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import AT_LEAST, USUAL, condensing, is_chosen, planned, solves_per_factor
 from fracflow.solve.linear import LEAST_WORTH, are_kept
 
 
-def condensed_rock(facts: Facts) -> list[Decision]:
+def condensed_rock(facts: ReductionInput) -> list[Decision]:
     """The unknowns of the rock, which is linear: the choice is the coupling's, for the stages that the plan leaves."""
     scene = reduced(facts)
     if not facts.jumps or not _solves(scene):
@@ -37,7 +37,7 @@ def condensed_rock(facts: Facts) -> list[Decision]:
     ]
 
 
-def new_factors(facts: Facts) -> list[Decision]:
+def new_factors(facts: ReductionInput) -> list[Decision]:
     """Factors of a matrix that joints have changed since."""
     if not _solves(reduced(facts)):
         return []

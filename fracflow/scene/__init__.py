@@ -1,4 +1,4 @@
-"""What is asked: the scene file, validated, with units."""
+"""The scene file, validated, with units."""
 
 from fracflow.scene.scene import Scene, load
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
 from fracflow.scene.boundary import Names
-from fracflow.scene.method import Part
+from fracflow.scene.method import Table
+from fracflow.scene.terms import TermTable
 from fracflow.scene.units import VELOCITY, Quantity, fault
 from fracflow.scene.values import Tabled, TimeTable
 
 
-class Wave(Part):
+class Wave(Table):
     """[absorbing.wave] A plane wave that comes in through absorbing sides."""
 
     kind: Literal["p", "s"] = Field(
@@ -35,7 +36,7 @@ class Wave(Part):
         return self
 
 
-class Absorbing(Part):
+class Absorbing(TermTable):
     """[[absorbing]] Sides that waves leave through: dashpots rho c_p across and rho c_s along the side, of its own rock."""
 
     on: Names = Field(description="names of sides: one or a list")
@@ -45,3 +46,12 @@ class Absorbing(Part):
         description="in stages without inertia: held where they are, their reactions becoming loads when inertia comes in,"
         " or free, where loads and supports must hold the rock",
     )
+
+    holds: ClassVar[bool] = True
+    absorbs: ClassVar[bool] = True
+    moving: ClassVar[str] = "absorbing sides, which give way to slow loads and stand still without inertia"
+
+    @property
+    def waves(self) -> tuple[TimeTable, ...]:
+        """Velocity of the wave that comes in, where one does."""
+        return () if self.wave is None else (self.wave.velocity,)

@@ -7,16 +7,14 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from fracflow.scene.method import Count, Fraction, Name, Part
+from fracflow.scene.method import Count, Fraction, Name, Table
+from fracflow.scene.quantities import MeasuredName
 from fracflow.scene.units import FLOW_RATE, LINE_FORCE, STRESS, TIME, Quantity, fault
-from fracflow.scene.values import At, Displaced, Place, Tabled, TabledVector, TimeTable
+from fracflow.scene.values import At, Displaced, Position, Tabled, TabledVector, TimeTable
 
 Component = Literal["x", "y", "rotation"]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
-Measured = Literal[
-    "displacement", "velocity", "acceleration", "slip", "plastic_slip", "slip_rate", "opening", "aperture",
-    "shear_traction", "normal_traction", "strength", "pressure", "head", "flow_rate", "strain", "stress",
-]  # fmt: skip
+Measured = Annotated[str, MeasuredName()]
 Entry = Annotated[TimeTable, Tabled()]
 Row = tuple[Entry, Entry]
 Names = Annotated[
@@ -24,7 +22,7 @@ Names = Annotated[
 ]
 
 
-class Support(Part):
+class Support(Table):
     """[[support]] Sides, points or rocks that are held, or moved as prescribed."""
 
     on: Names = Field(description="names of sides, points or rocks: one or a list")
@@ -63,7 +61,7 @@ class Support(Part):
         return self
 
 
-class Tie(Part):
+class Tie(Table):
     """[[tie]] One side whose nodes move alike, as under a platen, or two facing sides that move as each other."""
 
     on: Names = Field(max_length=2, description="one side, or two that a translation brings to coincide (periodic)")
@@ -78,7 +76,7 @@ class Tie(Part):
         return self
 
 
-class Load(Part):
+class Load(Table):
     """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; or a force on rocks."""
 
     on: Names = Field(description="names of sides, or of rocks where a force is given: one or a list")
@@ -106,11 +104,11 @@ class Load(Part):
         return self
 
 
-class Well(Part):
+class Well(Table):
     """[[well]] A place where fluid is pumped in or out, or its pressure is kept."""
 
     name: Name = Field(description="name of the well")
-    at: Annotated[Place, At()] = Field(
+    at: Annotated[Position, At()] = Field(
         description='[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}'
     )
     flow_rate: Annotated[TimeTable, Tabled(FLOW_RATE)] | None = Field(
@@ -145,7 +143,7 @@ class Well(Part):
         return self
 
 
-class Control(Part):
+class Control(Table):
     """[control.NAME] A factor that several wells or loads share, and that a stage may search."""
 
     initial: Annotated[float, Quantity()] = Field(default=0.0, description="value at the start [1]")
@@ -154,11 +152,11 @@ class Control(Part):
     )
 
 
-class Probe(Part):
+class Probe(Table):
     """[[probe]] A place whose history is written."""
 
     name: Name = Field(description="name in the run folder")
-    at: Annotated[Place, At()] = Field(
+    at: Annotated[Position, At()] = Field(
         description='[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}'
     )
     on: Name | None = Field(default=None, description="fracture or rock that is meant, where several meet at the place")
@@ -170,7 +168,7 @@ class Probe(Part):
     )
 
 
-class Stage(Part):
+class Stage(Table):
     """[[stage]] A part of the run."""
 
     name: Name | None = Field(default=None, description="name by which --set and the log call the stage")
@@ -260,7 +258,7 @@ class Stage(Part):
 
     @property
     def title(self) -> str:
-        """What the log and messages call the stage: its name, or its kind."""
+        """The stage in the log and in messages: its name, or its kind."""
         return self.name or self.kind
 
     @property

@@ -1,4 +1,4 @@
-"""What must hold between the tables of a scene, and between a scene and its mesh."""
+"""Conditions between the tables of a scene, and between a scene and its mesh."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import re
 from collections.abc import Collection, Iterator, Sequence
 
 from fracflow.errors import InputError
-from fracflow.integrators import WITH_INERTIA, keys_of
+from fracflow.integrators import keys_of, with_inertia
+from fracflow.scene.laws import check_flow
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import LONGEST_NAME
 from fracflow.scene.petsc import refusal
 from fracflow.scene.tables import Tables
 from fracflow.scene.units import COMPRESSIBILITY
-from fracflow.scene.values import FractureEnd, Place
+from fracflow.scene.values import FractureEnd, Position
 from fracflow.storage.files import PLAIN_TEXT
 
 MOST_STEPS = 1e9
@@ -27,6 +28,7 @@ def contradictions(scene: Tables) -> Iterator[Fault]:
         yield ("stage",), "missing; a run needs at least one [[stage]]"
     yield from _method(scene)
     yield from _absorbing(scene)
+    yield from _terms(scene)
     yield from _geometry(scene)
     yield from _materials(scene)
     yield from _controls(scene)
@@ -78,8 +80,8 @@ def _method(scene: Tables) -> Iterator[Fault]:
             'is "redistributed" in a scene with a fluid: walls without mass have no first velocity to squeeze it by, and the'
             ' fluid damps them as it is; use "lumped"',
         )
-    keys = {name: keys_of({name: kind}) for name, kind in WITH_INERTIA.items()}
-    for key, (default, _, _) in keys_of(WITH_INERTIA).items():
+    keys = {name: keys_of({name: kind}) for name, kind in with_inertia().items()}
+    for key, (default, _, _) in keys_of(with_inertia()).items():
         if key not in keys[method.stepper] and getattr(method, key) != default:  # a scene written back has all defaults
             users = ", ".join(name for name, own in keys.items() if key in own)
             yield (
@@ -107,6 +109,12 @@ def _absorbing(scene: Tables) -> Iterator[Fault]:
                     ("absorbing", index, "on"),
                     f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one',
                 )
+
+
+def _terms(scene: Tables) -> Iterator[Fault]:
+    for key, tables in scene.term_tables.items():
+        if any(table.drains for table in tables) and not scene.has_flow:
+            yield (key,), "needs [fluid] with a viscosity: without it no fluid is modelled"
 
 
 def _geometry(scene: Tables) -> Iterator[Fault]:
@@ -156,6 +164,8 @@ def _materials(scene: Tables) -> Iterator[Fault]:
             yield ("fracture", name, "aperture"), "missing; the fluid needs it, or conductance"
         elif scene.has_flow and scene.fluid is not None and scene.fluid.compressibility and fracture.aperture is None:
             yield ("fracture", name, "aperture"), "missing; a fluid with compressibility needs the volume it fills"
+        for key, fault in check_flow(scene.method.conductance, vars(fracture)) if scene.has_flow else ():
+            yield ("fracture", name, key), fault
         if fracture.pressure is not None and not scene.has_flow:
             yield ("fracture", name, "pressure"), "needs [fluid] with a viscosity: without it no fluid is modelled"
     if scene.fluid is not None and scene.fluid.compressibility and scene.units != "none":
@@ -243,7 +253,11 @@ def _used_names(
     for index, support in enumerate(scene.support):
         for name in support.on:
             yield f"support.{index}.on", name, (*sides, *points, *rocks)
-    for key in ("load", "tie", "absorbing"):
+    for key, tables in scene.term_tables.items():
+        for index, table in enumerate(tables):
+            for name in table.on:
+                yield f"{key}.{index}.on", name, sides if table.places == "sides" else fractures
+    for key in ("load", "tie"):
         for index, entry in enumerate(getattr(scene, key)):
             for name in entry.on:
                 yield f"{key}.{index}.on", name, rocks if getattr(entry, "force", None) is not None else sides
@@ -258,7 +272,7 @@ def _used_names(
 
 
 def _place(
-    key: str, at: Place, fractures: Collection[str], points: Collection[str]
+    key: str, at: Position, fractures: Collection[str], points: Collection[str]
 ) -> Iterator[tuple[str, str, Collection[str]]]:
     if isinstance(at, FractureEnd):
         yield f"{key}.fracture", at.fracture, fractures

@@ -16,13 +16,12 @@ from fracflow.errors import InputError
 from fracflow.scene.materials import Fracture
 from fracflow.scene.messages import nearest, one_line
 from fracflow.scene.method import ALTERNATIVES, with_default_fracture
-from fracflow.scene.toml import write_value
+from fracflow.scene.toml import LARGEST, write_value
 from fracflow.scene.units import HUGE, UnitSystem
 from fracflow.storage.files import PLAIN_TEXT, read_text
 
 POINT, SEGMENT = ("x", "y"), ("x1", "y1", "x2", "y2")
 PROPERTIES = tuple(Fracture.model_fields)
-LARGEST = 8 << 20  # bytes of a table
 MOST_TRACES = 100_000
 
 
@@ -45,10 +44,10 @@ class TraceRow:
 def read_traces_csv(path: str | Path) -> list[TraceRow]:
     """Read traces from a table with the columns name and x, y (a row a point) or x1, y1, x2, y2 (a row a segment).
 
-    Columns may stand in any order; further ones are named as the keys of [fracture.NAME], and hold numbers or text with
-    a unit; an empty field gives nothing. The delimiter is a comma, a semicolon or a tab. Rows of one name follow each
-    other along the trace, segments of one name must join, and a property of a fracture stands in its first row or
-    is the same in all. Raises InputError naming file and line.
+    Columns may stand in any order. Further ones are named as the keys of [fracture.NAME], and hold numbers or text with
+    a unit. An empty field gives nothing. The delimiter is a comma, a semicolon or a tab. Rows of one name follow each
+    other along the trace, and segments of one name must join. A property of a fracture stands in its first row or is
+    the same in all. Raises InputError naming file and line.
     """
     path = Path(path)
     rows = _rows(path)
@@ -97,7 +96,7 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
     geometry = data.get("geometry")
     name = geometry.get("fractures_csv") if isinstance(geometry, Mapping) else None
     if not isinstance(geometry, Mapping) or not isinstance(name, str) or not re.fullmatch(PLAIN_TEXT, name):
-        return dict(data)  # the scene tells what is wrong with it, if anything
+        return dict(data)  # validation of the scene finds its faults
     path = Path(os.path.realpath(file.absolute().parent / name))  # of links in a circle too
     rows = read_traces_csv(path)
     inside = {key: value for key, value in geometry.items() if key != "fractures_csv"}

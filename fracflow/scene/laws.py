@@ -2,41 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
 from difflib import get_close_matches
 from typing import Annotated, Any
 
 from pydantic import Field
 
-from fracflow.laws import JOINT_LAWS, Key, keys_of, parameters_of
+from fracflow.laws import FLOW_LAWS, JOINT_LAWS, Key, keys_of, parameters_of
 from fracflow.scene.profiles import Along, Profile
 from fracflow.scene.units import Quantity, fault
 
 Property = float | Profile
 KEYS: dict[str, dict[str, Key]] = {name: keys_of(law) for name, law in JOINT_LAWS.items()}
+FLOW_KEYS: dict[str, dict[str, Key]] = {name: keys_of(law) for name, law in FLOW_LAWS.items()}
 OTHERWISE = {"friction_angle_deg": "friction_coefficient"}
 """Keys of a table that stand for one of a law's."""
 
 
 def known_law(name: str) -> str:
-    """The name of a law; a fault that tells those there are, for another."""
+    """The name of a law. Raises a fault for an unknown one, and RuntimeError for one registered too late."""
     if name not in JOINT_LAWS:
         allowed = ", ".join(JOINT_LAWS)
         near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)
         raise fault(f"unknown; allowed: {allowed}" + (f'; did you mean "{near[0]}"?' if near else ""))
+    if name not in KEYS:
+        raise RuntimeError(
+            f"the joint law {name} was registered after the keys of scenes were made: register it before"
+        )
     return name
 
 
 def law_fields() -> dict[str, Any]:
     """Name -> (annotation, Field) of all keys that laws declare; None where a table has none of it."""
     found: dict[str, Any] = {}
-    for name in dict.fromkeys(name for keys in KEYS.values() for name in keys):
+    declared = KEYS | {f"method.conductance = {law}": keys for law, keys in FLOW_KEYS.items()}
+    for name in dict.fromkeys(name for keys in declared.values() for name in keys):
         meanings: dict[str, list[str]] = {}
-        for law, keys in KEYS.items():
+        for law, keys in declared.items():
             if name in keys:
                 meanings.setdefault(keys[name].meaning, []).append(law)
-        key = next(keys[name] for keys in KEYS.values() if name in keys)
+        key = next(keys[name] for keys in declared.values() if name in keys)
         text = "; ".join(f"{meaning} ({', '.join(laws)})" for meaning, laws in meanings.items())
         value = next((defaults(law)[name] for law in KEYS if name in defaults(law)), None)
         unit = "" if key.dimension == "1" else f" [{key.dimension}]"
@@ -47,7 +53,7 @@ def law_fields() -> dict[str, Any]:
 
 
 def describe_laws() -> str:
-    """What each law is, by the first line of its own documentation."""
+    """A description of each law: the first line of its own documentation."""
     return "; ".join(f"{name}: {(law.__doc__ or '').splitlines()[0].rstrip('.')}" for name, law in JOINT_LAWS.items())
 
 
@@ -60,7 +66,7 @@ def foreign_keys(law: Any) -> set[str]:
 
 
 def defaults(law: str) -> dict[str, float]:
-    """What a law takes for its own keys where a table has none; friction has to be given."""
+    """The defaults of a law's own keys; friction has to be given."""
     given = {field.name: field.default for field in parameters_of(JOINT_LAWS[law]) if field.name in KEYS[law]}
     return {name: v for name, v in given.items() if v is not MISSING and name not in OTHERWISE.values()}
 
@@ -80,6 +86,17 @@ def check(law: str, table: Mapping[str, Any]) -> None:
             raise fault(f"missing; give it or {field.name}", key=other)
         if not other and field.default is MISSING and table.get(field.name) is None:
             raise fault(f"missing; the law {law} needs it", key=field.name)
+
+
+def check_flow(law: str, table: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Keys of a fracture's table that its flow law needs, or does not know, each with what is wrong."""
+    for name in sorted({name for keys in FLOW_KEYS.values() for name in keys} - set(FLOW_KEYS[law])):
+        if table.get(name) is not None:
+            users = " or ".join(f'"{each}"' for each, keys in FLOW_KEYS.items() if name in keys)
+            yield name, f"is a key of method.conductance = {users}; remove it, or set that"
+    for field in parameters_of(FLOW_LAWS[law]):
+        if field.name in FLOW_KEYS[law] and field.default is MISSING and table.get(field.name) is None:
+            yield field.name, f'missing; method.conductance = "{law}" needs it'
 
 
 def check_order(law: str, values: Mapping[str, Any]) -> None:

@@ -7,17 +7,17 @@ from typing import TypeVar
 
 from fracflow.integrators import stepper_from
 from fracflow.scene.boundary import Stage
-from fracflow.scene.method import Part
+from fracflow.scene.method import Table
 from fracflow.scene.scene import Scene
 
-Thing = TypeVar("Thing", bound=Part)
+Thing = TypeVar("Thing", bound=Table)
 Spot = tuple[tuple[float, float], str | None]
 """Where something is, and on which rock or fracture; None where the scene need not say."""
 
 
 def order_in_time(scene: Scene) -> int:
     """The least order of the rules that the stages step by; 2, the order of the mesh, where time has no part."""
-    waves, film = (scene.method.stepper,), (scene.method.film,) if scene.has_flow else ()
+    waves, film = (scene.method.stepper,), (scene.method.flow_integrator,) if scene.has_flow else ()
     names = {"dynamic": waves, "quasi-static": film, "auto": waves + film}
     rules = [stepper_from(name, scene.method) for stage in scene.stage for name in names.get(stage.kind, ())]
     return min([2, *(rule.order for rule in rules)])

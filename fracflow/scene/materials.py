@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, StrictBool, create_model, model_vali
 
 from fracflow.laws import JOINT_LAWS
 from fracflow.scene.laws import Property, check, check_order, defaults, describe_laws, known_law, law_fields
-from fracflow.scene.method import Part, Size, Stress
+from fracflow.scene.method import Size, Stress, Table
 from fracflow.scene.profiles import Along, AlongInTime, Pressures, Profile
 from fracflow.scene.units import (
     ACCELERATION,
@@ -38,7 +38,7 @@ def _along(dimension: str = "1", **limits: float) -> Along:
     return Along(Quantity(dimension, **limits))
 
 
-class Rock(Part):
+class Rock(Table):
     """[rock.NAME] An elastic rock in plane strain, or a rigid body."""
 
     youngs_modulus: Annotated[float, Quantity(STRESS, above=0.0)] | None = Field(
@@ -60,7 +60,7 @@ class Rock(Part):
         return self
 
 
-class StressGradient(Part):
+class StressGradient(Table):
     """[initial_stress.gradient] Change of the initial stress with depth, which grows towards -y."""
 
     xx: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="d sigma_xx / d depth [force/length**3]")
@@ -69,7 +69,7 @@ class StressGradient(Part):
     xy: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="d sigma_xy / d depth [force/length**3]")
 
 
-class InitialStress(Part):
+class InitialStress(Table):
     """[initial_stress] Stress at the start, tension positive; joint tractions follow by (2.14)."""
 
     xx: Stress = Field(default=0.0, description="sigma_xx [force/length**2]")
@@ -87,7 +87,7 @@ class InitialStress(Part):
     )
 
 
-class BodyForce(Part):
+class BodyForce(Table):
     """[body_force] A force on the volume of the rock, from the first instant."""
 
     x: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="along x [force/length**3]")
@@ -97,7 +97,7 @@ class BodyForce(Part):
     )
 
 
-class InitialMotion(Part):
+class InitialMotion(Table):
     """[initial.rock.NAME] Displacement and velocity of a rock at the start: a value at the origin and its gradient."""
 
     displacement: tuple[Position, Position] | None = Field(default=None, description="[u_x, u_y] [length]")
@@ -120,7 +120,7 @@ class Initial(InitialMotion):
     rock: dict[str, InitialMotion] = Field(default_factory=dict, description="rocks that start otherwise, by name")
 
 
-class _Joint(Part):
+class _Joint(Table):
     law: Annotated[str, AfterValidator(known_law)] = Field(
         default="hyperbolic-coulomb",
         description=describe_laws(),
@@ -181,7 +181,7 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
         return math.tan(math.radians(angle or 0.0))
 
 
-class Fluid(Part):
+class Fluid(Table):
     """[fluid] The fluid in the fractures; viscosity, specific weight or density zero: no flow is modelled."""
 
     viscosity: Annotated[float, Quantity(VISCOSITY, at_least=0.0)] = Field(

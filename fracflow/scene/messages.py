@@ -1,4 +1,4 @@
-"""What pydantic found, as one line: file, key, value, and what would be right."""
+"""The errors of pydantic as one line: file, key, value, and a correct form."""
 
 from __future__ import annotations
 

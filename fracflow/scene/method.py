@@ -16,10 +16,12 @@ from pydantic import (
     create_model,
 )
 
-from fracflow.integrators import OF_FILMS, WITH_INERTIA, keys_of
+from fracflow.integrators import flow_integrators, keys_of, with_inertia
+from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
 from fracflow.scene.units import (
     LENGTH,
+    LINE_FORCE,
     STRESS,
     Quantity,
     fault,
@@ -50,7 +52,7 @@ def _option(value: object) -> object:
 Option = Annotated[StrictBool | StrictInt | StrictFloat | StrictStr, BeforeValidator(_option)]
 
 
-class Part(BaseModel):
+class Table(BaseModel):
     """A table of a scene: frozen, and refuses keys it does not know."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -59,15 +61,15 @@ class Part(BaseModel):
 if TYPE_CHECKING:
     InertiaStepper: TypeAlias = str
     FilmStepper: TypeAlias = str
-    StepperKeys: Any = Part
+    StepperKeys: Any = Table
 else:
-    InertiaStepper, FilmStepper = Literal[tuple(WITH_INERTIA)], Literal[tuple(OF_FILMS)]
+    InertiaStepper, FilmStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
     StepperKeys = create_model(
         "StepperKeys",
-        __base__=Part,
+        __base__=Table,
         **{
             key: (Annotated[float, Quantity(**limits)], Field(default=default, description=meaning))
-            for key, (default, meaning, limits) in keys_of(WITH_INERTIA).items()
+            for key, (default, meaning, limits) in keys_of(with_inertia()).items()
         },
     )
 
@@ -81,10 +83,10 @@ class Method(StepperKeys):
     )
     storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = Field(
         default="lumped",
-        description="matrices of pressure force and film storage; lumped, consistent (2.37) and averaging (3.16) use one for"
-        " both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: what these two make of nothing is booked",
+        description="matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one"
+        " for both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work",
     )
-    conductance: Literal["exact", "report"] = Field(
+    conductance: Literal[tuple(FLOW_LAWS)] = Field(  # type: ignore[valid-type]
         default="exact",
         description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
     )
@@ -95,7 +97,7 @@ class Method(StepperKeys):
         " the rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which"
         ' damps them, of explicit steps, and of model = "report"',
     )
-    film: FilmStepper = Field(
+    flow_integrator: FilmStepper = Field(
         default="backward-euler",
         description="time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of"
         " scenes that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a"
@@ -105,14 +107,14 @@ class Method(StepperKeys):
         default="newmark",
         description="time integrator of dynamic stages: newmark (4.1)-(4.3); hht and generalised-alpha, which damp what the"
         " time step does not resolve and are of second order; implicit-euler, of first order, which damps all; explicit,"
-        " central differences of the rock with joints and film solved at the end of each step, in parts no longer than stable",
+        " central differences of the rock with joints and flow solved at the end of each step, in stable substeps",
     )
     fault_damping: Literal["auto"] | Annotated[float, Quantity(at_least=0.0)] = Field(
         default="auto",
         description="damping of the fastest vibration of the cells at fractures that can slide, over the critical one, in"
         " explicit steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a"
         " prescribed pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is"
-        ' none, and the default of model = "report"; booked as damping [1]',
+        ' none, and the default of model = "report"; counted as damping in the energy balance [1]',
     )
     coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
         default="auto",
@@ -132,7 +134,7 @@ class Method(StepperKeys):
     )
     events: Literal["auto", "located", "at-step-ends"] = Field(
         default="auto",
-        description="changes of friction, opening and closing in dynamic stages: each ends a part of its step (located), or is"
+        description="changes of friction, opening and closing in dynamic stages: each ends a substep (located), or is"
         " taken as the end of a step finds it; auto: located where no rock deforms, and while fewer"
         " than 16 sections slide, twice as many for each refine",
     )
@@ -153,8 +155,8 @@ class Method(StepperKeys):
     )
     line_search: Literal["none", "residual", "energy"] = Field(
         default="energy",
-        description="what shortens a step of Newton once joints open and close in circles, or whole steps do not converge:"
-        " nothing, the size of the residual, or the work that the unbalanced forces do along the step",
+        description="measure that shortens a step of Newton once joints open and close in cycles, or whole steps do not"
+        " converge: nothing, the size of the residual, or the work that the unbalanced forces do along the step",
     )
     newton_test: Literal["residual", "out-of-balance", "displacement"] = Field(
         default="residual", description="when Newton stops: scaled residuals, (4.9a), or (4.9b)"
@@ -183,7 +185,7 @@ class Method(StepperKeys):
     }
 
 
-class Output(Part):
+class Output(Table):
     """[output] What a run writes beside its histories."""
 
     fields_every: Annotated[int, Field(strict=True, ge=0)] = Field(
@@ -203,14 +205,14 @@ class Output(Part):
     pictures: StrictBool = Field(default=True, description="draw pictures for the report page")
 
 
-class Trace(Part):
+class Trace(Table):
     """[[geometry.fracture]] A fracture as a polyline."""
 
     name: Name = Field(description="name that [fracture.NAME] refers to")
     points: Annotated[Points, Polyline()] = Field(description="[[x, y], ...] from its start to its end [length]")
 
 
-class Geometry(Part):
+class Geometry(Table):
     """[geometry] A domain with fracture traces, meshed by the program; its rock is called "rock"."""
 
     domain: Annotated[Points, Domain()] = Field(
@@ -248,7 +250,7 @@ class Geometry(Part):
     refine: Refine = Field(default=0, description=REFINED)
 
 
-class Mesh(Part):
+class Mesh(Table):
     """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
 
     file: FileName = Field(description=".geo or .msh file, relative to the scene")
@@ -264,7 +266,7 @@ def with_preset(data: dict[str, Any]) -> dict[str, Any]:
         preset = {**preset, "contact": "lumped"}
     accuracy = data.get("accuracy", {})
     if isinstance(accuracy, dict) and {"tolerance", "step_error"} & accuracy.keys() and data.get("model") != "report":
-        preset = {**preset, "film": "bdf2"}  # whose overshoot is below what errors may be, for a fraction of the steps
+        preset = {**preset, "flow_integrator": "bdf2"}  # overshoots less than errors may be
     return {**data, "method": {**preset, **method}}
 
 
@@ -301,3 +303,41 @@ def _is_spare(data: dict[str, Any], tables: dict[str, Any], default: dict[str, A
     own = [tables.get(name) for name in names if isinstance(name, str)]
     more = [set(table) - set(default) for table in own if isinstance(table, dict)]
     return bool(names) and len(more) == len(names) and bool(set.intersection(*more))
+
+
+class Accuracy(Table):
+    """[accuracy] How accurate results are to be, when an iteration has converged, and when it is given up."""
+
+    residual: Fraction = Field(
+        default=1e-11, description="largest residual relative to what drives it (default test) [1]"
+    )
+    out_of_balance: Annotated[float, Quantity(LINE_FORCE, above=0.0)] | None = Field(
+        default=None,
+        description="epsilon_S of (4.9a), absolute, per unit thickness [force/length]; without it the residuals decide",
+    )
+    displacement: Fraction = Field(default=1e-12, description="relative change of displacement of (4.9b) [1]")
+    pressure: Fraction = Field(default=1e-10, description="epsilon_F of the fixed point (4.5), relative [1]")
+    digits: Annotated[int, Field(strict=True, ge=0, le=15)] = Field(
+        default=6,
+        description="digits that round-off must leave of the joint tractions, and of what wells with a pressure draw, or the"
+        " run stops; 0 lets it go on [1]",
+    )
+    max_iterations: Count = Field(default=50, description="Newton iterations of a step before it is halved or given up")
+    max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] = Field(
+        default=6, description="times that a step which does not converge is halved before the run stops"
+    )
+    tolerance: Fraction | None = Field(
+        default=None,
+        description="error of results that time steps may make in a stage, over the largest change: steps are cut in substeps"
+        " whose estimated errors add up to no more; with inertia of displacements, without it of the volume stored in"
+        " fractures; if not given, every step is of length time_step [1]",
+    )
+    step_error: Fraction | None = Field(
+        default=None,
+        description="largest error of displacement that a step may add, over the largest displacement so far: longer steps are"
+        " halved, at most max_halvings times; takes the place of tolerance [1]",
+    )
+    max_events: Annotated[int, Field(strict=True, ge=0)] = Field(
+        default=20, description="events of joints in a step that parts of it end at; later ones are taken as they fall"
+    )
+    max_cycles: Count = Field(default=50, description="cycles of the fixed point (4.5) before it is given up")

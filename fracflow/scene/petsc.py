@@ -1,8 +1,8 @@
 """PETSc options that a scene may give: methods, tolerances and limits, as plain values.
 
-PETSc's options do more than choose solvers: some run Python files or load libraries, and any viewer or monitor may write to
-a file. A scene comes from anybody, and so does its copy in a run folder: it gives what is listed here. The
-command line, which nobody else writes, gives any option.
+PETSc's options do more than choose solvers: some run Python files or load libraries, and any viewer or monitor may
+write to a file. A scene comes from anybody, and so does its copy in a run folder: it gives what is listed here. The
+command line, which only the user writes, gives any option.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from fracflow.scene.absorbing import Absorbing
 from fracflow.scene.checks import check_mesh_names, contradictions
 from fracflow.scene.geometry import with_traces
 from fracflow.scene.messages import one_line
+from fracflow.scene.renamed import with_new_keys, with_new_path
 from fracflow.scene.toml import override, read_toml, write_toml, write_value
 from fracflow.scene.units import UnitSystem, fault
 
@@ -48,7 +49,7 @@ class Scene(Tables):
     @staticmethod
     def from_data(data: Mapping[str, Any], file: Path = Path("scene.toml")) -> Scene:
         """Make a scene of what its TOML holds, with the traces of its CSV; raises InputError of one line."""
-        data = with_traces(data, file)
+        data, notes = with_new_keys(with_traces(data, file), file.name)
         try:
             units = UnitSystem.parse(data.get("units", "SI"))
         except ValueError as error:
@@ -57,7 +58,7 @@ class Scene(Tables):
             scene = Scene.model_validate(dict(data), context={"units": units})
         except ValidationError as error:
             raise InputError(f"{file.name}: {one_line(error, data, Scene)}") from None
-        scene._file = file.absolute()
+        scene._file, scene._notes = file.absolute(), notes
         return scene
 
     def check_mesh_names(
@@ -89,11 +90,14 @@ def load(path: str | Path, overrides: Sequence[str] = (), trust: bool = False) -
     trust  whether Gmsh may run the scene's .geo as it is, whatever that does
     """
     file = Path(path)
-    data = read_toml(file)
-    for setting in [text for text in overrides if text.startswith(BEFORE_TRACES)]:
+    data, notes = with_new_keys(read_toml(file), file.name)
+    settings = [with_new_path(text) for text in overrides]
+    for setting in [text for text, _ in settings if text.startswith(BEFORE_TRACES)]:
         override(data, setting)
     data = with_traces(data, file)
-    for setting in [text for text in overrides if not text.startswith(BEFORE_TRACES)]:
+    for setting in [text for text, _ in settings if not text.startswith(BEFORE_TRACES)]:
         override(data, setting)
     scene = Scene.from_data(data, file)
+    noticed = dict.fromkeys((*notes, *(line for _, lines in settings for line in lines), *scene._notes))
+    scene._notes = tuple(noticed)  # a line once, however often the old name stands
     return scene.with_trust() if trust else scene

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -19,6 +20,7 @@ def rows(schema: Mapping[str, Any]) -> Iterator[Row]:
             if below is None:
                 default = "required" if name in required else _default(field)
                 yield key, _values(field), default, field.get("description", "")
+                yield from _quantities(key, field)
             else:
                 inner.append((key + below[0], below[1], field.get("description", "")))
         for key, found, meaning in inner:
@@ -26,6 +28,36 @@ def rows(schema: Mapping[str, Any]) -> Iterator[Row]:
             yield from walk(found, f"{key}.")
 
     yield from walk(schema, "")
+
+
+HEAD = """# Keys of a scene
+
+Written by `fracflow schema --markdown`. A dimension in brackets asks for a number in the scene's units, or a string with a
+unit such as `"30 GPa"`. `[]` marks an array of tables, `NAME` a name that the scene gives. [The tutorials](README.md) show
+keys in use.
+"""
+
+
+def markdown(schema: Mapping[str, Any]) -> str:
+    """The page in Markdown of every key of a JSON schema, a section for each table."""
+    lines = [HEAD, "## Top of the file", ""]
+    is_open = False
+    for key, values, default, meaning in rows(schema):
+        if key.startswith("["):
+            lines += ["", f"## `{key}`", "", f"{meaning[:1].upper()}{meaning[1:]}." if meaning else ""]
+            is_open = False
+            continue
+        if not is_open:
+            lines += ["", "| key | values | default | meaning |", "|---|---|---|---|"]
+            is_open = True
+        default = default if default in ("", "required") else f"`{default}`"
+        lines.append(f"| `{key}` | {_cell(values)} | {_cell(default)} | {_cell(meaning)} |")
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
+
+
+def _cell(text: str) -> str:
+    """A text inside a table of Markdown."""
+    return text.replace("|", "\\|").replace("<", "&lt;")
 
 
 def _table_below(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
@@ -40,6 +72,13 @@ def _table_below(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> tu
     return None
 
 
+def _quantities(key: str, field: Mapping[str, Any]) -> Iterator[Row]:
+    """A row for each quantity that the entries of a list may name."""
+    for choice in (field, *field.get("anyOf", ())):
+        for name, (dimension, meaning) in choice.get("items", {}).get("quantities", {}).items():
+            yield f'{key}: "{name}"', f"[{dimension}]", "", meaning
+
+
 def _default(field: Mapping[str, Any]) -> str:
     value = field.get("default")
     return "" if value in (None, [], {}, "") else str(value)
@@ -49,10 +88,8 @@ def _values(field: Mapping[str, Any]) -> str:
     choices = [field, *field.get("anyOf", ())]
     words = [word for choice in choices for word in choice.get("enum", ())]
     words += [choice["const"] for choice in choices if "const" in choice]
-    if words:
-        return " | ".join(str(word) for word in words)
-    dimension = next((choice["dimension"] for choice in choices if "dimension" in choice), "")
-    if dimension:
-        return f"[{dimension}]"
+    dimensions = [f"[{choice['dimension']}]" for choice in choices if "dimension" in choice][:1]
+    if words or dimensions:
+        return " | ".join(map(str, [*words, *dimensions]))
     kinds = [choice["type"] for choice in choices if isinstance(choice.get("type"), str) and choice["type"] != "null"]
     return " or ".join(dict.fromkeys(kinds))

@@ -18,26 +18,26 @@ from typing_extensions import Self
 from fracflow._version import __version__
 from fracflow.errors import InputError
 from fracflow.scene.absorbing import Absorbing
-from fracflow.scene.accuracy import Accuracy
 from fracflow.scene.boundary import Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene.materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
 from fracflow.scene.messages import nearest
 from fracflow.scene.method import (
+    Accuracy,
     Geometry,
     Line,
     Mesh,
     Method,
     Option,
     Output,
-    Part,
     with_default_fracture,
     with_preset,
 )
+from fracflow.scene.terms import TablesOfLaws, TermTable
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import UnitSystem
 
 
-class Tables(Part):
+class Tables(TablesOfLaws):
     """All tables of a scene, each by itself valid."""
 
     version: str = Field(default=__version__, description="version of fracflow that wrote the file")
@@ -155,6 +155,22 @@ class Tables(Part):
         return any(stage.kind in ("dynamic", "auto") for stage in self.stage)
 
     @property
+    def terms(self) -> tuple[TermTable, ...]:
+        """All tables that add terms to the balances."""
+        return tuple(entry for tables in self.term_tables.values() for entry in tables)
+
+    @property
+    def term_tables(self) -> Mapping[str, tuple[TermTable, ...]]:
+        """The same by their keys."""
+        given = {key: getattr(self, key) for key in type(self).model_fields}
+        return {key: value for key, value in given.items() if value and _are_terms(value)}
+
+    @property
+    def drained(self) -> frozenset[str]:
+        """Names of the fractures that fluid leaves by terms."""
+        return frozenset(name for table in self.terms if table.drains for name in table.on)
+
+    @property
     def time_tables(self) -> tuple[TimeTable, ...]:
         """All tables in time, constants among them."""
         return tuple(_tables(self))
@@ -167,7 +183,7 @@ class Tables(Part):
     @property
     def driving_tables(self) -> tuple[TimeTable, ...]:
         """Tables in time of what sends waves into the rock: loads, supports, waves that come in."""
-        return tuple(_tables((self.load, self.support, self.absorbing)))
+        return tuple(_tables((self.load, self.support, self.terms)))
 
     @property
     def jumps_anywhere(self) -> bool:
@@ -176,8 +192,7 @@ class Tables(Part):
         A support that is moved has kinks in its table; a wave that jumps arrives later at nodes further on.
         """
         moved = any(len(table.times) > 1 for support in self.support for table in _tables(support))
-        waves = (each.wave.velocity for each in self.absorbing if each.wave is not None)
-        return moved or any(len(velocity.jumps[0]) > 0 for velocity in waves)
+        return moved or any(len(wave.jumps[0]) > 0 for each in self.terms for wave in each.waves)
 
     @property
     def carries_unbalanced(self) -> bool:
@@ -199,6 +214,10 @@ class Tables(Part):
     def is_of(self, fracture: str, table: str) -> bool:
         """Whether [fracture.TABLE] is the table of a fracture: by its name, or as the default one."""
         return table == fracture or (table == "default" and fracture not in self.fracture)
+
+
+def _are_terms(value: Any) -> bool:
+    return isinstance(value, tuple) and isinstance(value[0], TermTable)
 
 
 def _tables(thing: Any) -> Iterator[TimeTable]:

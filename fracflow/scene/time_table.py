@@ -43,7 +43,7 @@ class TimeTable:
 
     @property
     def jumps(self) -> tuple[Floats, Floats]:
-        """Times and sizes of its jumps."""
+        """Times (k,) and sizes (k,) of its jumps."""
         times, values = np.array(self.times), np.array(self.values)
         found = np.diff(values)
         at = found != 0.0 if self.interpolation == "step" else (np.diff(times) == 0.0) & (found != 0.0)
@@ -51,7 +51,7 @@ class TimeTable:
 
     @cached_property
     def kinks(self) -> tuple[Floats, Floats]:
-        """Times and sizes of the changes of its slope, jumps left out; two at one time add up."""
+        """Times (k,) and sizes (k,) of the changes of its slope, jumps left out; two at one time add up."""
         times, values = np.array(self.times), np.array(self.values)
         length = np.diff(times)
         moves = length > 0.0
@@ -97,9 +97,10 @@ class TimeTable:
     def around(self, time: Floats | Sequence[float] | float, before: float, after: float) -> Floats:
         """Sample the table at times (n,) of steps: ``before`` is the length of the step that ends there, ``after`` of the next.
 
-        A jump enters with the share of [time - before/2, time + after/2] that comes after it: at the jump itself the mean
-        of both sides in the midst of equal steps, the right side where a stage begins (before = 0), the left one where it
-        ends, the mean where both are 0. A sum over the steps, halves at both ends, is that of the table but for second order.
+        A jump enters with the share of [time - before/2, time + after/2] that comes after it. At the jump itself this
+        is the mean of both sides in the midst of equal steps. It is the right side where a stage begins (before = 0),
+        the left one where it ends, and the mean where both are 0. A sum over the steps, halves at both ends, is that of
+        the table but for second order.
         """
         at_times: Floats = np.atleast_1d(np.asarray(time, dtype=float))
         times, values = np.array(self.times), np.array(self.values)
@@ -148,8 +149,8 @@ class TimeTable:
 class Rates:
     """How a step samples flow rates, and with inertia forces, so that what it takes up is what they bring.
 
-    A factor ``now`` times the mean over the step, less ``last`` times that over the one before, plus a ``share`` of the value
-    at the end as ``around`` says.
+    A factor ``now`` times the mean over the step, less ``last`` times that over the one before. A ``share`` of the
+    value at the end, as ``around`` says, is added.
     begin      of the step [time]
     before     of the one before it [time]
     controls   load factors in the one before it

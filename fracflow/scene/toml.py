@@ -18,7 +18,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-LARGEST = 8 << 20  # bytes of a scene: a hundred thousand rows of tables
+LARGEST = 8 << 20  # bytes of a scene, or of a table beside it: a hundred thousand rows of tables
 MOST_DOTS = 2000  # in a value of --set, but for those of plain numbers
 DEEPEST = 50  # tables and lists inside each other, or keys joined by dots
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -82,7 +82,7 @@ def _at_key(text: str, error: str) -> str:
 
 
 def override(data: dict[str, Any], setting: str) -> None:
-    """Apply one ``path.to.key=value`` in place; entries of arrays are called by their name or their index."""
+    """Apply one ``path.to.key=value`` in place; entries of arrays have a name or an index. Raises InputError."""
     path, equals, text = setting.partition("=")
     keys = [key.strip().strip("\"'") for key in re.findall(r'"[^"]*"|\'[^\']*\'|[^.]+', path.strip())]
     if not equals or not keys or not all(keys) or len(keys) > DEEPEST:

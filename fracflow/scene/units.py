@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,9 @@ VELOCITY = "length/time"
 ACCELERATION = "length/time**2"
 RATE = "1/time"
 LINE_FORCE = "force/length"
+ENERGY = "force*length/length"  # per thickness
+SURFACE_ENERGY = "force*length/length**2"
+ENERGY_DENSITY = "force*length/length**3"
 LENGTH = "length"
 TIME = "time"
 ANGLE = "angle"
@@ -123,9 +127,21 @@ class UnitSystem:
             raise ValueError(f'unknown unit "{unit}"; must be {fits}') from None
 
 
+def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False) -> str:
+    """Unit of a dimension, N/m^2, or N/m² in print; empty for plain numbers and scenes without units.
+
+    units  names of length, force and time
+    """
+    if dimension == PLAIN or not all(units.get(part) for part in ("length", "force", "time")):
+        return ""
+    signs = {"*": "·" if is_printed else " "}
+    signs |= {f"**{n}": "⁰¹²³⁴⁵⁶⁷⁸⁹"[n] if is_printed else f"^{n}" for n in range(10)}
+    return "".join({**units, **signs}.get(word, word) for word in re.split(r"(\*\*\d|\*|/)", dimension))
+
+
 @lru_cache(maxsize=1000)
 def _factor(unit: str, target: str) -> float:
-    """What brings a number of one unit to another. Raises LookupError for an unknown one, TypeError for another dimension."""
+    """The factor from one unit to another. Raises LookupError for an unknown one, TypeError for another dimension."""
     import pint
 
     if not _UNIT.fullmatch(unit):  # pint would work out any arithmetic
@@ -138,11 +154,16 @@ def _factor(unit: str, target: str) -> float:
         raise LookupError(unit) from None
 
 
+def example(dimension: str) -> str:
+    """A number with a unit of a dimension, such as ``"30 GPa"``."""
+    return EXAMPLES.get(dimension) or f"1 {UnitSystem.parse('SI').unit(dimension)}".replace("**", "^").replace("*", " ")
+
+
 def what_fits(dimension: str, system: UnitSystem | None) -> str:
     """Say which values a dimension takes, with an example."""
     if dimension == PLAIN or system is None or system.name == "none":
         return "a plain number"
-    return f'a number in {system.unit(dimension)} or a string such as "{EXAMPLES[dimension]}"'
+    return f'a number in {system.unit(dimension)} or a string such as "{example(dimension)}"'
 
 
 def fault(text: str, **context: object) -> PydanticCustomError:
@@ -209,4 +230,4 @@ def number_schema(dimension: str) -> dict[str, Any]:
     """JSON schema of a number that may carry its unit."""
     if dimension == PLAIN:
         return {"type": "number", "dimension": "1"}
-    return {"type": ["number", "string"], "dimension": dimension, "examples": [EXAMPLES[dimension]]}
+    return {"type": ["number", "string"], "dimension": dimension, "examples": [example(dimension)]}

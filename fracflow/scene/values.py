@@ -10,7 +10,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import EXAMPLES, LENGTH, PLAIN, TIME, Quantity, fault, number_schema, system_of, what_fits
+from fracflow.scene.units import LENGTH, PLAIN, TIME, Quantity, example, fault, number_schema, system_of, what_fits
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class FractureEnd:
     end: Literal["start", "end"]
 
 
-Place = tuple[float, float] | str | FractureEnd
+Position = tuple[float, float] | str | FractureEnd
 
 
 def plain(value: Any) -> Any:
@@ -38,7 +38,7 @@ def plain(value: Any) -> Any:
 
 
 class _Annotation:
-    """What the annotations of this file share: pydantic calls ``read`` and writes with ``plain``."""
+    """Base of the annotations of this file: pydantic calls ``read`` and writes with ``plain``."""
 
     def read(self, value: object, info: ValidationInfo) -> Any:
         raise NotImplementedError
@@ -85,7 +85,7 @@ class Tabled(_Annotation):
         """A value as an example, in the units of the scene."""
         system = system_of(info)
         has_units = self.dimension != PLAIN and system is not None and system.name != "none"
-        return f'"{EXAMPLES[self.dimension]}"' if has_units else "1"
+        return f'"{example(self.dimension)}"' if has_units else "1"
 
     def _from_columns(self, value: dict[str, Any], info: ValidationInfo) -> TimeTable:
         unknown = sorted(set(value) - {"time", "value", "interpolation"})
@@ -193,7 +193,7 @@ class Displaced(_Annotation):
 class At(_Annotation):
     """Annotation of a place: coordinates, a point named in the mesh, or an end of a fracture."""
 
-    def read(self, value: object, info: ValidationInfo) -> Place:
+    def read(self, value: object, info: ValidationInfo) -> Position:
         """Read ``[x, y]``, ``"name"`` or ``{fracture = "name", end = "start"}``."""
         if isinstance(value, str) and value:
             return value

@@ -9,29 +9,31 @@ import numpy as np
 from fracflow.advance.step import Step
 from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
+from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
+from fracflow.model.state import State
 from fracflow.scene.scene import Scene
-from fracflow.simulation.suction import told_suction
+from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
 
-TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is told again
+LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
+TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is reported again
 TOLD_FROM = 0.1  # smaller factors are all the same
-
 FOLD = 1.5
-"""Growth of an aperture by what flows in through it, in a step of backward Euler, d - d0 = c d^3: none is greater. For
-more, c d0^2 > 4/27, walls are only stopped by their own stiffness, at a solution far away; for less there are both."""
+"""Largest growth of an aperture by inflow through it, in a step of backward Euler, d - d0 = c d^3. For c d0^2 > 4/27 only the
+stiffness of the walls stops them, at a distant solution; for less there are both solutions."""
 WIDENS = 2.0  # and again where an aperture grew by as much more
 STRAINED = 0.1  # p/E: a tenth is no small strain
-SPURIOUS = 1e-3  # share of the largest entry of the books from which the log warns of the spurious one
+SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
 
 
 def watches_spurious(scene: Scene) -> bool:
-    """Whether pressure force and film storage are not transposed, so that the books have a spurious entry."""
+    """Whether pressure force and storage are not transposed, so that the energy balance has a spurious entry."""
     return scene.has_flow and not is_transposed(scene.method.storage)
 
 
 class Notices:
-    """Tells of each step once: the totals keep what was told, also across a resume."""
+    """Reports each step once: the totals keep the reported lines, also across a restart."""
 
     def __init__(self, model: Model, totals: Totals, log: Callable[[str], None]) -> None:
         """Before the first step."""
@@ -46,7 +48,7 @@ class Notices:
         self._coupling(step)
 
     def _coupling(self, step: Step) -> None:
-        """A line where the contraction of the fixed point is another than it was, and where it first gave up."""
+        """A line where the contraction of the fixed point has changed, and where it first failed."""
         totals, report, scene = self._totals, step.report, self._scene
         stage = f"stage {scene.stage[step.stage].title}"
         if report.handed_over and not totals.handed_over:
@@ -76,7 +78,7 @@ class Notices:
             if totals.spurious <= SPURIOUS < share:
                 self._log(
                     f'time {step.state.time:.6g}: spurious work of method.storage = "{self._scene.method.storage}" is'
-                    f" {share:.1e} of the largest entry of the energy books, above {SPURIOUS:g}: see energy/spurious;"
+                    f" {share:.1e} of the largest entry of the energy balance, above {SPURIOUS:g}: see energy/spurious;"
                     ' method.storage = "lumped" has none'
                 )
             totals.spurious, totals.spurious_time = share, step.state.time
@@ -84,14 +86,14 @@ class Notices:
     def _pressure(self, step: Step) -> None:
         """A line, once, where a pressure would strain the rock by over ``STRAINED``: a rate through next to nothing."""
         stiff = [rock.youngs_modulus for rock in self._scene.rock.values() if rock.youngs_modulus is not None]
-        drive, totals, wells = step.state.drive, self._totals, self._scene.well
+        drive, totals, wells = step.state.max_overpressure, self._totals, self._scene.well
         if totals.strained or not stiff or drive <= STRAINED * min(stiff):
             return
         totals.strained = 1
         rates = ", ".join(well.name for well in wells if well.flow_rate is not None)
         self._doubt(
             f"time {step.state.time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
-            f" over {STRAINED:g}, where neither strains nor joints are those of the model: what follows means nothing;"
+            f" over {STRAINED:g}, where neither strains nor joints are those of the model: later results are meaningless;"
             + (
                 f" give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
                 if rates
@@ -100,7 +102,7 @@ class Notices:
         )
 
     def _widening(self, step: Step) -> None:
-        """A line where an aperture grew in a step by more than can be foretold, and again where by far more."""
+        """A line where an aperture grew in a step by more than can be predicted, and again where by far more."""
         grown, totals = step.report.widening, self._totals
         if grown <= WIDENS * totals.widening:
             return
@@ -113,7 +115,7 @@ class Notices:
 
     def _suction(self, step: Step) -> None:
         """A line, once, where a pressure falls below zero: no fluid holds together there."""
-        if self._totals.sucked or not (line := told_suction(self._model, step.state)):
+        if self._totals.sucked or not (line := suction_line(self._model, step.state)):
             return
         self._totals.sucked = 1
         self._doubt(line)
@@ -122,3 +124,36 @@ class Notices:
         """A line of the log that the end of the run repeats."""
         self._log(line)
         self._totals.doubts.append(line)
+
+
+def suction_line(model: Model, state: State) -> str:
+    """A line on the lowest pressure where it is below zero; empty where none is, or pressures are above an unknown datum.
+
+    A scene with an initial pressure means pressures of its fluid; one without (zero) means changes, which may have any sign.
+    So, with a gradient, do its fractures above the level at which the initial pressure is zero. Collective.
+    """
+    scene, flow, blocks = model.scene, model.operators.flow, model.operators.blocks
+    if flow is None or scene.fluid is None or scene.fluid.initial_pressure <= 0.0:
+        return ""
+    limit = -LEAST_SUCTION * scene.fluid.initial_pressure
+    if state.pressure.min()[1] >= limit:
+        return ""
+    joints = blocks.joints
+    pressure, ends = flow.at_ends(state.pressure), blocks.solid.points[joints.bottom]
+    pressure = np.where(initial_pressure(scene, ends) > 0.0, pressure, np.inf)
+    here = (np.inf, "", 0.0, 0.0)
+    if pressure.size and pressure.min() < limit:
+        joint, end = np.unravel_index(int(pressure.argmin()), pressure.shape)
+        x, y = ends[joint, end]
+        here = (float(pressure.min()), joints.fractures[joints.fracture[joint]], float(x), float(y))
+    lowest, name, x, y = min(blocks.comm.allgather(here))
+    if not name:
+        return ""
+    system = scene.unit_system
+    pressures, lengths = (f" {system.unit(kind)}" if scene.units != "none" else "" for kind in (STRESS, LENGTH))
+    time = f"time {state.time:.6g} {system.time}".rstrip()
+    return (
+        f"{time}: the pressure in {name} at ({x:.6g}, {y:.6g}){lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
+        " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"
+        " minimum_pressure to the wells that draw, or a higher fluid.initial_pressure if pressures are above another datum"
+    )

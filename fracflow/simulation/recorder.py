@@ -1,4 +1,4 @@
-"""What a run puts on record: history, events, fields, plan, log and checkpoints."""
+"""The record of a run: history, events, fields, plan, log and checkpoints."""
 
 from __future__ import annotations
 
@@ -8,34 +8,62 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow._version import __version__
 from fracflow.advance.step import Step
-from fracflow.diagnostics import as_lines, scene_card
+from fracflow.diagnostics import as_lines, pre_run_checks
 from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
-from fracflow.mesh.store import save_mesh
-from fracflow.model.energy import ENTRIES
+from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
-from fracflow.model.stress import rock_fields
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
 from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
 from fracflow.output.events import Chatter
-from fracflow.output.probes import probe_record
+from fracflow.output.history import read_rows
+from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
-from fracflow.reduction import Decision, Facts, as_records, decide, factorisations
+from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
-from fracflow.simulation.before import Before, scene_seal
+from fracflow.scene.quantities import quantities
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
+from fracflow.storage.files import read_bytes
+from fracflow.storage.sealed import AGAIN, digest
+
+UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
+EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
+
+
+class Before:
+    """The files beside a checkpoint with ``notes``.
+
+    rows, attrs  of history.h5, up to the checkpoint
+    mesh         root of the seal of mesh.h5, empty without one
+    told         lines for the user
+    """
+
+    def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:
+        """Read them. Raises InputError for a changed file."""
+        seals = notes["seals"]
+        self.rows, self.attrs = read_rows(folder / "history.h5", notes["totals"]["steps"], seals.get("history", ""))
+        self.mesh = mesh_root(folder / "mesh.h5")
+        self.told = [] if seals else [f"{folder}: {UNSEALED}"]
+        if seals.get("scene", "") not in ("", scene_seal(folder)):
+            self.told.append(f"{folder}: {EDITED}")
+
+
+def scene_seal(folder: Path) -> str:
+    """Digest of the scene of a run folder, in hexadecimal digits. Raises InputError where there is none."""
+    return digest(read_bytes(folder / "scene.toml", AGAIN)).hex()
+
 
 KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
 
@@ -44,7 +72,7 @@ class Recorder:
     """Writes the run folder on rank 0; its calls are collective, for they gather."""
 
     def __init__(
-        self, model: Model, facts: Facts, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None
+        self, model: Model, facts: ReductionInput, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None
     ) -> None:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
@@ -64,7 +92,7 @@ class Recorder:
             self.files.folder.log(line)
 
     def tell_saved(self, tell: Callable[[int], None] | None) -> None:
-        """Tell on rank 0 after how many steps the last state on disk is, now and whenever there is another."""
+        """Report on rank 0 the number of steps before the last state on disk, now and at each later one."""
         self._tell_saved = tell
         if tell is not None and self.files is not None and self.saved:
             tell(self.saved)
@@ -99,12 +127,11 @@ class Recorder:
     def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
         if self.files is None or snapshot is None:
             return
-        margin = float(snapshot.column("margin").min(initial=np.inf))
-        if margin < self.totals.narrowest:
-            self.totals.narrowest, self.totals.narrow_time = margin, step.state.time
+        if snapshot.margin < self.totals.narrowest:
+            self.totals.narrowest, self.totals.narrow_time = snapshot.margin, step.state.time
         self.totals.least = max(self.totals.least, snapshot.least[0])
         self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
-        self.files.append(step, snapshot, margin)
+        self.files.append(step, snapshot)
 
     def _remedy(self, number: int | None) -> str:
         if number in (errno.ENOENT, errno.ESTALE):
@@ -136,7 +163,8 @@ class Recorder:
         ends = sampling.all_ends(self.sampler, step.state)
         motion = sampling.all_motion(self.sampler, step.state) if whole else None
         if (files := self.files) is not None and ends is not None:
-            self._write(lambda: files.fields(index, step.state, ends, motion))
+            values = fracture_fields(self.sampler.fields, ends)
+            self._write(lambda: files.fields(index, step.state, values, motion))
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
@@ -153,8 +181,8 @@ class Recorder:
                 self._tell_lost(files)
 
     def finish(self, seconds: float, status: Status) -> None:
-        """Write plan.json, the last lines of the log, and how the run ended."""
-        for line in self.totals.last_words(watches_spurious(self.model.scene), seconds):
+        """Write plan.json, the last lines of the log, and the status of the run."""
+        for line in self.totals.summary(watches_spurious(self.model.scene), seconds):
             self.log(line)
         if (files := self.files) is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
@@ -171,7 +199,7 @@ class Recorder:
                 write_status(files.folder, Status(FAILED, str(self.lost)))
 
     def end(self) -> None:
-        """Close what grows with the steps: from here on nothing is recorded."""
+        """Close the files that grow with the steps: nothing is recorded afterwards."""
         if (files := self.files) is not None:
             self._write(files.end)
 
@@ -187,10 +215,13 @@ class Recorder:
 class Files:
     """The open files of a run folder; rank 0 only."""
 
-    def __init__(self, model: Model, facts: Facts, folder: Path, notes: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, model: Model, facts: ReductionInput, folder: Path, notes: Mapping[str, Any] | None = None
+    ) -> None:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
+        self.measured = measured(model.scene, model.mesh, model.placed.probes)
         before = None if notes is None else Before(folder, notes)  # before anything is cut back
         scene = model.stated.dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
@@ -203,14 +234,14 @@ class Files:
     def _open(
         self,
         model: Model,
-        facts: Facts,
+        facts: ReductionInput,
         folder: Path,
         notes: Mapping[str, Any] | None,
         scene: str,
         before: Before | None,
     ) -> None:
         write_status(self.folder, Status(RUNNING))
-        self.card = scene_card(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
+        self.card = pre_run_checks(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide(facts.with_card(self.card))
         if before is None or not before.mesh:
             self.mesh_seal = save_mesh(model.stated_mesh, self.folder / "mesh.h5")
@@ -249,6 +280,7 @@ class Files:
                 points[:, 1],
                 [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],
             ),
+            tangents=self.mesh.points.shape[1] - 1,
         )
         self.chatter = Chatter(self.events.nodes.fracture)
         with restoring(folder / "checkpoint.h5") if notes is not None else nullcontext():
@@ -270,13 +302,13 @@ class Files:
         self._tell([*self.rock.left_out, *self.fractures.left_out])
 
     def _tell(self, lines: list[str]) -> None:
-        """Lines on a folder that is gone on with, for log and terminal."""
+        """Lines on a folder whose run is restarted, for log and terminal."""
         for line in lines:
             self.folder.log(f"note: {line}")
             warnings.warn(line, stacklevel=2)
 
     def write_plan(self, decisions: list[Decision]) -> None:
-        """Write plan.json: what is modelled and left out, and the scene card."""
+        """Write plan.json: the parts that are modelled or left out, and the pre-run checks."""
         self.folder.write_plan({"decisions": as_records(decisions), "card": card_records(self.card)})
 
     def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
@@ -285,71 +317,43 @@ class Files:
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
-        notes |= {"limited": list(state.limited), "last_step": state.memory.time_step}
-        notes |= {"through": dict(state.memory.through)}
-        notes |= {"drive": state.drive, "power": state.power, "injected": state.injected}
-        notes |= {"incident": state.forces.incident, "around": list(state.around)}
+        notes |= {"limited": list(state.wells_at_limit), "last_step": state.previous_step.time_step}
+        notes |= {"through": dict(state.previous_step.through)}
+        notes |= {"drive": state.max_overpressure, "power": state.max_dissipation, "injected": state.injected}
+        notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.adjacent_steps)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
 
-    def append(self, step: Step, snapshot: sampling.Snapshot, margin: float) -> None:
+    def append(self, step: Step, snapshot: sampling.Snapshot) -> None:
         """One row of history and the events up to it. Raises OSError."""
         self.folder.check()
-        state, report = step.state, step.report
-        # a step that is cut where a status changes ends with the change; else it came somewhere in the step
-        began = state.time if self.time is None or report.located else self.time
+        state = step.state
+        # a step that is cut where a status changes ends with the change; else the change is somewhere in the step
+        began = state.time if self.time is None or step.report.located else self.time
         self.time = state.time
-        record: dict[str, Any] = {
-            "time": state.time,
-            "step/dt": step.dt,
-            "step/stage": step.stage,
-            "step/kind": KINDS[step.regime or self.scene.stage[step.stage].kind],
-            "step/newton": report.newton,
-            "step/krylov": report.krylov,
-            "step/coupling": report.cycles,
-            "step/factorisations": report.factorisations,
-            "step/predicted_factor": report.predicted,
-            "step/measured_factor": report.measured,
-            "step/handed_over": int(bool(report.handed_over)),
-            "step/solid_residual": report.solid_residual,
-            "step/round_off": report.round_off,
-            "step/flow_residual": report.flow_residual,
-            "step/slipping": int(snapshot.column("sliding").sum()),
-            "step/open": int(snapshot.column("open").sum()),
-            "step/slip_margin": margin,
-            "step/minimum_aperture": snapshot.least[0],
-            "step/minimum_aperture_flow": snapshot.least[1],
-            "step/digits": report.digits,
-            "step/located": report.located,
-            "step/rejected": report.rejected,
-            "step/wasted": report.wasted,
-            "step/widening": report.widening,
-        }
+        at = Recorded(step, snapshot, KINDS[step.regime or self.scene.stage[step.stage].kind])
+        record = {row.name: row.formula(at) for row in quantities("run").values()}
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
-        record |= {f"energy/{name}": state.energy[name] for name in ENTRIES}
-        self.history.append(record | probe_record(self.scene, self.mesh, self.placed.probes, snapshot))
-
-        def brought(name: str, any_of: bool = False) -> Any:
-            return sampling.at_nodes(snapshot, name, self.inverse, self.count, any_of)
+        record |= {f"energy/{name}": value for name, value in state.energy.items()}
+        record |= {f"volume/{name}": value for name, value in state.left.items()}
+        places = self.placed.probes
+        self.history.append(record | probe_record(self.scene, self.mesh, places, self.measured, snapshot))
 
         # A tip has no jump: what its law does with a stress past its strength is no slip.
         parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
-        is_open = parts & brought("open", True).astype(bool)
+        sliding, is_open = (
+            parts & sampling.any_at_nodes(snapshot, name, self.inverse, self.count) for name in ("sliding", "open")
+        )
         if told := self.chatter.update(step.stage, is_open):
             self.folder.log(
                 f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {told}: {self._advice()}"
             )
-        self.events.update(
-            state.time,
-            parts & brought("sliding", True).astype(bool),
-            is_open,
-            brought("plastic_slip"),
-            brought("slip_rate"),
-            began,
+        slip, rate = (
+            sampling.at_nodes(snapshot, name, self.inverse, self.count) for name in ("plastic_slip", "slip_rate")
         )
-
+        self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:
             moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it
             if event := self.catalogue.update(instant(state, snapshot, began), moves):
@@ -368,21 +372,23 @@ class Files:
         self.is_ended = True
 
     def drop_extra(self, index: int | None) -> None:
-        """Take fields away that are out of turn, but for those of a step ``index``, which come next to be taken away."""
+        """Remove extra fields, but keep those of a step ``index``, which are removed next."""
         if self.extra is not None and self.extra != index:
             self.rock.drop(self.extra)
             self.fractures.drop(self.extra)
         self.extra = index
 
-    def fields(self, index: int, state: State, ends: Floats, motion: Floats | None) -> None:
-        """Fields of fractures and, where there is its ``motion``, of the rock for ParaView."""
+    def fields(self, index: int, state: State, values: Mapping[str, Any], motion: Floats | None) -> None:
+        """Fields of fractures at ends (joints, 2, k) and, with a ``motion`` (n, 2, k), of the rock for ParaView."""
         if motion is not None:
             point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
             self.rock.write(index, state.time, point_data, cell_data)
-        skip = ("margin",) + (() if self.scene.has_flow else ("pressure", "flow_rate"))
-        values = {name: ends[:, :, n].ravel() for n, name in enumerate(sampling.COLUMNS) if name not in skip}
-        if self.scene.has_flow and self.scene.fluid is not None and self.scene.fluid.specific_weight:
-            values["head"] = values["pressure"] / self.scene.fluid.specific_weight
-        if not self.scene.has_flow and np.isnan(values["aperture"]).all():
-            del values["aperture"]
         self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
+
+
+class Recorded(NamedTuple):
+    """A step as formulas of the whole run take it; see ``scene.quantities``."""
+
+    step: Step
+    snapshot: sampling.Snapshot
+    kind: int

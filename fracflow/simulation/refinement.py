@@ -1,4 +1,4 @@
-"""A run repeated on finer meshes with shorter steps, to see how far its results are from where they go."""
+"""A run repeated on finer meshes with shorter steps, to estimate the errors of its results."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from fracflow.mesh.split import tip_count
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import on_root, place
 from fracflow.output.convergence import Row, compare, write
-from fracflow.output.convergence_look import draw
+from fracflow.output.convergence_plot import draw
 from fracflow.output.folder import MARKER, check_folder, holds
-from fracflow.reduction.decision import Facts
+from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.inertia import asks_period
+from fracflow.reduction.locked_fractures import LEAST, why_none
 from fracflow.reduction.prepare import with_sizes
-from fracflow.reduction.tied_fractures import LEAST, why_none
 from fracflow.scene.levels import Spot, at_level, order_in_time
 from fracflow.scene.method import MOST_REFINED
 from fracflow.scene.scene import Scene
-from fracflow.simulation.run import Progress, has_ended, resume, run
+from fracflow.simulation.run import OnStep, has_ended, resume, run
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import no_plain_file
 
@@ -32,7 +32,7 @@ OWN = ("converge.csv", "converge.json", "converge.png")
 
 @dataclass(frozen=True)
 class Level:
-    """A run of the family: ``found`` is what there is of it, "nothing", "a part" or "all"."""
+    """A run of the family, of which ``found`` exists: "nothing", "a part" or "all"."""
 
     number: int
     scene: Scene
@@ -40,8 +40,8 @@ class Level:
     found: str
     comm: MPI.Comm
 
-    def run(self, progress: Progress | None = None) -> Totals:
-        """Run what is left of it. Raises InputError, SolveError and Interrupted, on every rank. Collective."""
+    def run(self, progress: OnStep | None = None) -> Totals:
+        """Run the rest of it. Raises InputError, SolveError and Interrupted, on every rank. Collective."""
         if self.found == "nothing":
             return run(self.scene, self.folder, self.comm, progress)
         return resume(self.folder, self.comm, progress)
@@ -54,7 +54,7 @@ def check_levels(count: int, what: str) -> None:
 
 
 def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Iterator[Level]:
-    """The runs of the family, coarsest first; each must be run before the next is asked for. Collective.
+    """The runs of the family, coarsest first; each must be run before the next is drawn from the iterator. Collective.
 
     Those of an earlier family of the same scene are gone on with. Raises InputError, on every rank.
     """
@@ -64,8 +64,8 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
         )
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
-    ties = not why_none(Facts(scene, unknowns=LEAST))
-    if ties or asks_period(scene):  # levels would differ by what is left out; without inertia steps are not halved
+    ties = not why_none(ReductionInput(scene, unknowns=LEAST))
+    if ties or asks_period(scene):  # levels would differ by omitted parts; without inertia steps are not halved
         scene = scene.model_copy(update={"model": "full"})
     spots: dict[str, Spot] = {}
     for number in range(count):
@@ -115,7 +115,7 @@ def _check(folder: Path) -> None:
 
 
 def _found(scene: Scene, folder: Path) -> str:
-    """What there is of the run of a scene in its folder; a mesh file that has changed since leaves nothing."""
+    """The results of a scene in its folder, empty where its mesh file has changed since."""
     check_folder(folder)
     if not (folder / "checkpoint.h5").is_file() or not holds(folder, scene.dump_toml(folder.resolve())):
         return "nothing"

@@ -4,42 +4,42 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fracflow._petsc import MPI
 from fracflow._version import __version__
 from fracflow.advance.auto import run_auto
 from fracflow.advance.equilibrate import equilibrate
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.instability import LimitPoint
-from fracflow.advance.stage import first_part, run_stage
+from fracflow.advance.stage import first_substep, run_stage
 from fracflow.advance.step import Step, Stepping, stepper_of
 from fracflow.diagnostics import Number
-from fracflow.errors import DiskError, InputError, Interrupted, PutBack, SolveError, is_alone
+from fracflow.errors import DiskError, InputError, Interrupted, ReductionInvalid, SolveError, is_alone
 from fracflow.mesh.data import SplitMesh
-from fracflow.mesh.near import near_ones
+from fracflow.mesh.plane.near import near_ones
 from fracflow.mesh.store import load_mesh
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import StepReport
-from fracflow.output.checkpoint import read_arrays, read_notes, restore_state, restoring, spread
+from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
-from fracflow.output.handed import told_handed
 from fracflow.output.history import read_history
+from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.reduction.apply import planned
+from fracflow.reduction.locked_mesh import watch_tied
 from fracflow.reduction.prepare import prepare
-from fracflow.reduction.tied_mesh import watch_tied
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.notices import watches_spurious
 from fracflow.simulation.recorder import Recorder
-from fracflow.simulation.signals import Watch, Wish
+from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 from fracflow.solve.options import is_large, set_defaults
 from fracflow.storage.sealed import AGAIN
 
-Progress = Callable[[Step], None]
+OnStep = Callable[[Step], None]
 Show = Callable[[list[Number]], None]
 Say = Callable[[str], None]
 
@@ -48,53 +48,56 @@ def run(
     scene: Scene,
     folder: str | Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
-    progress: Progress | None = None,
+    progress: OnStep | None = None,
     show: Show | None = None,
     say: Say | None = None,
 ) -> Totals:
     """Run a scene and leave its run folder; what an earlier run left there is replaced. Collective.
 
-    show      is given the scene card before the first step, on rank 0
-    say       is given lines that should be read before it: that wells are in parts that never meet, what nearly meets
-    progress  is given each step; if it has a method ``trial(time, length, why)``, that is told of each step without inertia
-              of a stage auto that was tried from a time and thrown away; a method ``saved(steps)`` of each checkpoint
+    show      is given the pre-run checks before the first step, on rank 0
+    say       is given lines to be read before it: on wells in separate network components, and near misses
+    progress is given each step. Its method ``trial(time, length, why)``, if any, is called for each rejected step without
+              inertia of a stage auto, and ``saved(steps)`` for each checkpoint
 
-    Where something that the plan left out turns out to matter, all begins anew with it: the steps of the first try are
-    gone, and ``progress`` sees those of both. Raises InputError, SolveError, DiskError and Interrupted, on every rank.
+    Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
+    removed, and ``progress`` is called for those of both. Raises InputError, SolveError, DiskError and Interrupted, on every
+    rank.
     """
-
-    def once(undone: Mapping[str, str]) -> Totals:
-        mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
-        return _run(scene, folder, comm, progress, None if undone else show, None if undone else say, undone, mesh)
-
-    return _tries(once, {})
-
-
-def _tries(once: Callable[[Mapping[str, str]], Totals], undone: Mapping[str, str]) -> Totals:
-    """What comes of the first try that needs nothing of what the plan leaves out; each puts something back. Collective."""
+    undone: dict[str, str] = {}
     while True:
+        mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
+        heard = (show, say) if not undone else (None, None)
         try:
-            return once(undone)
-        except PutBack as needed:
+            return _go(_begun(scene, folder, comm, undone, mesh, *heard), progress)
+        except ReductionInvalid as needed:
             undone = {**undone, **needed.undone}
 
 
-def _run(
+@dataclass(frozen=True)
+class _Begun:
+    """A run that is ready to go on from a step; ``clock`` is when it was begun [s]."""
+
+    model: Model
+    recorder: Recorder
+    step: Step
+    clock: float
+
+
+def _begun(
     scene: Scene,
     folder: str | Path,
     comm: MPI.Comm,
-    progress: Progress | None,
-    show: Show | None,
-    say: Say | None,
     undone: Mapping[str, str],
     mesh: SplitMesh | None = None,
-) -> Totals:
-    """The same, without what an earlier try had to take back, on its ``mesh``. Raises PutBack besides."""
+    show: Show | None = None,
+    say: Say | None = None,
+) -> _Begun:
+    """A new run on a ``mesh``, without reductions undone by an earlier try. Raises ReductionInvalid too. Collective."""
     began = clock.perf_counter()
     model = prepare(scene, comm, mesh)
-    settle(model)
+    refuse_imbalance(model)
     model, facts = planned(model, undone)
-    state = rest(model)
+    state = equilibrium_state(model)
     recorder = Recorder(model, facts, Path(folder), comm)
     for part, when in undone.items():
         recorder.totals.undone[part] = when
@@ -118,11 +121,11 @@ def _run(
     step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)
-    return _go(model, recorder, step, began, progress)
+    return _Begun(model, recorder, step, began)
 
 
 def resume(
-    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None, trust: bool = False
+    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: OnStep | None = None, trust: bool = False
 ) -> Totals:
     """Go on with a run that was stopped, on any number of ranks. Collective.
 
@@ -132,33 +135,37 @@ def resume(
     began, folder = clock.perf_counter(), Path(folder)
     on_root(comm, lambda: require_run(folder))
     scene, saved = load(folder / "scene.toml", trust=trust), folder / "checkpoint.h5"
-    if not comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
-        # the folder alone is enough: the mesh's own file may be elsewhere now, or changed
+    undone: dict[str, str] = {}
+    if comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
+        notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
+        with restoring(saved):
+            totals = Totals(**notes["totals"])
+        if notes["finished"]:
+            return totals
+        arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
+        cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
+        mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
+        model = prepare(scene, comm, mesh, cell_rank, begins=False)
+        refuse_imbalance(model)
+        model, facts = planned(model, notes["totals"]["undone"], cell_rank)
+        with restoring(saved):
+            check_stage(notes, len(scene.stage))
+            state = restore_state(model.operators, arrays, notes)
+        step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
+        recorder = Recorder(model, facts, folder, comm, notes)
+        recorder.log(
+            f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks"
+        )
+        undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began)
+    else:
+        # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
-        mesh = on_root(comm, lambda: load_mesh(path) if path.exists() else None)
-        return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), {})
-    notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
-    with restoring(saved):
-        totals = Totals(**notes["totals"])
-    if notes["finished"]:
-        return totals
-    arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))
-    cell_rank = arrays["cell_rank"] if notes["ranks"] == comm.size and comm.rank == 0 else None
-    mesh = on_root(comm, lambda: load_mesh(folder / "mesh.h5", notes["seals"].get("mesh", "")))
-    model = prepare(scene, comm, mesh, cell_rank, begins=False)
-    settle(model)
-    model, facts = planned(model, notes["totals"]["undone"], cell_rank)
-    with restoring(saved):
-        scene.stage[notes["stage"]]
-        state = restore_state(model.operators, arrays, notes)
-    step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
-    recorder = Recorder(model, facts, folder, comm, notes)
-    recorder.log(f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks")
-    try:
-        return _go(model, recorder, step, began, progress)
-    except PutBack as needed:
-        undone = {**notes["totals"]["undone"], **needed.undone}
-    return _tries(lambda undone: _run(scene, folder, comm, progress, None, None, undone, mesh), undone)
+        mesh, ready = on_root(comm, lambda: load_mesh(path) if path.exists() else None), None
+    while True:
+        try:
+            return _go(ready or _begun(scene, folder, comm, undone, mesh), progress)
+        except ReductionInvalid as needed:
+            undone, ready = {**undone, **needed.undone}, None
 
 
 def has_ended(folder: Path) -> bool:
@@ -197,15 +204,14 @@ def of_stage(stage: Stage, error: SolveError) -> SolveError:
     return found
 
 
-def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Progress | None) -> Totals:
+def _go(begun: _Begun, progress: OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
+    model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
     set_defaults(model.scene.petsc, unknowns)
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
-    stepping = Stepping(model)
-    stepping.network.log = recorder.log
-    stepping.tell_trial = getattr(progress, "trial", stepping.tell_trial)
+    stepping = Stepping(model, recorder.log)
     recorder.tell_saved(getattr(progress, "saved", None))
     try:
         recorder.check()
@@ -213,8 +219,8 @@ def _go(model: Model, recorder: Recorder, step: Step, began: float, progress: Pr
         recorder.end()
         for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
             recorder.log(line)
-        recorder.finish(clock.perf_counter() - began, _status(failure))
-        if failure is None:  # last of all: what a kill leaves before it is gone on with
+        recorder.finish(clock.perf_counter() - begun.clock, _status(failure))
+        if failure is None:  # last of all: after a kill before it the run can be resumed
             recorder.save(step, finished=True)
         recorder.check()
     finally:
@@ -243,38 +249,43 @@ def is_moving(scene: Scene, step: Step) -> bool:
 
 
 def _steps(
-    stepping: Stepping, recorder: Recorder, step: Step, progress: Progress | None
+    stepping: Stepping, recorder: Recorder, step: Step, progress: OnStep | None
 ) -> tuple[Step, SolveError | Interrupted | DiskError | None]:
-    """All steps that are left, on record: the last of them, and what ended them before their time. Collective."""
+    """Make and record all remaining steps; return the last one, and the cause of an early end. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
-    going_on = step.progress or {}
-    with Watch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
+    going_on, tell_trial = step.progress or {}, getattr(progress, "trial", None)
+    with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
                 if not going_on or "fresh" in going_on:
                     recorder.log(f"stage {number} ({stage.title}) from time {state.time:.6g}")
                     moves = stage.kind == "auto" and is_moving(scene, step)
                     stepper = stepper_of(scene, stage, "dynamic" if moves else "")
-                    entered = stepping.enter(state, stepper, first_part(stepping, stage, stepper, state.time))
+                    entered = stepping.enter(state, stepper, first_substep(stepping, stage, stepper, state.time))
                     state.destroy()
                     state, going_on = entered, {**(step.progress or {}), "moving": 1.0} if moves else {}
                 steps = {"equilibrate": equilibrate, "auto": run_auto}.get(stage.kind, run_stage)
                 try:
-                    for step in steps(stepping, state, number, recorder.log, going_on):
+                    for made in steps(stepping, state, number, recorder.log, going_on):
+                        if made.trial is not None:
+                            if tell_trial is not None:
+                                tell_trial(made.trial.time, made.trial.length, made.trial.why)
+                            continue
+                        step = made
                         recorder.record(step)
                         watch_tied(stepping.model, step.state)
                         if progress is not None:
                             progress(step)
                         state.destroy()
                         state = step.state
-                        wish = watch.wish(recorder.totals.steps, must_stop=recorder.lost is not None)
-                        if wish is Wish.STOP:
+                        wish = watch.request(recorder.totals.steps, must_stop=recorder.lost is not None)
+                        if wish is RunRequest.STOP:
                             recorder.check()
-                        if wish is not Wish.GO_ON:
+                        if wish is not RunRequest.GO_ON:
                             recorder.save(step)
-                            recorder.last(step, whole=wish is Wish.STOP)
-                        if wish is Wish.STOP:
+                            recorder.last(step, whole=wish is RunRequest.STOP)
+                        if wish is RunRequest.STOP:
                             failure = Interrupted(
                                 f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
                             )
@@ -287,7 +298,7 @@ def _steps(
                         f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
                     )
                 going_on = {}
-        except PutBack:
+        except ReductionInvalid:
             for each in {id(state): state, id(step.state): step.state}.values():
                 each.destroy()
             raise

@@ -1,4 +1,4 @@
-"""Wishes that reach a run from outside: signals and the clock, agreed on by all ranks at the end of a step."""
+"""Requests to a run from outside: signals and the clock, agreed on by all ranks at the end of a step."""
 
 from __future__ import annotations
 
@@ -11,18 +11,23 @@ from typing import Any
 from fracflow._petsc import MPI
 
 
-class Wish(IntEnum):
-    """What is wanted at the end of a step."""
+class RunRequest(IntEnum):
+    """A request to be met at the end of a step."""
 
     GO_ON = 0
     SAVE = 1
     STOP = 2
 
 
-SIGNALS = {signal.SIGUSR1: Wish.SAVE, signal.SIGUSR2: Wish.STOP, signal.SIGTERM: Wish.STOP, signal.SIGINT: Wish.STOP}
+SIGNALS = {
+    signal.SIGUSR1: RunRequest.SAVE,
+    signal.SIGUSR2: RunRequest.STOP,
+    signal.SIGTERM: RunRequest.STOP,
+    signal.SIGINT: RunRequest.STOP,
+}
 
 
-class Watch:
+class SignalWatch:
     """Takes signals while a run is under way: USR1 saves, USR2, TERM and INT save and stop; a second one stops at once.
 
     every    save every so many steps, 0 for never
@@ -31,10 +36,10 @@ class Watch:
 
     def __init__(self, comm: MPI.Comm, every: int, seconds: float) -> None:
         self.comm, self.every, self.seconds = comm, every, seconds
-        self._wish, self._saved = Wish.GO_ON, clock.monotonic()
+        self._wish, self._saved = RunRequest.GO_ON, clock.monotonic()
         self._before: dict[signal.Signals, Any] = {}
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> SignalWatch:
         try:
             self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
         except ValueError:  # not in the main thread: whoever calls keeps the signals
@@ -47,17 +52,17 @@ class Watch:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._wish = max(self._wish, SIGNALS[signal.Signals(number)])
-        if self._wish is Wish.STOP:
+        if self._wish is RunRequest.STOP:
             for each, handler in self._before.items():
                 signal.signal(each, handler)
 
-    def wish(self, steps: int, must_stop: bool = False) -> Wish:
-        """What all ranks agree on after so many steps; one that must stop stops all. Collective."""
-        here = Wish.STOP if must_stop else self._wish
+    def request(self, steps: int, must_stop: bool = False) -> RunRequest:
+        """The request that all ranks agree on after so many steps; one rank that must stop stops all. Collective."""
+        here = RunRequest.STOP if must_stop else self._wish
         is_late = self.comm.rank == 0 and clock.monotonic() - self._saved >= self.seconds
         if is_late or (self.every and steps % self.every == 0):
-            here = max(here, Wish.SAVE)
-        agreed = Wish(self.comm.allreduce(int(here), op=MPI.MAX))
-        if agreed is not Wish.GO_ON:
-            self._wish, self._saved = Wish.GO_ON, clock.monotonic()
+            here = max(here, RunRequest.SAVE)
+        agreed = RunRequest(self.comm.allreduce(int(here), op=MPI.MAX))
+        if agreed is not RunRequest.GO_ON:
+            self._wish, self._saved = RunRequest.GO_ON, clock.monotonic()
         return agreed

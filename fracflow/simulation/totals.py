@@ -1,4 +1,4 @@
-"""What a run counts while it goes on, and the last lines of its log."""
+"""Counts of a run, and the summary at the end of its log."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Totals:
 
     injected  net volume that wells have brought, as in the last state [length^3]
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
-    widening  largest factor by which an aperture grew in a step, as the log last told it; 1 where it told of none
+    widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
     doubts    lines of the log that say that a result may be wrong
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """
@@ -53,18 +53,18 @@ class Totals:
         self.wasted += report.wasted
 
     def give_up(self, failure: SolveError) -> None:
-        """Count the trials of a step that came to nothing."""
+        """Count the trials of a step that failed."""
         self.rejected += failure.trials
         self.wasted += failure.newton
 
     def besides(self) -> str:
-        """The trials that were thrown away, in words; empty without any."""
+        """The rejected trials, in words; empty without any."""
         if not self.rejected:
             return ""
         return f"; besides {self.rejected} trials rejected, on which {self.wasted} Newton iterations were spent"
 
-    def last_words(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
-        """What the log ends with, after so many ``seconds``."""
+    def summary(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
+        """The lines that end the log, after so many ``seconds``."""
         if self.narrowest < NARROW:
             yield (
                 f"smallest slip margin {self.narrowest:.1e} at time {self.narrow_time:.6g}:"
@@ -72,7 +72,7 @@ class Totals:
             )
         if watches_spurious:
             yield (
-                f"spurious work of the coupling: at most {self.spurious:.1e} of the largest entry of the energy books"
+                f"spurious work of the coupling: at most {self.spurious:.1e} of the largest entry of the energy balance"
                 + (f", at time {self.spurious_time:.6g}" if self.spurious else "")
             )
         if self.least:

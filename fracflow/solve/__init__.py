@@ -22,7 +22,7 @@ class Coupling(Protocol):
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
 
     def expect(self, planned: Condensing) -> None:
-        """Know which steps are planned, before the first and again where events add to them."""
+        """Prepare for the planned steps, before the first one and again where events add some."""
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""

@@ -10,7 +10,7 @@ from fracflow._petsc import MPI
 from fracflow.model.compressibility import taken_between
 from fracflow.model.contact_mass import follow
 from fracflow.model.operators import Operators
-from fracflow.model.state import Memory, Motion, State, StepReport
+from fracflow.model.state import Motion, PreviousStep, State, StepReport
 from fracflow.solve.flow_round_off import flow_power
 from fracflow.solve.newton import NewtonReport
 from fracflow.solve.problem import StepProblem
@@ -21,11 +21,11 @@ def start_again(problem: StepProblem) -> None:
     """Put the trial back to where the step starts. Collective."""
     problem.state.pressure.copy(problem.pressure)
     problem.move(np.zeros(problem.operators.layout.solid_count))
-    problem.branch = problem.state.sections.past
+    problem.branch = problem.state.sections.history
 
 
 def without_suction(problem: StepProblem) -> bool:
-    """Put the trial back too, with no pressure below the least that is given; tell whether that lifted any. Collective."""
+    """Put the trial back too, with no pressure below the given least one; return whether that lifted any. Collective."""
     before, comm = problem.state.pressure.getArray(readonly=True), problem.operators.layout.comm
     lowest = min(before.min(initial=np.inf), problem.pressure.getArray(readonly=True).min(initial=np.inf))
     start_again(problem)
@@ -58,13 +58,15 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
         dict(problem.controls),
         energy,
         uptake=problem.uptake(),
-        drive=max(problem.state.drive, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)),
-        power=max(problem.state.power, power),
+        max_overpressure=max(
+            problem.state.max_overpressure, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)
+        ),
+        max_dissipation=max(problem.state.max_dissipation, power),
     )
 
 
 def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepReport:
-    """What a step cost that one solve of Newton's did."""
+    """Report of a step that one solve by Newton's method made."""
     return StepReport(
         report.newton,
         report.krylov,
@@ -77,13 +79,13 @@ def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepRe
     )
 
 
-def remember(operators: Operators, old: State, new: State, dt: float) -> Memory:
+def remember(operators: Operators, old: State, new: State, dt: float) -> PreviousStep:
     """The mean velocity of the step between two states, and the mean rate at which compression took up fluid."""
     velocity = new.motion.displacement.duplicate()
     before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
     velocity.setArray((after - before) / dt)
     if new.uptake is None:
-        return Memory(dt, velocity)
+        return PreviousStep(dt, velocity)
     taken = taken_between(operators, old, new)
     taken.scale(1.0 / dt)
-    return Memory(dt, velocity, taken)
+    return PreviousStep(dt, velocity, taken)

@@ -1,7 +1,7 @@
 """Clusters of joint sections that move each other through the nodes they share, however many ranks have them.
 
-With a lumped mass G M^-1 G' couples no more than the sections at the copies of one node (or of tied nodes, or around one
-rigid block): small blocks, solved all at once, each on one rank.
+With a lumped mass G M^-1 G' couples only the sections at the copies of one node, of tied nodes, or around one rigid block.
+These blocks are small and solved all at once, each on one rank.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fracflow.mesh.data import Floats, Ints
 from fracflow.model.joints import Joints
 from fracflow.model.layout import local_rows
 
-COUPLES = 1e-13  # of the largest entry: less is what round-off leaves of two equal numbers
+COUPLES = 1e-13  # of the largest entry: less is round-off of two equal numbers
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Exchange:
         return self._move(rows[self.order], self.sent, self.received)
 
     def back(self, rows: Floats) -> Floats:
-        """The other way. Collective."""
+        """Rows (S, k) of the clusters -> rows (s, k) of this rank's sections. Collective."""
         result = np.empty((len(self.order), rows.shape[1]))
         result[self.order] = self._move(rows, self.received, self.sent)
         return result
@@ -88,7 +88,7 @@ def find_clusters(joints: Joints, inverse: PETSc.Mat, comm: MPI.Comm) -> Cluster
     sent = np.bincount(mine, minlength=size)
     exchange = Exchange(comm, np.argsort(mine, kind="stable"), sent, np.array(comm.alltoall(sent.tolist())))
 
-    # what this rank solves for, ascending as the exchange delivers it, and the entries between
+    # sections that this rank solves for, in ascending order, and the entries between them
     solved, of = np.flatnonzero(target == comm.rank), target[row // dim]
     parts = comm.alltoall([(row[of == rank], col[of == rank], value[of == rank]) for rank in range(size)])
     row, col, value = (np.concatenate(each) for each in zip(*parts, strict=True))

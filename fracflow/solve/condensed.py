@@ -2,9 +2,9 @@
 
 The rock with elastic joints, A = alpha_0 M + K_s + alpha_1 C + G' W D_0 G, is factored once. Nothing that slips, opens or
 flows changes A: all of that acts on the rock through the joints alone, u = A^-1 (r - G' q). The jumps are
-e = G u_free - G A^-1 G' q, q = W (t(e, p) - t_old - D_0 de): jumps and pressures answer each other through one dense
-compliance, by Newton's method of ``sections``; one more solve with the factors of A recovers the rock. Newton's method
-on all unknowns then sees whether the full balances hold, and does the step itself where they do not.
+e = G u_free - G A^-1 G' q, q = W (t(e, p) - t_old - D_0 de). One dense compliance couples jumps and pressures, which Newton's
+method of ``sections`` solves for; one more solve with the factors of A recovers the rock. Newton's method on all unknowns then
+checks the full balances, and solves the step itself where they do not hold.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from fracflow.solve.condensed_cost import Condensing, Key, fits, key_of
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.monolithic import Auto, Monolithic
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.sections import FilmOnJoints, SectionSolver
+from fracflow.solve.sections import FlowOnJoints, SectionSolver
 
 BLOCK = 64  # right sides at once: with more of them each takes no less time
 
 
-class Rock:
+class CondensedRock:
     """Factors of A and the compliance G A^-1 G' of all sections, dense, on rank 0."""
 
     def __init__(self, matrix: JoinedMatrix, loads: Loads, alphas: Alphas, elastic: Floats) -> None:
@@ -131,20 +131,20 @@ def _one_cluster(compliance: Floats | None, here: int, comm: MPI.Comm) -> Cluste
 
 
 MOST_KEPT = 4  # factors and compliances, of as many lengths of steps
-MOST_CYCLES = 3  # each takes away what round-off of the one before has left
-NEARLY = 10.0  # times the accuracy that is asked for, where little runs: all unknowns know no more
+MOST_CYCLES = 3  # each removes the round-off of the one before
+NEARLY = 10.0  # times the required accuracy, where flow is small: a solve for all unknowns has no more digits
 
 
-class CondensedFilm(FilmOnJoints):
-    """The film of an implicit step: its balance holds at the end of the step."""
+class CondensedFlow(FlowOnJoints):
+    """Fracture flow of an implicit step: its balance holds at the end of the step."""
 
     def given(self, problem: StepProblem) -> PETSc.Vec:
-        """Sources less what walls squeeze out at the velocity they have without moving on, in a new vector. Collective."""
+        """Sources less the flow that walls displace at their present velocity, in a new vector. Collective."""
         network, speed, result = self.operators.flow, problem.velocity(), problem.source.copy()
         assert network is not None
         speed.axpy(-problem.alphas.a1, problem.increment)
         squeezed = result.duplicate()
-        network.squeeze.multTranspose(speed, squeezed)
+        network.storage_coupling.multTranspose(speed, squeezed)
         result.axpy(-1.0, squeezed)
         speed.destroy()
         squeezed.destroy()
@@ -152,9 +152,9 @@ class CondensedFilm(FilmOnJoints):
 
 
 class CondensedSections(SectionSolver):
-    """All sections at once; those whose moduli are the elastic ones cost nothing."""
+    """All sections at once; those with the elastic moduli cost no time."""
 
-    film_kind, most_changes = CondensedFilm, 10  # Newton's method on all unknowns has more means to leave circles
+    flow_kind, most_changes = CondensedFlow, 10  # Newton's method on all unknowns has more means against cycling
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats) -> None:
         """Keep what is constant. Collective."""
@@ -181,7 +181,7 @@ class CondensedSections(SectionSolver):
 
 
 def _alike(operators: Operators, clusters: Clusters) -> Ints:
-    """For each section (S,) of the clusters here the first that moves as it does: of joints that meet at a node. Collective."""
+    """For each section (S,) of these clusters the first one with the same motion, where joints meet at a node. Collective."""
     motion = operators.layout.solid_vector()
     first, last = motion.getOwnershipRange()
     motion.setArray(np.random.default_rng(first).random(last - first))  # which no two places share
@@ -191,7 +191,7 @@ def _alike(operators: Operators, clusters: Clusters) -> Ints:
     return np.asarray(index[inverse.ravel()], np.int64)
 
 
-Kept = tuple[Rock, CondensedSections]
+Kept = tuple[CondensedRock, CondensedSections]
 
 
 class Condensed:
@@ -219,10 +219,10 @@ class Condensed:
         self._damps = operators.damping is not None and not loads.at_rest
         self._planned = Condensing({}, np.inf)
         self._kept: dict[Key, Kept] = {}  # the one used last comes last
-        start = joints.respond(np.zeros((len(joints.weights), joints.dim)), joints.rest()).tangent
+        start = joints.evaluate(np.zeros((len(joints.weights), joints.dim)), joints.initial_history()).tangent
         self._at_rest = start
         own, natural = np.diagonal(start, axis1=1, axis2=2), scales.force / (scales.displacement * scales.length)
-        # any moduli do, for the sections put right what they really are; with these nothing that joints hold is loose
+        # any moduli serve, as the sections correct them; with these nothing that joints hold is loose
         self._elastic = np.where(own > 0.0, own, natural)[:, :, None] * np.eye(joints.dim)
 
     def solve(self, problem: StepProblem) -> StepReport:
@@ -237,18 +237,18 @@ class Condensed:
         except NotConverged:
             given_up = "no balance to all digits on the fractures alone"
             problem.pressure.setArray(start[1])
-            problem.branch = problem.state.sections.past
+            problem.branch = problem.state.sections.history
             problem.move(start[0])
         report = self.full.solve(problem)
         newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)
         return replace(report, newton=newton, factorisations=factors, cycles=done[1], handed_over=given_up)
 
     def expect(self, planned: Condensing) -> None:
-        """Condense those of the planned steps that are worth it, or all where that is asked for."""
+        """Condense those planned steps for which it pays, or all where the scene requires it."""
         self._planned = planned
 
     def _is_meant(self, key: Key, problem: StepProblem) -> bool:
-        """Whether a step is of those that are condensed. Collective."""
+        """Whether a step is to be condensed. Collective."""
         if self._is_asked:
             return key in self._planned.steps
         if not self._planned.is_worth(key):
@@ -259,7 +259,7 @@ class Condensed:
     def _condensed(self, key: Key, problem: StepProblem) -> Kept | None:
         """Factors for a step, made where it pays; None where all unknowns are better solved for. Collective.
 
-        A part of the network that nothing drains has a closure in place of a balance, which the film does not know.
+        A network component without drainage has a closure in place of a balance, which condensed flow does not have.
         """
         if problem.loads.closures or not self._jumps or not self._is_meant(key, problem):
             return None
@@ -267,36 +267,38 @@ class Condensed:
         if kept is None:
             if len(self._kept) == MOST_KEPT:
                 self._free(next(iter(self._kept)))
-            rock = Rock(self.full.matrix, self.loads, problem.alphas, self._elastic)
+            rock = CondensedRock(self.full.matrix, self.loads, problem.alphas, self._elastic)
             kept = rock, CondensedSections(self.scene, self.operators, rock.clusters, self._elastic)
         self._kept[key] = kept
         return kept
 
-    def _bring(self, problem: StepProblem, rock: Rock, sections: CondensedSections) -> tuple[int, int]:
+    def _bring(self, problem: StepProblem, rock: CondensedRock, sections: CondensedSections) -> tuple[int, int]:
         """Bring the trial into balance as far as round-off lets it; iterations and cycles. Collective."""
         joints, iterations, least = self.operators.joints, 0, self.scene.accuracy.residual
         problem.evaluate()
-        if max(_largest(problem), problem.residual.carried) <= least:  # what rests is left at rest, to the last digit
+        if max(_largest(problem), problem.residual.carried) <= least:  # sections at rest stay so to the last digit
             return 0, 0
         force, free = problem.load.duplicate(), problem.load.duplicate()
         try:
             for cycle in range(1, MOST_CYCLES + 1):
                 change = joints.strain(problem.increment)
                 problem.solid_balance.copy(force)
-                joints.force(-sections.pushed(problem, change), force)
+                joints.force(-sections.pressure_change(problem, change), force)
                 free.setArray(problem.increment.getArray(readonly=True) - rock.solve(force))
                 change, report = sections.solve(problem, joints.strain(free), 1.0, change, least=int(cycle > 1))
                 iterations += report.iterations
                 force.set(0.0)
-                joints.force(sections.pushed(problem, change), force)
+                joints.force(sections.pressure_change(problem, change), force)
                 problem.move(free.getArray() - rock.solve(force))
                 problem.evaluate()
-                # beside what runs, too, where that is little: the books hold what is left of it, times the pressure
+                # also relative to a small flow: its residual times the pressure enters the energy balance
                 beside = problem.residual.carried
                 if max(_largest(problem), beside) <= least:
                     break
                 if cycle == MOST_CYCLES and beside > NEARLY * least and not self._is_asked:
-                    raise NotConverged("of what little runs all unknowns know more digits")
+                    raise NotConverged(
+                        "the flow is too small for the digits of the fractures alone: all unknowns are solved for"
+                    )
         finally:
             force.destroy()
             free.destroy()

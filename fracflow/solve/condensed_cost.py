@@ -1,8 +1,8 @@
 """Cost of a step with the rock condensed to its joints, and without: from how many steps of one length on it pays.
 
-Costs are counted in LU factorisations of a rock of REFERENCE displacements, on one rank; the shares are those of
-scripts/bench condensed, and grow with the size as nested dissection in the plane has it. Which steps of a scene are
-condensed is known from the scene alone: a run that is resumed does the same.
+Costs are counted in LU factorisations of a rock of REFERENCE displacements, on one rank. The shares are those of scripts/bench
+condensed, and grow with the size as for nested dissection in the plane. The scene alone decides which steps are condensed, so
+a restarted run does the same.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.options import is_large, is_meant
 
 REFERENCE, JUMPS = 1e5, 800.0  # sizes at which the shares below were measured
-BESIDES = 0.3  # what an iteration on all unknowns takes beside LU: matrix, solve, balances
+BESIDES = 0.3  # cost of an iteration on all unknowns beside LU: matrix, solve, balances
 FACTORS = 1.7  # CHOLMOD's factors of the rock, with their ordering
 COLUMN = 0.01  # a column of the compliance, solved for with others
 SOLVE = 0.06  # a right side alone, with CHOLMOD's factors
@@ -59,7 +59,7 @@ def condensing_cost(unknowns: int, jumps: int) -> float:
 
 
 def solves_per_factor(unknowns: int) -> float:
-    """How many right sides LU solves for in the time that it takes itself."""
+    """Number of right sides that LU solves for in the time of a factorisation."""
     return _factor(unknowns) / (SHARED * _solve(unknowns))
 
 
@@ -75,10 +75,10 @@ def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks:
 
 
 Key = tuple[float, float]
-"""What of a rule of stepping the rock's matrix depends on: shares of mass and damping."""
+"""Shares of mass and damping, by which a time integrator enters the rock's matrix."""
 SMALLEST = 500  # displacements: of fewer a factorisation is the least of a step (report_5_5: 3.4 against 4.1 CPU s)
 CLEARLY = (
-    1.5  # times less work in a step: where it is nearly the same, each step that is solved anew for all unknowns tells
+    1.5  # times less work in a step: where the gain is small, each step that is solved again for all unknowns matters
 )
 AT_LEAST = 2.0  # times the number of steps at which condensing the rock breaks even
 
@@ -95,7 +95,7 @@ class Condensing:
     has_events: bool = False
 
     def is_worth(self, key: Key) -> bool:
-        """Whether steps of a kind are so many that one may trust the estimate."""
+        """Whether there are enough steps of a kind to trust the estimate."""
         return self.pays < math.inf and self.steps.get(key, 0.0) >= AT_LEAST * self.pays
 
     @property
@@ -110,7 +110,7 @@ def key_of(alphas: Alphas, damps: bool) -> Key:
 
 
 def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool) -> Condensing:
-    """What is planned, for so many displacements and jumps of joints."""
+    """The plan for so many displacements and jumps of joints."""
     clearly = full_step(unknowns) >= CLEARLY * condensed_step(unknowns, jumps, ranks=ranks)
     pays = break_even(unknowns, jumps, ranks=ranks) if jumps and clearly and fits(unknowns, jumps) else math.inf
     steps: dict[Key, float] = {}
@@ -121,7 +121,7 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
 
 
 def is_chosen(scene: Scene, unknowns: int, plan: Condensing) -> bool:
-    """Whether the program condenses the rock of its own accord: the scene lets it, its methods are fit, and it is worth it."""
+    """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays."""
     return _may_choose(scene, unknowns) and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
 
 

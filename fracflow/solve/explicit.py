@@ -1,4 +1,4 @@
-"""An explicit step: the rock by central differences, joints and film at its end by themselves (``stepping.explicit``)."""
+"""An explicit step: the rock by central differences, joints and flow at its end by themselves (``integrators.explicit``)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from fracflow.errors import SolveError
 from fracflow.integrators.explicit import joint_share, predicted, velocity_after
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
-from fracflow.model.fault_damping import fault_damping, longest_step
 from fracflow.model.loads import Loads
-from fracflow.model.mass import Solve, damped_mass, inverse_mass
+from fracflow.model.mass import Solve, damped_mass, inverse_mass, longest_step
 from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, StepReport
 from fracflow.scene.scene import Scene
@@ -49,10 +48,11 @@ class ExplicitProblem(StepProblem):
 class ExplicitCoupling:
     """Makes explicit steps of one scene, whatever its wells do; supports stay those it is made with.
 
-    Where sides absorb, M + dt/2 C takes the place of M for accelerations: C meets the velocity at the end of the step, and
-    does not limit it. The damping of the cells at faults meets the mean velocity of the step, and does.
+    Where terms have a C, M + dt/2 C takes the place of M for accelerations: C acts on the velocity at the end of the step, and
+    does not limit the step. Their D acts on the mean velocity of the step, and does limit it.
 
-    critical  the longest stable time step, by the rock and its damping alone [time]
+    critical  the longest stable time step, by the rock and its terms alone [time]
+    told      what the log tells of D
     """
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
@@ -61,8 +61,10 @@ class ExplicitCoupling:
         self._damped: dict[float, Solve] = {}
         self.held = loads.held
         self.inverse = inverse_mass(operators, self.held)
-        self.damping = fault_damping(operators, scene)
-        self.critical = longest_step(operators, scene, self.inverse, self.damping)
+        made = {term.name: term.mean_damping() for term in operators.terms}
+        self.damping = {name: damping for name, damping in made.items() if damping is not None}
+        self.told = tuple(damping.told for damping in self.damping.values())
+        self.critical = longest_step(operators, scene, self.inverse, list(self.damping.values()))
         clusters = find_clusters(operators.joints, self.inverse, operators.layout.comm)
         self.sections = SectionSolver(scene, operators, clusters)
 
@@ -82,13 +84,13 @@ class ExplicitCoupling:
         problem.move(predicted(old, dt) + joint_share(dt) * moved.getArray())
         free = joints.strain(problem.increment)
         _, report = self.sections.solve(problem, free, joint_share(dt))
-        pull = self.sections.pull(problem.sections.traction, problem.pressure)
-        pulled = self.sections.pull(state.sections.traction, state.pressure)
+        pull = self.sections.total_traction(problem.sections.traction, problem.pressure)
+        pulled = self.sections.total_traction(state.sections.traction, state.pressure)
         force.set(0.0)
         joints.force(pulled - pull, force)
         self.inverse.mult(force, moved)
         problem.move(problem.increment.getArray() + joint_share(dt) * moved.getArray())
-        problem.take(problem.sections)
+        problem.accept(problem.sections)
         force.destroy()
         moved.destroy()
         problem.end = self._end(problem, old, dt)
@@ -101,9 +103,9 @@ class ExplicitCoupling:
         ops, held = self.operators, self.held
         force = static_balance(ops, problem.displacement, problem.sections.traction, problem.pressure, problem.load)
         force.scale(-1.0)
-        damped = None if self.damping is None else self.damping.force(problem.increment, dt)
-        if damped is not None:
-            force.axpy(-1.0, damped)
+        damped = {name: damping.force(problem.increment, dt) for name, damping in self.damping.items()}
+        for each in damped.values():
+            force.axpy(-1.0, each)
         new = self._accelerated(problem, force, old.velocity + 0.5 * dt * old.acceleration, dt)
         speed = velocity_after(old, new, dt)
         # what is held moves as in an implicit step
@@ -115,24 +117,25 @@ class ExplicitCoupling:
         ops.mass.mult(term, support)
         support.axpy(-1.0, force)
         term.setArray(speed)
-        absorbed, anchor = problem.absorption.force(term), problem.absorption.anchor
+        of_terms, anchor = problem.terms.forces(term), problem.terms.anchor
         force.destroy()
         term.destroy()
-        if absorbed is not None:
-            support.axpy(1.0, absorbed)
+        for each in of_terms.values():
+            support.axpy(1.0, each)
         is_held = np.zeros(len(new), dtype=bool)
         is_held[held] = True
         support.getArray()[~is_held] = 0.0
-        (conduction, source), incident = self._flow_terms(problem), problem.absorption.incident
-        kept = None if anchor is None else anchor.copy()
-        return speed, new, Forces(problem.load.copy(), support, conduction, source, absorbed, kept, incident, damped)
+        conduction, source = self._flow_terms(problem)
+        kept, of_terms = None if anchor is None else anchor.copy(), of_terms | damped
+        powers = problem.terms.powers
+        return speed, new, Forces(problem.load.copy(), support, conduction, source, of_terms, powers, kept)
 
     def _accelerated(self, problem: ExplicitProblem, force: PETSc.Vec, speed: Floats, dt: float) -> Floats:
-        """Accelerations (n,) by a force and by what sides absorb; ``speed`` is without what they add to it. Collective."""
+        """Accelerations (n,) by a force and by C; ``speed`` is without what they add to it. Collective."""
         result = force.duplicate()
         result.setArray(speed)
-        absorbed = problem.absorption.force(result)
-        if absorbed is None:
+        resisting = problem.terms.forces(result)
+        if not resisting:
             self.inverse.mult(force, result)
             new: Floats = result.getArray().copy()
         else:
@@ -140,9 +143,11 @@ class ExplicitCoupling:
                 if len(self._damped) == MOST_KEPT:
                     self._damped.clear()
                 self._damped[dt] = damped_mass(self.operators, self.held, 0.5 * dt)
-            absorbed.aypx(-1.0, force)
-            new = self._damped[dt](absorbed.getArray())
-            absorbed.destroy()
+            force.copy(result)
+            for each in resisting.values():
+                result.axpy(-1.0, each)
+                each.destroy()
+            new = self._damped[dt](result.getArray())
         result.destroy()
         return new
 
@@ -155,7 +160,7 @@ class ExplicitCoupling:
         assert problem.conduction is not None
         network.outflow(problem.conduction, conduction)
         drawn, given = self.operators.layout.flow_vector(), film.given(problem)
-        network.squeeze.multTranspose(problem.increment, drawn)
+        network.storage_coupling.multTranspose(problem.increment, drawn)
         drawn.scale(problem.alphas.a1)
         drawn.axpy(1.0, conduction)
         if (uptake := problem.uptake()) is not None:
@@ -173,5 +178,3 @@ class ExplicitCoupling:
         """Free matrices and solver. Collective."""
         self.sections.destroy()
         self.inverse.destroy()
-        if self.damping is not None:
-            self.damping.destroy()

@@ -1,4 +1,4 @@
-"""What to tell whose step did not converge: where, what was tried, what to change."""
+"""Messages on a step that did not converge: place, methods that were tried, remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
 from fracflow.errors import Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
@@ -29,12 +28,12 @@ WHY = {
     "DIVERGED_MAX_IT": "all that accuracy.max_iterations allows",
     "DIVERGED_FNORM_NAN": "a balance is not a number",
     "DIVERGED_LINEAR_SOLVE": "the linear solver did not converge",
-    "DIVERGED_LINE_SEARCH": "no part of its step lowers the residual",
-    "DIVERGED_FUNCTION_DOMAIN": "the joint laws have no answer there",
+    "DIVERGED_LINE_SEARCH": "no fraction of its step lowers the residual",
+    "DIVERGED_FUNCTION_DOMAIN": "the joint laws have no response there",
     "DIVERGED_FUNCTION_COUNT": "all evaluations that PETSc's options allow",
     "DIVERGED_DTOL": "the residual grew beyond what PETSc's options allow",
 }
-CIRCLES = "sections stick and slide in circles"
+CIRCLES = "the status of sections cycles between sticking and sliding"
 WHY_LINEAR = {
     "DIVERGED_MAX_IT": "all that PETSc's options allow",
     "DIVERGED_DTOL": "its residual grew beyond what PETSc's options allow",
@@ -52,7 +51,7 @@ def why_stopped(snes: PETSc.SNES, is_short: bool = False) -> str:
     """
     reasons, solver = PETSc.SNES.ConvergedReason, snes.getKSP()
     if is_short and snes.getConvergedReason() == reasons.DIVERGED_MAX_IT:
-        return "all that a step is given that may be shorter"
+        return "the limit of a step that may be shorter"
     why = _in_words(snes.getConvergedReason(), reasons, WHY)
     if snes.getConvergedReason() != reasons.DIVERGED_LINEAR_SOLVE or solver.getConvergedReason() >= 0:
         return why
@@ -89,7 +88,7 @@ def describe_failure(
         for chosen, between in ((restless, "sticking and sliding"), (flipped, "open and closed"))
         if not slipped
         and (count := blocks.comm.allreduce(int(chosen.sum())))
-        and (places := places_of(blocks, chosen, joint.RULES[scene.method.quadrature][0]))
+        and (places := places_of(blocks, chosen, problem.operators.joints.natural))
     ]
     what = "Newton" if name == "newton" else f'method.newton = "{name}"'
     remedy = "try a smaller time_step" if name == "newton" else 'set method.newton = "newton"'
@@ -115,7 +114,7 @@ def describe_failure(
     place = place_of(problem, np.where(worse, solid, 0.0), np.where(worse, 0.0, flow))
     wanted += f", wanted {accuracy.residual:.0e}, worst {place}"
     if why == CIRCLES:
-        wanted = "the balances hold with every status, but none is that of what they come to"
+        wanted = "the balances hold with each status tried, but none of these agrees with the solution"
     elif scene.method.newton_test == "out-of-balance" and accuracy.out_of_balance is not None:
         wanted = f"out-of-balance force {problem.residual.out_of_balance:.2e}, wanted {accuracy.out_of_balance:.0e}"
     return (
@@ -125,7 +124,7 @@ def describe_failure(
 
 
 def check_step(solver: PETSc.KSP, step: PETSc.Vec, balance: PETSc.Vec, problem: StepProblem, name: str) -> None:
-    """Refine a step, or raise Unsolved, on every rank, with the place where the solve left most. Collective."""
+    """Refine a step, or raise Unsolved, on every rank, with the place of the largest residual. Collective."""
     try:
         check_solution(solver, step, balance, f"time {problem.time:.6g}: {name}")
     except Unsolved as error:
@@ -134,7 +133,7 @@ def check_step(solver: PETSc.KSP, step: PETSc.Vec, balance: PETSc.Vec, problem: 
         solid, flow = np.split(np.abs(left.getArray()), [middle])
         left.destroy()
         raise Unsolved(
-            f"{error}; most is left {place_of(problem, solid, flow)}: look at supports, stiffness and aperture there, or"
+            f"{error}; largest {place_of(problem, solid, flow)}: look at supports, stiffness and aperture there, or"
             " take a smaller time_step"
         ) from error
 
@@ -163,7 +162,7 @@ def place_of(problem: StepProblem, solid: Floats, flow: Floats) -> str:
 
 
 def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, slack: float) -> str:
-    """Names the block that is pushed most of those that float, and the net force on it; the same on every rank. Collective.
+    """Name the floating block with the largest net force, and that force; the same on every rank. Collective.
 
     slack  a net force that is none [force per thickness]
     """
@@ -183,7 +182,7 @@ def describe_floating(scene: Scene, problem: StepProblem, floating: Floating, sl
     elif abs(push[worst, 2]) > slack:
         pushed = f"net moment {push[worst, 2] * floating.frames.size[worst]:.4g} {system.force or ''}".rstrip()
     else:
-        pushed = "no net force just now, and nothing that tells where it rests"
+        pushed = "no net force just now, and no support that fixes its position"
     more = f" (and {len(loose) - 1} more blocks with it)" if len(loose) > 1 else ""
     return (
         f"time {problem.time:.6g}: {_block(floating, worst)} has no support in {_free_ways(motions[3 * worst : 3 * worst + 3])}"
@@ -199,7 +198,7 @@ def _loose(floating: Floating) -> Ints:
 
 
 def _block(floating: Floating, piece: int) -> str:
-    """What a block is called."""
+    """Name of a block."""
     block, middle = floating.operators.blocks.solid, floating.frames.middle[piece]
     rock = block.rocks[block.piece_rock[piece]]
     return f'block {piece} (rock "{rock}", centred at ({middle[0]:.4g}, {middle[1]:.4g}))'
@@ -216,7 +215,7 @@ def _free_ways(motions: Floats) -> str:
 
 
 def _around(floating: Floating, problem: StepProblem, piece: int) -> str:
-    """How many of the joints around a block are open, and how many slide. Collective."""
+    """Numbers of open and of sliding joints around a block, in words. Collective."""
     sections, points = problem.sections, len(floating.natural)
     here = np.any(floating.sides == piece, axis=1) & (floating.sides[:, 0] != floating.sides[:, 1])
     loose = sections.is_open | sections.is_sliding  # one end of a joint may be open and the other slide

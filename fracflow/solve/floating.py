@@ -1,11 +1,12 @@
-"""Blocks of rock that nothing holds: rigid motions of the blocks that no closed joint, support or tie resists.
+"""Blocks of rock that nothing holds: rigid motions of the blocks that no closed joint, support, tie or term resists.
 
-A block is what no joint cuts. Each moves as (translations, turn about its middle, times its size); a joint section that
-carries resists the jump that the motions of its two blocks make there. What is left over, the null space, floats.
+A block is rock that no joint cuts. Its motions are translations and a turn about its middle, times its size. A joint section
+that carries resists the jump between the motions of its two blocks. The remaining null space floats.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,21 +15,22 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fracflow._petsc import PETSc
-from fracflow.elements import joint
+from fracflow.elements import facet
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
+from fracflow.model.layout import add_blocks, local_rows
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.properties import on_joints
 from fracflow.model.state import Sections
 
 NOTHING = 1e-9
-"""Relative stiffness that counts as none. All that holds has unit stiffness and each block its own size, so what is held
-at all is held by h/L squared or more."""
+"""Relative stiffness that counts as zero. Each support or joint has unit stiffness and each block its own size, so a block
+that is held has a stiffness of (h/L)^2 or more."""
 
 
 DENSE = 600  # motions up to which all eigenvectors are as fast
-SHIFT = 1e-11  # far below what counts as nothing, far above round-off
+SHIFT = 1e-11  # far below the stiffness that counts as zero, far above round-off
 FIRST = 8  # vectors
 INVERSE_ITERATIONS = 4
 
@@ -64,7 +66,7 @@ class Frames:
 
 
 def null_motions(stiffness: sparse.spmatrix | Floats) -> Floats:
-    """Orthonormal columns that span what a symmetric, semidefinite ``stiffness`` (m, m) does not resist; (m, k).
+    """Orthonormal columns (m, k) that span the null space of a symmetric, semidefinite ``stiffness`` (m, m).
 
     A large one stays sparse: inverse iteration on ever more vectors at once, until one of them is resisted.
     """
@@ -96,21 +98,21 @@ def _sparse_null(scaled: sparse.csc_matrix) -> Floats | None:
 
 
 class Floating:
-    """Finds what floats, for the sections that carry; remembers the last answer."""
+    """Finds floating blocks, for the sections that carry; keeps the last result."""
 
-    def __init__(self, operators: Operators, loads: Loads, quadrature: str) -> None:
-        """Place the sections of a rule of ``quadrature``. Nothing to communicate yet."""
+    def __init__(self, operators: Operators, loads: Loads) -> None:
+        """Locate the sections. Without communication."""
         self.operators, self.loads = operators, loads
         blocks, block = operators.blocks, operators.blocks.solid
         self.frames = Frames.of(block.piece_box)
         self.count = len(block.piece_box)
-        self.natural = joint.RULES[quadrature][0]
+        self.natural = operators.joints.natural
         joints = blocks.joints
         self.sides = np.stack([block.piece[joints.bottom[:, 0]], block.piece[joints.top[:, 0]]], axis=1)
         apart = self.sides[:, 0] != self.sides[:, 1]  # walls of one block hold nothing that floats
         self.holds = np.repeat(apart, len(self.natural))[:, None]
         ends = block.points[joints.bottom]
-        self.frame = joint.frame(ends)[0]
+        self.frame = facet.frame(ends)[0]
         self.places = on_joints(ends, self.natural).reshape(-1, 2)
         self._carried: np.ndarray | None = None
         self.motions = np.zeros((3 * self.count, 0))
@@ -118,7 +120,7 @@ class Floating:
     def find(self, sections: Sections, is_filled: bool, without: np.ndarray | None = None) -> Floats:
         """Motions (3 p, k) of the blocks that float at these sections, orthonormal. Collective.
 
-        is_filled  an incompressible film keeps the walls of every joint apart, and together
+        is_filled  an incompressible fluid keeps the walls of every joint apart, and together
         without    (s, 2) what sections are taken not to carry, along and across, whatever their status
         """
         tangent = sections.tangent
@@ -133,7 +135,7 @@ class Floating:
         return self.motions
 
     def _motions(self, carried: np.ndarray) -> Floats:
-        """Blocks across joints that carry all along move as one; what they are in is found among these groups."""
+        """Blocks across joints that carry in all directions move as one; floating motions are found among these groups."""
         comm = self.operators.layout.comm
         points = len(self.natural)
         firm = carried.reshape(-1, points * 2).all(axis=1) & (points > 1)
@@ -148,7 +150,7 @@ class Floating:
         frames = Frames.of(boxes)
         parts = [_support_rows(blocks, self.loads, frames, group), _tie_rows(blocks, frames, group)]
         parts.append(self._joint_rows(carried & ~np.repeat(firm, points)[:, None], frames, group))
-        stiffness = sparse.csr_matrix((3 * groups, 3 * groups))
+        stiffness = _terms_stiffness(self.operators, frames, group)
         for rows in parts:
             matrix = sparse.csr_matrix((rows.value, (rows.row, rows.motion)), shape=(rows.count, 3 * groups))
             stiffness = stiffness + matrix.T @ matrix
@@ -173,7 +175,7 @@ class Floating:
         return np.linalg.qr(each)[0] if each.shape[1] else each
 
     def net_force(self, balance: PETSc.Vec) -> Floats:
-        """Force that is left on each block, and its moment over the block's size: (p, 3) of a solid balance. Collective."""
+        """Net force on each block, and its moment over the block's size: (p, 3) of a solid balance. Collective."""
         block, comm = self.operators.blocks.solid, self.operators.layout.comm
         start, local = block.unknown_starts[comm.rank], balance.getArray(readonly=True)
         force = np.zeros((self.count, 3))
@@ -209,26 +211,55 @@ def _places(blocks: Blocks) -> list[tuple[Ints, Ints, Floats, int]]:
     return found
 
 
+def _terms_stiffness(operators: Operators, frames: Frames, group: Ints) -> sparse.csr_matrix:
+    """This rank's part of R' K R (3 g, 3 g) of all terms, R what the motions move, each K of unit size. Collective."""
+    blocks, count = operators.blocks, 3 * len(frames.size)
+    total = sparse.csr_matrix((count, count))
+    terms = [term.stiffness for term in operators.terms if term.stiffness is not None]
+    if not terms:
+        return total
+    motions = PETSc.Mat().createAIJ(
+        (operators.layout.solid_vector().getSizes(), (None, count)), nnz=3, comm=blocks.comm
+    )
+    for numbers, motion, value in _moved_unknowns(blocks, frames, group):
+        add_blocks(motions, numbers[:, None], motion, value[:, None])
+    motions.assemble()
+    for matrix in terms:
+        product, size = matrix.PtAP(motions), matrix.norm(PETSc.NormType.INFINITY)
+        rows, first = local_rows(product), product.getOwnershipRange()[0]
+        if size > 0.0:
+            total += sparse.csr_matrix((rows.values / size, (rows.rows + first, rows.cols)), shape=total.shape)
+        product.destroy()
+    motions.destroy()
+    return total
+
+
+def _moved_unknowns(blocks: Blocks, frames: Frames, group: Ints) -> Iterator[tuple[Ints, Ints, Floats]]:
+    """This rank's unknowns: numbers (n,), the motions (n, 3) of their groups, and by how much each moves them (n, 3)."""
+    for numbers, piece, points, axis in _places(blocks):
+        owner = group[piece]
+        if axis < 2:
+            value = frames.moved(owner, points, np.broadcast_to(np.eye(2)[axis], (len(owner), 2)))
+        else:
+            value = np.broadcast_to([0.0, 0.0, 1.0], (len(owner), 3))
+        yield numbers, 3 * owner[:, None] + np.arange(3), value
+
+
 def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> Rows:
-    """What supports hold."""
+    """Rows of the motions that supports hold."""
     start = int(blocks.solid.unknown_starts[blocks.comm.rank])
     held = loads.held + start
     motions, values = [np.zeros((0, 3), dtype=np.int64)], [np.zeros((0, 3))]
-    for numbers, piece, points, axis in _places(blocks):
+    for numbers, moving, by in _moved_unknowns(blocks, frames, group):
         chosen = np.isin(numbers, held)
-        owner = group[piece[chosen]]
-        if axis < 2:
-            value = frames.moved(owner, points[chosen], np.broadcast_to(np.eye(2)[axis], (len(owner), 2)))
-        else:
-            value = np.broadcast_to([0.0, 0.0, 1.0], (len(owner), 3))
-        motions.append(3 * owner[:, None] + np.arange(3))
-        values.append(value)
+        motions.append(moving[chosen])
+        values.append(by[chosen])
     motion, value = np.concatenate(motions), np.concatenate(values)
     return Rows(np.repeat(np.arange(len(motion)), 3), motion.ravel(), value.ravel(), len(motion))
 
 
 def _tie_rows(blocks: Blocks, frames: Frames, group: Ints) -> Rows:
-    """What ties hold: nodes that share an unknown move alike. On rank 0; collective."""
+    """Rows of the motions that ties hold: nodes that share an unknown move alike. On rank 0; collective."""
     block, comm = blocks.solid, blocks.comm
     nothing = Rows(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros(0), 0)
     if not len(block.unused):

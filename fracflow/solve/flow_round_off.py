@@ -1,8 +1,8 @@
-"""How many digits of the flow pressures leave that are given on both sides of it, and the stop where they are too few.
+"""Significant digits of flow between prescribed pressures, and the error where they are too few.
 
-In a wide fracture in a row with a narrow one, pressures differ by less than they are rounded off; the flow there, and what a
-well with a pressure draws, is nothing but that. A flow rate that is given needs no such difference: in a part that one
-feeds few digits are told but refused nowhere, for they may be those of a flow that has hardly begun.
+In a wide fracture in series with a narrow one, pressures differ by less than their round-off. The flow there, and the inflow
+at a well with a pressure, are then round-off alone. A given flow rate needs no such difference. In a component that it feeds
+few digits are reported but not refused, since the flow may have hardly begun.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from fracflow.errors import SolveError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Loads
-from fracflow.model.network_parts import conducting, find_parts
+from fracflow.model.network_parts import conducting, find_components
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 from fracflow.scene.values import TimeTable
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.residual import MOST_DIGITS, digits_of, noise_of_pressure, refuse_few
+from fracflow.solve.residual import MOST_DIGITS, refuse_few, round_off_of_pressure, significant_digits
 
 BEYOND = 100.0  # times the round-off of what a well draws: what is more is not that alone
-INSIDE = 3.0  # times the round-off at a well: nodes further in a wide fracture leave as much
-RESOLVED = 1e-4  # of the largest pressure: a smaller drop may be what a network come to rest has left
+INSIDE = 3.0  # times the round-off at a well: nodes further along a wide fracture have as much
+RESOLVED = 1e-4  # of the largest pressure: a smaller drop may remain in a network at rest
 
 
 @dataclass(frozen=True)
-class FlowDigits:
+class SignificantDigitsOfFlow:
     """Digits of what wells with a pressure draw: the wide fracture, its conductance, and the narrow one, its aperture."""
 
     digits: float
@@ -43,15 +43,15 @@ class FlowDigits:
 def flow_power(
     operators: Operators, conduction: Conduction | None, pressure: PETSc.Vec, source: PETSc.Vec, given: Ints
 ) -> float:
-    """What runs for certain: where pressure drops, and in wells, by more than round-off could [energy/time per thickness].
+    """Power of the flow beyond round-off: where pressure drops, and in wells [energy/time per thickness].
 
-    source  what the nodes draw; given  local numbers of those whose pressure is given. Collective.
+    source  rates that the nodes draw; given (n,) local numbers of nodes whose pressure is given. Collective.
     """
     network = operators.flow
     if conduction is None or network is None:
         return 0.0
     noise = operators.layout.flow_vector()
-    network.taken_up(noise_of_pressure(network, conduction), noise)
+    network.taken_up(round_off_of_pressure(network, conduction), noise)
     driving = pressure.getArray(readonly=True) - network.resting.getArray(readonly=True)
     drawn, blurred = (each.getArray(readonly=True)[given] for each in (source, noise))
     work = np.where(np.abs(drawn) > BEYOND * blurred, np.abs(drawn * driving[given]), 0.0)
@@ -67,20 +67,22 @@ def _powers(operators: Operators, conduction: Conduction) -> Floats:
     return powers
 
 
-def digits_of_flow(operators: Operators, conduction: Conduction, given: Ints, power: float) -> FlowDigits:
-    """Digits of the work of wells at nodes (n,) of this rank whose pressure is given, by the largest ``power`` so far.
+def significant_digits_of_flow(
+    operators: Operators, conduction: Conduction, given: Ints, power: float
+) -> SignificantDigitsOfFlow:
+    """Digits of the work of wells at this rank's nodes (n,) of given pressure, by the largest ``max_dissipation`` so far.
 
     Round-off of the pressures around such a node, times its conductances, is a flow that the node draws. Collective.
     """
     network, block, comm = operators.flow, operators.blocks.joints, operators.layout.comm
     assert network is not None
-    nodes, at_ends = operators.layout.flow_vector(), noise_of_pressure(network, conduction)
+    nodes, at_ends = operators.layout.flow_vector(), round_off_of_pressure(network, conduction)
     nodes.getArray()[given] = 1.0
     lost = network.at_ends(nodes) * at_ends * np.abs(conduction.pressure)
     nodes.destroy()
     total, powers = INSIDE * comm.allreduce(float(lost.sum())), _powers(operators, conduction)
     if not (total > 0.0 and power > 0.0):
-        return FlowDigits(MOST_DIGITS, "", 0.0, "", 0.0)
+        return SignificantDigitsOfFlow(MOST_DIGITS, "", 0.0, "", 0.0)
 
     def largest(values: Floats) -> tuple[float, str, float, float]:
         if not len(values):
@@ -93,11 +95,13 @@ def digits_of_flow(operators: Operators, conduction: Conduction, given: Ints, po
     (_, wide, conductance, _), (_, narrow, _, aperture) = (
         max(comm.allgather(largest(v))) for v in (lost.sum(1), powers)
     )
-    return FlowDigits(min(MOST_DIGITS, float(-np.log10(total / power))), wide, conductance, narrow, aperture)
+    return SignificantDigitsOfFlow(
+        min(MOST_DIGITS, float(-np.log10(total / power))), wide, conductance, narrow, aperture
+    )
 
 
 def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: float) -> np.ndarray:
-    """Which flow nodes (q,) of this rank are in a part that a well feeds with a flow rate, now or later. Collective."""
+    """Flow nodes (q,) of this rank in a component that a well feeds with a flow rate, now or later. Collective."""
     layout = operators.layout
     pumped = np.zeros(layout.flow_count, dtype=bool)
     for well in loads.wells:
@@ -108,14 +112,14 @@ def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: 
             pumped |= well.vector.getArray(readonly=True) != 0.0
     everywhere = np.concatenate(layout.comm.allgather(pumped))
     fed = np.zeros(len(everywhere), dtype=bool)
-    for part in find_parts(operators, conducting(operators, conduction.conductance)) if everywhere.any() else ():
+    for part in find_components(operators, conducting(operators, conduction.conductance)) if everywhere.any() else ():
         fed[part.nodes] = everywhere[part.nodes].any()
     first = int(layout.flow_starts[layout.comm.rank])
     return fed[first : first + layout.flow_count]
 
 
-def refuse_few_of_flow(found: FlowDigits, limit: int, time: float) -> None:
-    """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
+def refuse_few_of_flow(found: SignificantDigitsOfFlow, limit: int, time: float) -> None:
+    """Raise SolveError, on every rank, where fewer digits are left than required, with sufficient values."""
     if limit == 0 or found.digits >= limit:
         return
     left = min(max(round(found.digits, 1), 0.0), limit - 0.1)
@@ -129,20 +133,22 @@ def refuse_few_of_flow(found: FlowDigits, limit: int, time: float) -> None:
 
 
 def check_digits(problem: StepProblem, new: State, limit: int, tell: Callable[[str], None]) -> float:
-    """Digits of the worst tractions of the state that a solved problem leads to.
+    """Fewest significant digits of tractions in the state of a solved problem.
 
-    Raises SolveError, on every rank, where fewer than ``limit`` are left, or of the flow in a part that nothing but given
-    pressures drives; it frees the state. Digits of flow that are as few elsewhere it tells. Collective.
+    Raises SolveError, on every rank, where fewer than ``limit`` are left, and frees the state. So it does for the flow in a
+    component that prescribed pressures alone drive. Elsewhere it reports so few digits of flow. Collective.
     """
-    found, operators = digits_of(problem.operators, new), problem.operators
+    found, operators = significant_digits(problem.operators, new), problem.operators
     try:
         refuse_few(found, limit, new.time)
         if problem.conduction is not None and limit > 0:
             given = problem.loads.given_pressures
-            flow = digits_of_flow(operators, problem.conduction, given, new.power)
+            flow = significant_digits_of_flow(operators, problem.conduction, given, new.max_dissipation)
             if flow.digits < limit:
                 fed = nodes_fed(operators, problem.conduction, problem.loads, new.time)
-                unfed = digits_of_flow(operators, problem.conduction, given[~fed[given]], new.power)
+                unfed = significant_digits_of_flow(
+                    operators, problem.conduction, given[~fed[given]], new.max_dissipation
+                )
                 refuse_few_of_flow(unfed, limit, new.time)
                 left = max(flow.digits, 0.0)
                 tell(

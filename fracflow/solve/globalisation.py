@@ -21,19 +21,19 @@ MOST_TURNS = 5
 Statuses = NDArray[np.int8]
 
 
-class Circles:
+class StatusHistory:
     """The statuses (s, k) of this rank's sections, one column a kind, as the iteration has seen them.
 
     changed  (s, k) which of them changed since all were the same before, or else since the last time
     """
 
     def __init__(self, comm: MPI.Comm) -> None:
-        """Nothing has been seen."""
+        """Start without statuses."""
         self.comm = comm
         self.begin()
 
     def begin(self) -> None:
-        """Forget what has been seen."""
+        """Drop all statuses seen."""
         self._seen: list[Statuses] = []
         self.changed = np.zeros((0, 2), dtype=bool)
 
@@ -60,7 +60,7 @@ def statuses(problem: StepProblem) -> Statuses:
     return found
 
 
-def all_changed(problem: StepProblem, last: Bools, inner: Circles, outer: Circles) -> tuple[Bools, Bools]:
+def all_changed(problem: StepProblem, last: Bools, inner: StatusHistory, outer: StatusHistory) -> tuple[Bools, Bools]:
     """Which sections (s,) of this rank changed between sticking and sliding, and within a round between open and closed.
 
     last  (s,) those that changed last, empty where none has
@@ -70,28 +70,30 @@ def all_changed(problem: StepProblem, last: Bools, inner: Circles, outer: Circle
     return within[:, 1] | between[:, 1] | (last if len(last) else none[:, 1]), within[:, 0]
 
 
-class Rounds:
+class ActiveSetRounds:
     """Rounds of a step: whenever its balances hold, sections that have left their status get the next one.
 
     seen     the statuses with which balances held
-    is_lost  they come back to the same statuses, and nothing leads out
+    is_lost  statuses cycle, and no remedy has helped
     """
 
     def __init__(self, problem: StepProblem) -> None:
         """Before the first."""
-        self.seen, self.is_lost = Circles(problem.operators.layout.comm), False
+        self.seen, self.is_lost = StatusHistory(problem.operators.layout.comm), False
         self._before, self._turned = problem.increment.getArray().copy(), 0
 
     def change(self, problem: StepProblem, searches: bool) -> Bools:
-        """Give the next statuses; tell which sections (s,) of this rank have changed. Collective.
+        """Give the next statuses; return which sections (s,) of this rank have changed. Collective.
 
-        searches  ``turn_back`` is tried where they stick and slide in circles
+        searches  ``reset_cycling`` is tried where their status cycles
         """
         circles, comm = self.seen.see(statuses(problem)), self.seen.comm
         changed, here = problem.change_statuses(), problem.increment.getArray().copy()
         slides = self.seen.changed[:, 1] & (statuses(problem)[:, 1] != 0)
         if circles and comm.allreduce(bool(slides.any()), op=MPI.LOR):
-            self.is_lost = not searches or self._turned == MOST_TURNS or not turn_back(problem, self._before, slides)
+            self.is_lost = (
+                not searches or self._turned == MOST_TURNS or not reset_cycling(problem, self._before, slides)
+            )
             self._turned += 1
             if not self.is_lost:
                 self.seen.begin()
@@ -99,14 +101,14 @@ class Rounds:
         return changed
 
 
-def turn_back(problem: StepProblem, before: Floats, changing: Bools) -> bool:
+def reset_cycling(problem: StepProblem, before: Floats, changing: Bools) -> bool:
     """Move a trial against the way that led to it from ``before``, until a section that is ``changing`` (s,) opens.
 
     before  what the unknowns (n,) of this rank had moved when those sections last had their other status
 
-    Where slip changes the normal traction by more than it relieves the shear, f |K_nt| / K_tt > 1, the balance with a
-    sliding section lies where it would have slid the other way, so that it sticks and slides in circles. One that really
-    slides on loses its strength until it opens. Tells whether the trial was moved. Collective.
+    Slip may change the normal traction by more than it relieves the shear, f |K_nt| / K_tt > 1. The balance with a sliding
+    section then lies where it would slide the other way, so that its status cycles. One that really slides on loses its
+    strength until it opens. Returns whether the trial was moved. Collective.
     """
     joints, comm = problem.operators.joints, problem.operators.layout.comm
     here = problem.increment.getArray().copy()
@@ -134,7 +136,7 @@ MOST_TRIALS = 60
 def by_residual(size: Callable[[float], float], before: float, change: float) -> float:
     """The first fraction of 1, just past the first ``change`` of a status, 1/2, 1/4 ... that lowers the residual.
 
-    size    fraction -> residual there, inf where the laws have no answer
+    size    fraction -> residual there, inf where the laws have no response
     before  residual at fraction 0
     change  fraction at which the first joint opens or closes, inf if none does
     """

@@ -22,8 +22,8 @@ from fracflow.solve.problem import StepProblem
 
 
 @dataclass(frozen=True)
-class Enclosed:
-    """A part of the network that nothing drains.
+class EnclosedComponent:
+    """A network component that nothing drains.
 
     nodes  local numbers of its flow nodes on this rank
     walls  change of its volume with the displacements [area]
@@ -77,7 +77,7 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
 def initial_acceleration(operators: Operators, problem: StepProblem, acceleration: PETSc.Vec) -> None:
     """(4.1e) a_0 = M^-1 (R_0 + B H_0 - K(d_0)); zero where held. Collective.
 
-    Walls whose mass was moved inward go with those who carry it, P a = a, and what acts on them acts there: M a = P' f.
+    Walls whose mass was moved inward move with the nodes that carry it, P a = a, where their forces act: M a = P' f.
     """
     matrix, solver = _mass(operators, problem.loads)
     force = problem.solid_balance.copy()
@@ -92,12 +92,12 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
 
 
 def first_levels(
-    operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[Enclosed]
+    operators: Operators, problem: StepProblem, acceleration: PETSc.Vec, parts: Sequence[EnclosedComponent]
 ) -> Floats:
-    """What to add to the pressures of each of the parts (k,), so that its walls take up what flows in from the start.
+    """Changes (k,) of the pressures of components, so that their walls take up the inflow from the start.
 
-    The sum of (3.20) over a part that nothing drains, w v = sum Q, says nothing of its level; its rate does: w a = sum Q',
-    where a level adds M^-1 w to the ``acceleration`` that there would be without. Collective.
+    The sum of (3.20) over an undrained component, w v = sum Q, leaves its level undetermined. Its rate determines it, w a =
+    sum Q', where a level adds M^-1 w to the ``acceleration``. Collective.
     """
     if not parts:
         return np.zeros(0)
@@ -107,8 +107,10 @@ def first_levels(
     return added
 
 
-def levels(operators: Operators, loads: Loads, parts: Sequence[Enclosed], lacks: Floats) -> tuple[Floats, PETSc.Vec]:
-    """What to add to the pressures of each of the parts (k,), and to accelerations, so that w a grows by ``lacks`` (k,).
+def levels(
+    operators: Operators, loads: Loads, parts: Sequence[EnclosedComponent], lacks: Floats
+) -> tuple[Floats, PETSc.Vec]:
+    """Changes (k,) of the pressures of parts, and of accelerations, so that w a grows by ``lacks`` (k,).
 
     Levels c add sum c M^-1 w, in a new vector; zero where held. Collective.
     """
@@ -144,7 +146,7 @@ def _mass(operators: Operators, loads: Loads) -> tuple[PETSc.Mat, PETSc.KSP]:
 
 
 def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
-    """Add to M what keeps accelerations that have no mass at P a: (1 - P)' S (1 - P), S masses of nodes near by. Collective."""
+    """Add (1 - P)' S (1 - P) to M, which keeps accelerations without mass at P a; S masses of nodes nearby. Collective."""
     diagonal, sizes, apart = mass.getDiagonal(), entry_sizes(inward), inward.copy()
     near = diagonal.duplicate()
     sizes.mult(diagonal, near)
@@ -159,7 +161,7 @@ def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
 
 
 def with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:
-    """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none."""
+    """A copy with an entry on every diagonal: unknowns that no node has, where nodes are tied, have none. Collective."""
     zeros = PETSc.Mat().createAIJ(matrix.getSizes(), nnz=1, comm=matrix.getComm())
     first, last = zeros.getOwnershipRange()
     rows = np.arange(first, last, dtype=PETSc.IntType)

@@ -1,6 +1,6 @@
 """The Jacobian of a step over all unknowns: one sparse matrix on a fixed pattern, refilled when a tangent has changed.
 
-Multigrid is told that the unknowns of a node belong together, and which motions cost no energy.
+Multigrid is given the unknowns of a node as a block, and the motions that cost no energy.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.elements import flow as flow_element
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
@@ -27,9 +26,9 @@ PARTS = ("solid", "flow")
 
 @dataclass(frozen=True)
 class FreePart:
-    """What is free in a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
+    """The free part of a solve: entries and diagonal of held rows and columns; numbers of blocks, -1 where held.
 
-    ``flow_rows`` are ``flow_nodes`` but for -1 where a closure stands for the balance of a node; ``keeping`` are the rows of
+    ``flow_rows`` are ``flow_nodes``, or -1 where a closure stands for the balance of a node. ``keeping`` are the rows of
     closures that keep the fluid at a joint end.
     """
 
@@ -39,11 +38,12 @@ class FreePart:
     sections: tuple[Ints, ...]
     flow_nodes: Ints
     ends: tuple[Ints, ...]
+    slips: tuple[Ints, ...]
     keeping: Ints
 
 
 class JoinedMatrix:
-    """Matrix [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns, rows of what is held are 1.
+    """(4.8) [[A, -B], [alpha_1 B_F' + d(K_F p + b_1 x)/du, K_F + b_1 dx/dp]] in scaled unknowns; held rows are 1.
 
     ``only`` leaves one of the two splits free, "solid" or "flow"; None both.
     """
@@ -62,11 +62,11 @@ class JoinedMatrix:
         if ops.damping is not None and not loads.at_rest:
             parts["damping"] = self._place(local_rows(ops.damping), "solid", "solid")
         if ops.flow is not None:
-            squeeze, pattern = ops.flow.squeeze.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
+            squeeze, pattern = ops.flow.storage_coupling.transpose(PETSc.Mat()), ops.flow.pattern.transpose(PETSc.Mat())
             network = self._network_pattern()
             parts |= {
-                "push": self._place(local_rows(ops.flow.push), "solid", "flow"),
-                "squeeze": self._place(local_rows(squeeze), "flow", "solid"),
+                "pressure_load": self._place(local_rows(ops.flow.pressure_load), "solid", "flow"),
+                "storage_coupling": self._place(local_rows(squeeze), "flow", "solid"),
                 "feedback": self._place(local_rows(pattern), "flow", "solid"),
                 "network": self._place(local_rows(network), "flow", "flow"),
             }
@@ -81,7 +81,7 @@ class JoinedMatrix:
         self._row, self._col = union // layout.total, union % layout.total
         self._diagonal = np.searchsorted(union, diagonal)
         self._constant = {}
-        for name in ("stiffness", "mass", "damping", "push", "squeeze"):
+        for name in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling"):
             if name in parts:
                 self._constant[name] = np.zeros(len(union))
                 self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
@@ -136,10 +136,13 @@ class JoinedMatrix:
         self._flow_nodes = np.zeros((0, 2), dtype=np.int64)
         self._sections = [layout.solid_numbers(group.unknowns) for group in ops.joints.groups]
         self._ends: list[tuple[Ints, Ints, Floats]] = []
+        self._slips: list[tuple[Ints, Ints, Floats]] = []
         if ops.flow is not None:
             self._flow_nodes = layout.flow_numbers(ops.blocks.joints.flow)
             for group in section_groups(ops.flow.opening, 1):
                 self._ends.append((group.sections, layout.solid_numbers(group.unknowns), group.jump[:, 0]))
+            for group in section_groups(ops.flow.slipping, ops.joints.dim - 1) if ops.flow.slipping is not None else ():
+                self._slips.append((group.sections, layout.solid_numbers(group.unknowns), group.jump))
         # of each joint end the row that keeps the fluid of its part, where one does, and its size
         self._keeping, self._kept = np.full(self._flow_nodes.shape, -1), np.ones(self._flow_nodes.shape)
         for closure in self._fluids:
@@ -176,6 +179,7 @@ class JoinedMatrix:
             tuple(free(numbers) for numbers in self._sections),
             nodes,
             tuple(free(numbers) for _, numbers, _ in self._ends),
+            tuple(free(numbers) for _, numbers, _ in self._slips),
             np.where(self._keeping < 0, -1, free(self._keeping)),
         )
 
@@ -187,13 +191,17 @@ class JoinedMatrix:
         flow_scale: float,
         only: str | None = None,
     ) -> bool:
-        """Refill where anything differs from the last time; tell whether it did. Collective."""
+        """Refill with moduli (s, dim, dim) where anything differs from the last time; whether it did. Collective."""
         now = (alphas, flow_scale, only)
         arrays = [moduli] + (
             [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]
         )
+        if conduction is not None and conduction.by_slip is not None:
+            arrays.append(conduction.by_slip)
         if conduction is not None and conduction.compression is not None:
             arrays += [conduction.compression.weight, conduction.compression.slope]
+        if conduction is not None and conduction.leaving is not None:
+            arrays += conduction.leaving[1:]
         if conduction is not None and only == "solid":
             arrays = [moduli]
         same = (
@@ -217,8 +225,8 @@ class JoinedMatrix:
         if "damping" in self._constant:
             data += solid_solid * alphas.a1 * self._constant["damping"]
         if ops.flow is not None:
-            data -= scales.pressure / scales.force * self._constant["push"]
-            data += scales.displacement / flow_scale * alphas.a1 * self._constant["squeeze"]
+            data -= scales.pressure / scales.force * self._constant["pressure_load"]
+            data += scales.displacement / flow_scale * alphas.a1 * self._constant["storage_coupling"]
         if only not in self._free_parts:
             self._free_parts[only] = self._find_free(only)
         free = self._free_parts[only]
@@ -234,18 +242,20 @@ class JoinedMatrix:
         if ops.flow is not None and conduction is not None:
             flow_flow = scales.pressure / flow_scale
             nodes = free.flow_rows
-            between = flow_element.conductivity(conduction.conductance)
-            slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
-            if conduction.compression is not None:
-                here, stored = np.arange(2), conduction.compression
-                between[:, here, here] += alphas.b1 * stored.weight
-                slope[:, here, here] += alphas.b1 * stored.slope
+            between, slope = conduction.tangents(alphas.b1)
             add_blocks(matrix, nodes, free.flow_nodes, flow_flow * between)
             for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
                 joint, end = ends // 2, ends % 2
                 values = slope[joint, :, end][:, :, None] * normal[:, None, :]
                 factor = scales.displacement / flow_scale
                 add_blocks(matrix, nodes[joint], unknowns, factor * values)
+            if conduction.by_slip is not None:
+                drop = np.stack([conduction.pressure[:, 0] - conduction.pressure[:, 1]] * 2, axis=1) * [1.0, -1.0]
+                for (ends, _, along), unknowns in zip(self._slips, free.slips, strict=True):
+                    joint, end = ends // 2, ends % 2
+                    change = np.einsum("nt,ntk->nk", conduction.by_slip[joint, end], along)
+                    values = drop[joint][:, :, None] * change[:, None, :]
+                    add_blocks(matrix, nodes[joint], unknowns, scales.displacement / flow_scale * values)
             if conduction.compression is not None and self._fluids:
                 self._keep_fluid(free, conduction.compression)
         matrix.assemble()
@@ -321,7 +331,7 @@ def node_size(operators: Operators) -> int:
 
 
 def tell_rigid_motions(operators: Operators, solid: PETSc.IS) -> None:
-    """Give the split ``solid`` both; PCFIELDSPLIT hands them on to the matrix of the split. Collective."""
+    """Give the split ``solid`` both; PCFIELDSPLIT passes them to the matrix of the split. Collective."""
     solid.setBlockSize(node_size(operators))
     space = near_null_space(operators)
     solid.compose("nearnullspace", space)

@@ -1,8 +1,8 @@
-"""The linear solver of Newton's method: its splits, when it is done, and factors that are kept through a step while they serve.
+"""The linear solver of Newton's method: its splits, its convergence test, and factors kept through a step.
 
-Kept factors precondition FGMRES on the matrix that there is now. Joints that change are few beside the rock, and a change
-of low rank costs at most about so many iterations (Saad 2003, 6.11); what Newton's method converges to is the same. A step
-begins with factors of its own, so that it does not depend on which steps this process has made before.
+Kept factors precondition FGMRES on the present matrix. Joints that change are few beside the rock, and a change of low rank
+costs at most about so many iterations (Saad 2003, 6.11). The solution of Newton's method is the same. A step begins with
+factors of its own, so that it does not depend on which steps this process has made before.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ from fracflow.solve.condensed_cost import USUAL, solves_per_factor
 from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
-BROKEN = 76  # PETSC_ERR_LIB: an external library told of an error
-ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is taken for round-off
+BROKEN = 76  # PETSC_ERR_LIB: an external library reported an error
+SOLVE_ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is taken for round-off
 
 
 class KrylovTest:
-    """As PETSc's own test, but done too where the residual stands still: Newton's next iterate tells what it was worth.
+    """As PETSc's own test, but also converged where the residual stagnates: Newton's next iterate is tested anyway.
 
-    A fluid that conducts far more than its walls store, in a fracture that nothing drains, leaves no more digits of its
-    level than that.
+    In an undrained fracture that conducts far more than its walls store, the pressure level has no more digits than that.
     """
 
     def __init__(self) -> None:
@@ -40,14 +39,16 @@ class KrylovTest:
             return reasons.DIVERGED_NANORINF if norm != norm else reasons.DIVERGED_DTOL
         if norm <= absolute:
             return reasons.CONVERGED_ATOL
-        stands = iteration >= STANDS and norm <= ROUND_OFF * first and norm > 0.5 * self._norms[iteration - STANDS]
+        stands = (
+            iteration >= STANDS and norm <= SOLVE_ROUND_OFF * first and norm > 0.5 * self._norms[iteration - STANDS]
+        )
         if norm <= relative * first or stands:
             return reasons.CONVERGED_RTOL
         return reasons.DIVERGED_MAX_IT if iteration >= most else None
 
 
 def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
-    """Tell a solver whose options are read the splits of the matrix, and the test above if it iterates. Collective."""
+    """Give a solver whose options are read the splits of the matrix, and the test above if it iterates. Collective."""
     if solver.getType() != "preonly":
         solver.setConvergenceTest(KrylovTest())
     if solver.getPC().getType() == "fieldsplit":
@@ -59,9 +60,9 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
 
 
 def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:
-    """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and forgets its factors. Collective.
+    """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and drops its factors. Collective.
 
-    MUMPS asked for a solution by factors that failed ends in an error of its own.
+    A MUMPS solve with failed factors ends in an error of its own.
     """
     try:
         snes.solve(None, unknowns)
@@ -80,7 +81,7 @@ LONGEST_PAUSE = 32  # changes of the matrix
 
 
 class NewFactors:
-    """Whatever solver the options name, set up anew for each matrix; ``factored`` is the matrix that it is set up for."""
+    """The solver that the options name, set up anew for each matrix; ``factored`` is the matrix that it is set up for."""
 
     def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
         """Change nothing."""
@@ -109,9 +110,9 @@ class KeptFactors:
     """LU of the matrix as it was in an earlier iteration of the step.
 
     New factors are made
-    - where FGMRES takes so long that they would have been cheaper, in one solve, or by what solves have taken beyond
-      ``USUAL`` since the last ones: so both together take about twice the time, at most, of who knows beforehand when;
-    - for a while after they served in no solve: for twice as many changes each time.
+    - where FGMRES has cost more than a factorisation, in one solve or by iterations beyond ``USUAL`` since the last factors
+    (so the total time is at most about twice the optimum); - for a while after they served in no solve: for twice as many
+    changes each time.
     """
 
     def __init__(self, solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
@@ -127,7 +128,7 @@ class KeptFactors:
         solver.setTolerances(rtol=SHARP, max_it=self._most)
 
     def begin(self) -> None:
-        """A step begins: what served in the one before is forgotten."""
+        """A step begins: factors of the step before are dropped."""
         self._spent, self._is_fresh, self._is_first = 0.0, False, True
         self._pause = self._wait = 0
 
@@ -171,7 +172,7 @@ Factors = NewFactors | KeptFactors
 
 
 def are_kept(scene: Scene, unknowns: int) -> bool:
-    """Whether factors of so many unknowns are kept: the scene lets them be, and they are worth several solves."""
+    """Whether factors of so many unknowns are kept: the scene allows it, and a factorisation costs several solves."""
     return scene.method.factors == "kept" and solves_per_factor(unknowns) >= LEAST_WORTH
 
 

@@ -1,11 +1,11 @@
-"""What a linear solve has left: direct solvers call what they make of a singular matrix a solution."""
+"""The true residual of a linear solve: direct solvers give a solution of a singular matrix too."""
 
 from __future__ import annotations
 
 from fracflow._petsc import PETSc
 from fracflow.errors import Unsolved
 
-REFINED = 1e-8  # above it a direct solve is repeated for what it left
+REFINED = 1e-8  # above it a direct solve is refined
 UNSOLVED = 1e-3  # above it there is no solution
 
 
@@ -19,7 +19,7 @@ def true_residual(matrix: PETSc.Mat, solution: PETSc.Vec, given: PETSc.Vec) -> t
 
 
 def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, what: str) -> None:
-    """Refine a direct solution that left much, and raise Unsolved, on every rank, where there is none. Collective."""
+    """Refine a direct solution with a large residual, and raise Unsolved, on every rank, where there is none. Collective."""
     matrix, is_direct = solver.getOperators()[0], solver.getType() == "preonly"
     relative, left = true_residual(matrix, solution, given)
     if is_direct and REFINED < relative < 1.0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fracflow.errors import NotConverged, Restless, Unsolved
+from fracflow.errors import NotConverged, StatusCycling, Unsolved
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import StepReport
@@ -12,9 +12,8 @@ from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.stiffness import NewtonReport
 
-FAR = 0.1  # of the largest terms of a balance: what another linear solver does not take away
+FAR = 0.1  # of the largest terms of a balance: a residual that another linear solver would not remove
 
 
 class Monolithic:
@@ -29,25 +28,26 @@ class Monolithic:
         self.rock: Newton | None = None
 
     def expect(self, planned: Condensing) -> None:
-        """Nothing here depends on which steps are planned."""
+        """Planned steps have no influence here."""
 
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
-        return step_report(self._solve(self.newton, problem), problem.residual, 1)
+        return self._solve(self.newton, problem)
 
-    def _solve(self, newton: Newton, problem: StepProblem) -> NewtonReport:
+    def _solve(self, newton: Newton, problem: StepProblem) -> StepReport:
         """The same from the present trial, or else from open fractures."""
         try:
-            return newton.solve(problem)
+            report = newton.solve(problem)
         except NotConverged as failure:
             if _is_left(problem, failure) or not self._open(problem):
                 raise
-            return newton.solve(problem)
+            report = newton.solve(problem)
+        return step_report(report, problem.residual, 1)
 
     def _open(self, problem: StepProblem) -> bool:
-        """Start the step again as wide as it is without suction; tell whether that is another start. Collective.
+        """Start the step again with the apertures without suction; return whether that is another start. Collective.
 
-        Walls that part suck fluid through what is all but shut, at c d^3 (k (d_1 - d)) = d - d_0 in short. Once d_0 is too
+        Walls that open draw fluid through a nearly closed fracture, at c d^3 (k (d_1 - d)) = d - d_0 in short. Once d_0 is too
         wide for a root beside it, the only one is near d_1: uphill from d_0, and downhill all the way from d_1.
         """
         if not without_suction(problem):
@@ -74,7 +74,7 @@ class WholeLU(Monolithic):
 
 
 class Auto(WholeLU):
-    """The same, and FGMRES where that does not converge: fractures that are all but shut beside wide ones."""
+    """The same, and FGMRES where that does not converge: nearly closed fractures beside wide ones."""
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make matrix and solver; the other solver when it is first needed. Collective."""
@@ -84,16 +84,16 @@ class Auto(WholeLU):
     def solve(self, problem: StepProblem) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
         try:
-            return super().solve(problem)
+            return self._solve(self.newton, problem)
         except NotConverged as failure:
-            # the linear solver is not to blame where it solved what it was given, and Newton's method is nowhere near
+            # the linear solver is not the cause where its solves converged, and Newton's method is far from a solution
             far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
             if far or _is_left(problem, failure):
                 raise
             self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
         start_again(problem)
         problem.evaluate()
-        return step_report(self._solve(self.other, problem), problem.residual, 1)
+        return self._solve(self.other, problem)
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""
@@ -103,5 +103,5 @@ class Auto(WholeLU):
 
 
 def _is_left(problem: StepProblem, failure: NotConverged) -> bool:
-    """Whether a step that failed is not tried in other ways: it may be shorter, and its sections kept changing."""
-    return problem.brief and isinstance(failure, Restless)
+    """Whether a failed step is not tried in other ways: it may be shorter, and its statuses cycled."""
+    return problem.request.expects_failure and isinstance(failure, StatusCycling)

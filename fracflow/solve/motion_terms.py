@@ -1,8 +1,9 @@
-"""Terms of the rock's balance that motion makes: inertia, absorbing sides, and loads not yet applied within a step."""
+"""Terms of the rock's balance that motion makes: inertia, dashpots, and loads not yet applied within a step."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas
@@ -11,22 +12,23 @@ from fracflow.model.balance import static_balance_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
+from fracflow.model.terms.term import Term
 from fracflow.scene.time_table import JUST_AFTER, Around
 from fracflow.solve.residual import CANCELLATION, largest
 
 
 @dataclass(frozen=True)
-class Lag:
-    """What the prescribed displacements and pressures (an array a support, or well) still lack at the end of a step."""
+class Unapplied:
+    """Part of the prescribed displacements and pressures (an array a support, or well) unapplied at the end of a step."""
 
     displacement: tuple[Floats, ...] = ()
     pressure: tuple[Floats, ...] = ()
 
     @staticmethod
-    def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Lag:
-        """A share of what ``state`` lacks, what jumps there included.
+    def of(loads: Loads, state: State, share: float, of_wells: bool, load: PETSc.Vec, source: PETSc.Vec) -> Unapplied:
+        """A share of the prescribed values not yet in ``state``, jumps there included. Collective.
 
-        Forces that lack, and rates ``of_wells``, go into ``load`` and ``source``.
+        Unapplied forces, and rates ``of_wells``, go into ``load`` and ``source``.
         """
         for total, term, had, now in (
             (load, load.duplicate(), state.forces.load, loads.force),
@@ -37,7 +39,7 @@ class Lag:
                 total.axpy(share, had)
                 total.axpy(-share, term)
             term.destroy()
-        return Lag(*(
+        return Unapplied(*(
             tuple(share * (vector.getArray(readonly=True)[part.numbers] - part.value(state.time, JUST_AFTER)) for part in parts)
             for vector, parts in ((state.motion.displacement, loads.supports), (state.pressure, loads.pressures))
         ))  # fmt: skip
@@ -45,22 +47,22 @@ class Lag:
 
 @dataclass(frozen=True)
 class MovingTerms:
-    """M (inertia a_new + inertia_old a) + balance_old S + C v_new - waves, as ``stepping.Alphas`` weighs them.
+    """M (inertia a_new + inertia_old a) + balance_old S + C v_new - what comes in, as ``stepping.Alphas`` weighs them.
 
     before  S at the start of the step; None where it takes no part
     """
 
     mass: PETSc.Mat
     alphas: Alphas
-    absorption: Absorption
+    terms: TermsOfStep
     state: State
     before: PETSc.Vec | None
 
     @staticmethod
-    def of(operators: Operators, state: State, alphas: Alphas, absorption: Absorption) -> MovingTerms:
+    def of(operators: Operators, state: State, alphas: Alphas, terms: TermsOfStep) -> MovingTerms:
         """Those of a step from ``state``. Collective."""
         before = static_balance_of(operators, state) if alphas.balance_old else None
-        return MovingTerms(operators.mass, alphas, absorption, state, before)
+        return MovingTerms(operators.mass, alphas, terms, state, before)
 
     def add(
         self, acceleration: PETSc.Vec, velocity: PETSc.Vec, displacement: PETSc.Vec, balance: PETSc.Vec
@@ -81,70 +83,78 @@ class MovingTerms:
         if self.before is not None:
             balance.axpy(alphas.balance_old, self.before)
             sizes.append(alphas.balance_old * largest(self.before))
-        absorbed = self.absorption.force(velocity)
-        if absorbed is not None and self.absorption.damping is not None:
-            balance.axpy(1.0, absorbed)
-            self.absorption.damping.mult(displacement, term)
-            sizes += [largest(absorbed), CANCELLATION * alphas.a1 * largest(term)]
-            absorbed.destroy()
+        forces = self.terms.forces(velocity)
+        for each in self.terms.acting:
+            assert each.damping is not None
+            force = forces[each.name]
+            balance.axpy(1.0, force)
+            each.damping.mult(displacement, term)
+            sizes += [largest(force), CANCELLATION * alphas.a1 * largest(term)]
+            force.destroy()
         met.destroy()
         term.destroy()
         return sizes
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        self.absorption.destroy()
+        self.terms.destroy()
         if self.before is not None:
             self.before.destroy()
 
 
 @dataclass(frozen=True)
-class Absorption:
-    """Dashpots C and the forces of waves at the end of a step; all None where no side absorbs, as without inertia.
+class TermsOfStep:
+    """Terms with a C over one step, ``acting``, and the forces ``incoming`` by them at its end; none without inertia.
 
-    anchor    static reactions that the sides carry on as loads; the state's own
-    incident  power that the waves bring in [energy/time per thickness]
+    powers  of the incoming forces [energy/time per thickness], by the names of terms
+    anchor  static reactions that terms carry on as loads; the state's own
     """
 
-    damping: PETSc.Mat | None = None
-    wave: PETSc.Vec | None = None
+    acting: tuple[Term, ...] = ()
+    incoming: Mapping[str, PETSc.Vec] = field(default_factory=dict)
+    powers: Mapping[str, float] = field(default_factory=dict)
     anchor: PETSc.Vec | None = None
-    incident: float = 0.0
 
     @staticmethod
     def of(
         operators: Operators, loads: Loads, state: State, time: float, around: Around, load: PETSc.Vec
-    ) -> Absorption:
-        """That of a step to ``time`` from a state; what the sides carry is added to ``load``. Collective."""
-        if operators.damping is None or loads.at_rest:
-            return Absorption()
-        wave = operators.layout.solid_vector() if loads.waves else None
-        if wave is not None:
-            for each in loads.waves:
-                each.add_force(time, around, wave)
-        if state.forces.anchor is not None:
-            load.axpy(1.0, state.forces.anchor)
-        incident = sum(each.power(time, around) for each in loads.waves)
-        return Absorption(operators.damping, wave, state.forces.anchor, incident)
+    ) -> TermsOfStep:
+        """Those of a step to ``time`` from a state; what they carry on is added to ``load``. Collective."""
+        if loads.at_rest:
+            return TermsOfStep()
+        acting = tuple(term for term in operators.terms if term.damping is not None)
+        incoming, powers = {}, {}
+        for term in acting:
+            force = operators.layout.solid_vector()
+            power = term.incoming(time, around, force)
+            if power is None:
+                force.destroy()
+            else:
+                incoming[term.name], powers[term.name] = force, power
+        anchor = state.forces.anchor if acting else None
+        if anchor is not None:
+            load.axpy(1.0, anchor)
+        return TermsOfStep(acting, incoming, powers, anchor)
 
-    def force(self, velocity: PETSc.Vec) -> PETSc.Vec | None:
-        """What the sides absorb at a velocity, in a new vector; None where nothing does. Collective."""
-        if self.damping is None:
-            return None
-        result = velocity.duplicate()
-        self.damping.mult(velocity, result)
-        if self.wave is not None:
-            result.axpy(-1.0, self.wave)
-        return result
+    def forces(self, velocity: PETSc.Vec) -> dict[str, PETSc.Vec]:
+        """C v less what comes in, of each term by its name, in new vectors. Collective."""
+        found = {}
+        for term in self.acting:
+            assert term.damping is not None
+            found[term.name] = velocity.duplicate()
+            term.damping.mult(velocity, found[term.name])
+            if term.name in self.incoming:
+                found[term.name].axpy(-1.0, self.incoming[term.name])
+        return found
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        if self.wave is not None:
-            self.wave.destroy()
+        for force in self.incoming.values():
+            force.destroy()
 
 
 def carried_on(operators: Operators, loads: Loads, state: State) -> PETSc.Vec | None:
-    """What absorbing sides go on to carry: their reactions where they were held. The caller destroys a new one."""
+    """Loads that terms go on to carry: the reactions of held unknowns. The caller destroys a new one. Collective."""
     if operators.damping is None or state.forces.anchor is not None:
         return state.forces.anchor
     anchor = state.forces.support.duplicate()

@@ -1,10 +1,10 @@
-"""(4.7) Newton's method on one step, or one that stands in for it: SNES, with the safety that joints need.
+"""(4.7) Newton's method on one step, or a method in its place: SNES, with the safeguards that joints need.
 
-overshoot = "hold": the statuses of the last step are tried first. Once the balances hold with them, every section that has
-left its status is given the next one, and the iteration goes on from there, until none has: so the elastic root is
-preferred, and no section slips because an iterate overshot. overshoot = "one-change", as in 5.1: every iteration lets each
-section change its status, but once only; with a drop of strength it may end in a sliding state where hold finds an
-elastic one (5.3 does, just below failure). No iteration takes a joint past its closure.
+With overshoot = "hold" the statuses of the last step are tried first. Once the balances hold with them, every section that has
+left its status is given the next one. The iteration goes on from there, until none has. So the elastic root is preferred, and
+no section slips because an iterate overshot. With overshoot = "one-change", as in 5.1, every iteration lets each section
+change its status, but once only. With a drop of strength it may end in a sliding state where "hold" finds an elastic one (5.3
+does, just below failure). No iteration takes a joint past its closure.
 """
 
 from __future__ import annotations
@@ -12,13 +12,21 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.errors import NotConverged, Restless, SolveError
+from fracflow.errors import NotConverged, SolveError, StatusCycling
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
 from fracflow.scene.scene import Scene
 from fracflow.solve.failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
 from fracflow.solve.floating import Floating
-from fracflow.solve.globalisation import JUST_PAST, Circles, Rounds, all_changed, by_energy, by_residual, statuses
+from fracflow.solve.globalisation import (
+    JUST_PAST,
+    ActiveSetRounds,
+    StatusHistory,
+    all_changed,
+    by_energy,
+    by_residual,
+    statuses,
+)
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear import factors_of, set_up, solve_nonlinear
 from fracflow.solve.problem import StepProblem
@@ -27,7 +35,7 @@ from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatri
 MOST_CHANGES = 50  # rounds of status changes in one step
 BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
 BRIEF = 20  # iterations with the same statuses there
-PATIENCE = 15  # whole steps of Newton before they are shortened where that helps
+PATIENCE = 15  # full Newton steps before a line search
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -64,8 +72,8 @@ class Newton:
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
-        self._inner, self._circles = Circles(layout.comm), False
-        self._rounds: Rounds | None = None
+        self._inner, self._circles = StatusHistory(layout.comm), False
+        self._rounds: ActiveSetRounds | None = None
         self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
 
@@ -74,9 +82,9 @@ class Newton:
         self.problem, self._krylov, self._step = problem, 0, np.inf
         self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
         made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm
-        self._rounds = Rounds(problem)
+        self._rounds = ActiveSetRounds(problem)
         self.factors.begin()
-        most = BRIEF_CHANGES if problem.brief else MOST_CHANGES
+        most = BRIEF_CHANGES if problem.request.expects_failure else MOST_CHANGES
         for _ in range(most):
             self._pack(problem)
             self._is_start, self._circles, self._polished = True, False, False
@@ -88,9 +96,9 @@ class Newton:
             iterations += self.snes.getIterationNumber()
             self._unpack(self.unknowns)
             if self.snes.getConvergedReason() <= 0:
-                is_short = 0 < problem.most < self.scene.accuracy.max_iterations
+                is_short = 0 < problem.request.max_iterations < self.scene.accuracy.max_iterations
                 raise self._failure(why_stopped(self.snes, is_short), iterations)
-            if self.only == "flow" or problem.hold:
+            if self.only == "flow" or problem.request.hold:
                 break
             self._restless = self._rounds.change(problem, self._searches())
             if not comm.allreduce(bool(self._restless.any()), op=MPI.LOR):
@@ -124,7 +132,7 @@ class Newton:
         problem = self.problem
         assert problem is not None
         self._unpack(unknowns)
-        problem.evaluate(hold=self.holds or self._is_start or problem.hold)
+        problem.evaluate(hold=self.holds or self._is_start or problem.request.hold)
         middle = self.matrix.layout.solid_count
         local = balance.getArray()
         local[:middle] = problem.solid_balance.getArray(readonly=True) / self.matrix.operators.scales.force
@@ -147,7 +155,7 @@ class Newton:
         self._is_filled = True
 
     def _floats(self, problem: StepProblem, without: Bools | None = None) -> bool:
-        """Whether blocks float at the present trial, without inertia and with the film as it takes part. Collective.
+        """Whether blocks float at the present trial, without inertia and with fracture flow as it takes part. Collective.
 
         without  (s, 2) what sections are taken not to carry, along and across
         """
@@ -155,7 +163,7 @@ class Newton:
             return False
         operators = self.matrix.operators
         if self.floating is None:
-            self.floating = Floating(operators, problem.loads, self.scene.method.quadrature)
+            self.floating = Floating(operators, problem.loads)
         is_filled = operators.flow is not None and self.only is None and problem.alphas.a1 > 0.0
         return self.floating.find(problem.sections, is_filled, without).shape[1] > 0
 
@@ -163,8 +171,8 @@ class Newton:
         """Raise NotConverged where a step carries loose blocks off that no joint stops, in strains. Collective."""
         if not self._floats(problem):
             return
-        joints, before = self.matrix.operators.joints, problem.sections
-        after = joints.respond(before.strain + step, problem.branch, hold=True)
+        before = problem.sections
+        after = problem.evaluate_joints(before.strain + step)
         if not self.matrix.layout.comm.allreduce(bool(np.any(before.is_open & ~after.is_open)), op=MPI.LOR):
             self._refuse_floating(problem, always=False)
 
@@ -177,7 +185,7 @@ class Newton:
             raise NotConverged(describe_floating(self.scene, problem, self.floating, slack))
 
     def _round_off(self, problem: StepProblem) -> float:
-        """What is left of the balance where it holds [force per thickness]. Collective."""
+        """Round-off bound of a balance that holds [force per thickness]. Collective."""
         size = problem.solid_balance.norm(PETSc.NormType.INFINITY)
         return self.scene.accuracy.residual * float(size) / max(problem.residual.solid, 1e-300)
 
@@ -215,7 +223,7 @@ class Newton:
         return bool(fraction < 1.0)
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
-        """Fraction of a step that leads out of the circle; what the problem is evaluated at is left anywhere. Collective."""
+        """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
         comm, middle = self.matrix.layout.comm, self.matrix.layout.solid_count
         trial, balance = unknowns.duplicate(), self.balance.duplicate()
         change = comm.allreduce(self.matrix.operators.joints.change_at(problem.sections.strain, strains), op=MPI.MIN)
@@ -227,7 +235,7 @@ class Newton:
         def size(fraction: float) -> float:
             try:
                 at(fraction)
-            except NotConverged:  # the laws have no answer there, on any rank
+            except NotConverged:  # the laws have no response there, on any rank
                 return np.inf
             return float(balance.norm())
 
@@ -244,7 +252,7 @@ class Newton:
             balance.destroy()
 
     def _searches(self) -> bool:
-        """Whether steps are shortened once statuses come back, or whole ones take long."""
+        """Whether steps are shortened once statuses cycle, or full steps converge slowly."""
         return self.scene.method.line_search != "none" and not self.method.weakness and self.only != "flow"
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
@@ -257,14 +265,14 @@ class Newton:
         returns = self._inner.see(statuses(problem))
         self._circles |= self._searches() and (returns or iteration >= PATIENCE)
         if not (self.holds or self._is_start):
-            self._restless = problem.take_statuses(problem.sections.past)
+            self._restless = problem.take_statuses(problem.sections.history)
         self._is_start = False
-        # one more where little runs beside what full pressure would drive: wells are to work by what runs
+        # one more where flow is small beside that at full pressure: the work of wells depends on its digits
         more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
         self._polished = self._balanced(problem, iteration)
         if self._polished and not (more and iteration < accuracy.max_iterations):
             return int(reasons.CONVERGED_FNORM_RELATIVE)
-        most = min(accuracy.max_iterations, problem.most or accuracy.max_iterations)
+        most = min(accuracy.max_iterations, problem.request.max_iterations or accuracy.max_iterations)
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
@@ -289,7 +297,7 @@ class Newton:
             return NotConverged(describe_floating(self.scene, problem, self.floating, self._round_off(problem)))
         loose = self.floating if is_loose else None
         changes = self.matrix.layout.comm.allreduce(bool((restless | flipped).any()), op=MPI.LOR)
-        failure = Restless if changes else NotConverged
+        failure = StatusCycling if changes else NotConverged
         return failure(describe_failure(self.scene, problem, restless, flipped, why, iterations, loose))
 
     def destroy(self) -> None:

@@ -51,8 +51,8 @@ OPTIONS: dict[str, dict[str, Value]] = {
 """Prefix -> options. A prefix is written with a trailing underscore: -monolithic_ksp_rtol, -solid_pc_type."""
 
 MULTIGRID_FROM = 2_000_000
-"""Displacement unknowns from which multigrid takes no more time than a factorisation, and a third less memory: at 2.0e6,
-on 2 ranks, 72 to 94 against 98 CPU seconds and 3.5 against 4.9 GB a rank (scripts/bench size 2000000)."""
+"""Displacement unknowns from which multigrid takes no more time than a factorisation, and a third less memory. At 2.0e6, on 2
+ranks, it took 72 to 94 against 98 CPU seconds and 3.5 against 4.9 GB a rank (scripts/bench size 2000000)."""
 
 # BoomerAMG, which stiff joints do not slow down; GAMG with the rigid motions is faster where joints are soft, and fails
 # where they are stiff. One sweep of the upper factor instead of the full one: half the multigrid cycles.
@@ -68,7 +68,7 @@ _given: set[str] = set()
 
 
 def forget() -> None:
-    """Take out what ``set_defaults`` put in: what is left and was not used, PETSc can tell of at its end."""
+    """Take out what ``set_defaults`` put in: PETSc can report the others that were not used at its end."""
     database = PETSc.Options()
     for key in _ours:
         database.delValue(key)
@@ -88,8 +88,8 @@ def is_large(unknowns: int) -> bool:
 def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``unknowns`` of displacement decide between factorisation and multigrid. What an earlier call, for this scene or
-    another of this process, had put there goes.
+    ``unknowns`` of displacement decide between factorisation and multigrid. Options of an earlier call, for this scene or
+    another of this process, are removed.
     """
     database = PETSc.Options()
     forget()

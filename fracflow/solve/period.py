@@ -1,10 +1,11 @@
-"""The longest period in which a scene vibrates while its joints stick: how long one must look to call it at rest."""
+"""The longest period of vibration of a scene whose joints stick: the time after which it may count as at rest."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.laws.base import HELD
 from fracflow.model.joints import Joints
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -13,7 +14,7 @@ from fracflow.solve.initial_rates import with_diagonal
 
 MOST_ITERATIONS = 200
 SHARP = 1e-12  # relative change of the eigenvalue between two iterations
-SOFT = 1e-10  # of the first Rayleigh quotient: what holds a block that nothing else holds
+SOFT = 1e-10  # of the first Rayleigh quotient: stiffness of a block that nothing else holds
 
 
 def longest_period(operators: Operators, loads: Loads, sections: Sections) -> float:
@@ -69,8 +70,8 @@ def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
 
 
 def _stuck(joints: Joints, sections: Sections) -> np.ndarray:
-    past = joints.flip(sections.strain, sections.past, sections.is_sliding)
-    return joints.respond(sections.strain, past, hold=True).tangent
+    past = joints.with_other_status(sections.strain, sections.history, sections.is_sliding)
+    return joints.evaluate(sections.strain, past, HELD).tangent
 
 
 def _lowest(stiff: PETSc.Mat, mass: PETSc.Mat, shape: PETSc.Vec, force: PETSc.Vec) -> float:

@@ -1,44 +1,43 @@
 """(4.2), (4.6) The two balances of one step as residuals of trial displacements and pressures.
 
-solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p + C v - R = 0, C of absorbing sides
-flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of
-       the walls, what a part holds is changed by what flows in and out alone
+solid  M a + K_s u + F_s(sigma_0) + G' W f(G u) - B p + C v - R = 0, K_s and C with those of terms
+flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a compressible fluid, lumped: with the rule of the
+       walls, only inflow and outflow change the fluid in a component
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.errors import NotConverged
-from fracflow.integrators import Alphas, acceleration, velocity
+from fracflow.integrators import acceleration, velocity
+from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
-from fracflow.model.dirichlet import Prescribed
+from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
-from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Motion, MotionValues, Past, Sections, State
-from fracflow.scene.time_table import AT_ONCE, Around, Rates
-from fracflow.solve.motion_terms import Absorption, Lag, MovingTerms
+from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State
+from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
+from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
     CANCELLATION,
     LEAST_FORCE,
     TINY,
     Residual,
-    blur,
     flow_residual,
     flow_sizes,
     largest,
     largest_of,
-    noise_here,
-    noise_of_flow,
-    noise_of_rock,
     over_ranks,
+    round_off_here,
+    round_off_of_flow,
+    round_off_of_jumps,
+    round_off_of_rock,
 )
 
 
@@ -48,42 +47,33 @@ class StepProblem:
     def __init__(
         self,
         operators: Operators,
-        loads: Loads,
         state: State,
-        alphas: Alphas,
-        time: float,
-        controls: Mapping[str, float],
-        restraint: PETSc.Vec | None = None,
-        lacking: float = 0.0,
+        request: StepRequest,
+        rule: StepRule,
         start: tuple[Floats, Floats] | None = None,
-        hold: bool = False,
-        around: Around = AT_ONCE,
-        rates: Rates | None = None,
     ) -> None:
-        """Sample loads and wells over the step; ``restraint`` is a force beside the loads. Collective.
+        """Sample loads and wells over the step, under loads whose parts that nothing drains are closed. Collective.
 
-        lacking  share of what ``state`` lacks of the prescribed that is still lacking at the end, for parts of a step
         start    this rank's motion since the state, and pressures, to begin from
-        hold     sections keep the status they have, whatever their tractions
-        around   lengths of the step and of the one that follows, over halves of which a jump in time is spread
-        rates    how flow rates are sampled, if not as above; without inertia jumps of supports are as ``around`` says
         """
-        self.operators, self.loads, self.state, self.hold, layout = operators, loads, state, hold, operators.layout
-        self.alphas, self.time, self.controls, self.brief, self.most, self.tried = alphas, time, controls, False, 0, 0
-        self.around, self.rates, self.load, self.source = around, rates, layout.solid_vector(), layout.flow_vector()
-        loads.force(time, controls, self.load, around, rates if rates is not None and rates.of_forces else None)
-        if restraint is not None:
-            self.load.axpy(1.0, restraint)
-        loads.source(time, controls, self.source, around, rates)
-        self.lag = Lag.of(loads, state, lacking, alphas.a1 == 0.0, self.load, self.source) if lacking else Lag()
-        self.absorption = Absorption.of(operators, loads, state, time, around, self.load)
-        self.moving = MovingTerms.of(operators, state, alphas, self.absorption)
+        self.operators, self.state, self.request, self.rule, layout = operators, state, request, rule, operators.layout
+        self.loads, self.alphas, self.time, self.controls = request.loads, rule.alphas, request.time, request.controls
+        self.tried, self.load, self.source = 0, layout.solid_vector(), layout.flow_vector()
+        loads, time, controls, unapplied, rates = self.loads, self.time, self.controls, request.unapplied, rule.rates
+        loads.force(time, controls, self.load, rule.adjacent, rates if rates is not None and rates.of_forces else None)
+        if request.restraint is not None:
+            self.load.axpy(1.0, request.restraint)
+        loads.source(time, controls, self.source, rule.adjacent, rates)
+        of_wells = rule.alphas.a1 == 0.0
+        self.lag = Unapplied.of(loads, state, unapplied, of_wells, self.load, self.source) if unapplied else Unapplied()
+        self.terms = TermsOfStep.of(operators, loads, state, time, rule.adjacent, self.load)
+        self.moving = MovingTerms.of(operators, state, self.alphas, self.terms)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self.pressure = state.pressure.copy()
         if start is not None:
             self.pressure.setArray(start[1])
         self.move(np.zeros(layout.solid_count) if start is None else start[0])
-        self.branch, self.sections = state.sections.past, state.sections
+        self.branch, self.sections = state.sections.history, state.sections
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
@@ -96,7 +86,7 @@ class StepProblem:
 
     def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
         """Write what is prescribed at the end of the step into both vectors."""
-        self.loads.impose(self.time, displacement, pressure, self.around, self.rates)
+        self.loads.impose(self.time, displacement, pressure, self.rule.adjacent, self.rule.rates)
         for vector, parts, lags in (
             (displacement, self.loads.supports, self.lag.displacement),
             (pressure, self.loads.pressures, self.lag.pressure),
@@ -108,7 +98,7 @@ class StepProblem:
             displacement.getArray()[still] = old[still]
 
     def move(self, increment: Floats) -> None:
-        """Take as a trial what the unknowns (n,) of this rank have moved since the last state, but for the prescribed."""
+        """Set the trial by the motion (n,) of this rank's unknowns since the last state, but for the prescribed."""
         old, held = self.state.motion.displacement.getArray(readonly=True), self.loads.held
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
@@ -122,9 +112,9 @@ class StepProblem:
         Collective.
         """
         ops, u, p = self.operators, self.displacement, self.pressure
-        # jumps of this step on top of those of the last state: a motion that walls share costs no digits afterwards
+        # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
-        self.take(ops.joints.respond(strain, self.branch, hold))
+        self.accept(self.evaluate_joints(strain, hold))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -144,7 +134,7 @@ class StepProblem:
         add(1.0)
         flow_terms = [0.0]
         if ops.flow is not None:
-            ops.flow.push.mult(p, term)
+            ops.flow.pressure_load.mult(p, term)
             add(-1.0)
             flow_terms = self._flow_balance()
         solid.axpy(-1.0, self.load)
@@ -155,41 +145,49 @@ class StepProblem:
             self.flow_balance.getArray()[part.numbers] = 0.0
         self._measure(max(terms), max(flow_terms))
 
-    def take(self, answer: Sections) -> None:
-        """Take what the sections answer to the present motion."""
+    def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
+        """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the present statuses."""
+        return self.operators.joints.evaluate(strain, self.branch, self.law_step(hold))
+
+    def law_step(self, hold: bool = True) -> LawStep:
+        """The ``LawStep`` of this step: its length, since the history of the sections was accepted."""
+        return LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
+
+    def accept(self, answer: Sections) -> None:
+        """Take the response of the sections to the present motion."""
         before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
         record = np.maximum(before.record, np.linalg.norm(answer.traction, axis=1))
-        self.sections = replace(answer, blur=blur(before.blur, self._moved), record=record)
+        self.sections = replace(answer, blur=round_off_of_jumps(before.blur, self._moved), record=record)
 
     def forces(self, motion: Motion) -> Forces:
         """Terms of both balances at the end of the step; the caller owns them. Collective."""
         return balance_terms(self, motion)
 
-    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. What moved in this step
-    # stands for the trial, and nothing for the last state: both are known to more digits so.
+    # On arrays: sums of Vecs leave their parts to a collection that comes at the end of the run. Store the motion of
+    # this step as the trial, and zero as the last state: both have more digits so.
     def _start(self) -> MotionValues:
         old = self.state.motion.values()
         return old._replace(displacement=np.zeros_like(old.displacement))
 
     def acceleration(self) -> PETSc.Vec:
-        """(4.2e) of the trial, in a new vector."""
+        """(4.2e) Acceleration of the trial, in a new vector. Collective."""
         moved, result = self.increment.getArray(readonly=True), self.displacement.duplicate()
         result.setArray(acceleration(self.alphas, moved, self._start()))
         for part in self._driven():
-            result.getArray()[part.numbers] = part.acceleration(self.time, self.around)
+            result.getArray()[part.numbers] = part.acceleration(self.time, self.rule.adjacent)
         return result
 
     def velocity(self) -> PETSc.Vec:
-        """(4.2f) of the trial, in a new vector."""
-        before, result = self.state.memory.velocity, self.displacement.duplicate()
+        """(4.2f) Velocity of the trial, in a new vector. Collective."""
+        before, result = self.state.previous_step.velocity, self.displacement.duplicate()
         mean = 0.0 if before is None else before.getArray(readonly=True)
         result.setArray(velocity(self.alphas, self.increment.getArray(readonly=True), self._start(), mean))
         for part in self._driven():
-            result.getArray()[part.numbers] = part.speed(self.time, self.around)
+            result.getArray()[part.numbers] = part.speed(self.time, self.rule.adjacent)
         return result
 
-    def _driven(self) -> tuple[Prescribed, ...]:  # whose motion the scene gives, and no rule of stepping
-        return self.loads.supports if self.alphas.a0 > 0.0 and max(self.around) > 0.0 else ()
+    def _driven(self) -> tuple[PrescribedValues, ...]:  # whose motion the scene prescribes, not the integrator
+        return self.loads.supports if self.alphas.a0 > 0.0 and max(self.rule.adjacent) > 0.0 else ()
 
     def uptake(self) -> PETSc.Vec | None:
         """Rate at which compression takes up fluid at the trial, in a new vector; None where it stores none."""
@@ -203,14 +201,14 @@ class StepProblem:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
         speed = self.velocity()
-        network.squeeze.multTranspose(self.displacement, flow)
+        network.storage_coupling.multTranspose(self.displacement, flow)
         terms = [CANCELLATION * self.alphas.a1 * largest(flow), largest(self.source)]
         rows = CANCELLATION * self.alphas.a1 * np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
-        network.squeeze.multTranspose(speed, flow)
+        network.storage_coupling.multTranspose(speed, flow)
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
-        opening = self.operators.joints.openings(self.sections.strain)
-        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, opening), None
+        walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
+        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, walls), None
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         now = self.conduction.compression
@@ -219,21 +217,27 @@ class StepProblem:
             flow.getArray()[:] += self.taken_up
             rows += np.abs(self.taken_up)
             terms.append(largest_of(self.taken_up))
+        if self.conduction.leaving is not None:
+            leaving = flow.duplicate()
+            network.taken_up(np.abs(self.conduction.leaving.rate), leaving)
+            rows += leaving.getArray()
+            terms.append(largest(leaving))
+            leaving.destroy()
         speed.destroy()
         self._close()
-        through, runs = flow_sizes(self.conduction, self._before, self.state.drive, self.alphas.b1)
+        through, runs = flow_sizes(self.conduction, self._before, self.state.max_overpressure, self.alphas.b1)
         self._carried = max(*terms, runs)
         sized, noise = flow.duplicate(), flow.duplicate()
         network.taken_up(through, sized)
         moved = self.operators.joints.openings(self._moved)
-        network.taken_up(noise_of_flow(network, self.conduction, moved, self.alphas.a1), noise)
+        network.taken_up(round_off_of_flow(network, self.conduction, moved, self.alphas.a1), noise)
         self._flow_rows, self._flow_noise = rows + sized.getArray(), noise.getArray().copy()
         sized.destroy()
         noise.destroy()
         return [*terms, float(through.max(initial=0.0))]
 
     def _close(self) -> None:
-        """In place of the balance at a node of each part that nothing drains: that its volume, or its level, is kept."""
+        """In place of the balance at a node of each undrained component: its volume, or its level, is kept."""
         assert self.conduction is not None
         change = self.pressure.getArray(readonly=True) - self.state.pressure.getArray(readonly=True)
         trial = (self.increment, change, self.fluid_before, self.conduction.compression)
@@ -243,13 +247,13 @@ class StepProblem:
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
         scales, comm = self.operators.scales, self.operators.layout.comm
-        blurred = noise_here(self.operators, self.sections, self._moved)
+        blurred = round_off_here(self.operators, self.sections, self._moved)
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
         here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
         solid, solid_terms, flow, flow_terms, blurred, moved, hidden, carried = over_ranks(here, comm)
-        noise = blurred + noise_of_rock(self.operators, moved)
+        noise = blurred + round_off_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
         solid, noise = max(solid - noise, 0.0) / size, noise / size
         least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
@@ -276,18 +280,18 @@ class StepProblem:
         return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
 
     def change_statuses(self) -> np.ndarray:
-        """Give every section that has left its status the next one; tell which (s,) of this rank did."""
-        return self.take_statuses(self.operators.joints.respond(self.sections.strain, self.branch).past)
+        """Give every section that has left its status the next one; return which (s,) of this rank did."""
+        return self.take_statuses(self.evaluate_joints(self.sections.strain, hold=False).history)
 
-    def take_statuses(self, reached: Past) -> np.ndarray:
-        """Give every section the status it has reached; tell which (s,) of this rank had another before."""
+    def take_statuses(self, reached: SectionHistory) -> np.ndarray:
+        """Give every section the status it has reached; return which (s,) of this rank had another before."""
         joints = self.operators.joints
         changed = joints.have_changed(self.branch, reached)
-        self.branch = joints.follow(self.state.sections.past, reached)
+        self.branch = joints.with_status(self.state.sections.history, reached)
         return changed
 
-    def hand_on(self) -> tuple[Floats, Floats] | None:
-        """This rank's motion and pressures for another problem to start from; None where they are not finite. Collective."""
+    def initial_guess(self) -> tuple[Floats, Floats] | None:
+        """This rank's motion (n,) and pressures (m,) for another problem to start from; None if not finite. Collective."""
         if not np.isfinite(self.increment.norm() + self.pressure.norm()):
             return None
         return self.increment.getArray().copy(), self.pressure.getArray().copy()
@@ -303,9 +307,9 @@ class StepProblem:
 def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     """Terms of both balances at one instant, with the reactions of what is held. Collective."""
     ops = problem.operators
-    absorbed = problem.absorption.force(motion.velocity)
+    of_terms = problem.terms.forces(motion.velocity)
     support = static_balance(
-        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, absorbed
+        ops, motion.displacement, problem.sections.traction, problem.pressure, problem.load, of_terms.values()
     )
     ops.mass.multAdd(motion.acceleration, support, support)
     conduction, source = ops.layout.flow_vector(), problem.source.copy()
@@ -313,7 +317,7 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
         assert problem.conduction is not None
         ops.flow.outflow(problem.conduction, conduction)
         drawn = ops.layout.flow_vector()
-        ops.flow.squeeze.multTranspose(motion.velocity, drawn)
+        ops.flow.storage_coupling.multTranspose(motion.velocity, drawn)
         drawn.axpy(1.0, conduction)
         if (uptake := problem.uptake()) is not None:
             drawn.axpy(1.0, uptake)
@@ -324,6 +328,5 @@ def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
     held = np.zeros(ops.layout.solid_count, dtype=bool)
     held[problem.loads.held] = True
     support.getArray()[~held] = 0.0
-    anchor = problem.absorption.anchor
-    kept = None if anchor is None else anchor.copy()
-    return Forces(problem.load.copy(), support, conduction, source, absorbed, kept, problem.absorption.incident)
+    anchor = None if problem.terms.anchor is None else problem.terms.anchor.copy()
+    return Forces(problem.load.copy(), support, conduction, source, of_terms, problem.terms.powers, anchor)

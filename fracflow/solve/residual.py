@@ -1,6 +1,6 @@
 """Residuals of both balances at a trial, and how many digits of the joint tractions a double leaves.
 
-A wall that moved by u is known to eps |u|/2, so the jump between two walls to eps |u|, and the traction to eps k_n |u|. The
+A wall that moved by u has a round-off of eps |u|/2, the jump between two walls eps |u|, and the traction eps k_n |u|. The
 jumps are summed up from the motion of each step, so u is the motion of a wall in one step, not since the start.
 """
 
@@ -18,19 +18,19 @@ from fracflow.model.flow import Conduction, Flow
 from fracflow.model.operators import Operators
 from fracflow.model.state import Sections, State
 
-ROUND_OFF = 0.5 * float(np.finfo(float).eps)
+UNIT_ROUND_OFF = 0.5 * float(np.finfo(float).eps)
 NOISE = 2.0  # round-offs of single displacements that meet in the balance of a node
 MOST_DIGITS = 15.65  # -log10 of the spacing of doubles
 LEAST_SHARE = 1e-6
-"""Tractions below this share of the largest in the scene, or of loads, reactions and forces of inertia, have their digits
-counted from there: they may be nothing, as those of a joint that no wave has reached."""
+"""Least traction from which digits are counted, as a share of the largest in the scene, or of loads, reactions and inertia.
+Smaller ones may be zero, as those of a joint that no wave has reached."""
 PRESSURE_SHARE = 1e-3
-"""The same share of the largest pressure above that at rest: effective tractions of a crack that it opens are nothing."""
+"""The same share of the largest pressure above that at rest: effective tractions of a crack that it opens are zero."""
 
 
 @dataclass(frozen=True)
-class Digits:
-    """Fewest digits of the tractions of a fracture: which, the largest it has carried [stress], and what takes them.
+class SignificantDigits:
+    """Fewest digits of the tractions of a fracture: its name, the largest it has carried [stress], and the cause.
 
     stiffness  of the joints there, or of the rock beside them, E/h, if that takes more; 0 where nothing has moved
     by_rock    whether it is that of the rock
@@ -43,56 +43,58 @@ class Digits:
     by_rock: bool
 
 
-def blur(before: Floats, moved: Floats) -> Floats:
-    """Round-off of the strains (s, dim) after a step [length]; ``moved`` is the sum of sizes of what a jump is made of.
+def round_off_of_jumps(before: Floats, moved: Floats) -> Floats:
+    """Round-off of the strains (s, dim) after a step [length]; ``moved`` is the sum of sizes of its displacements.
 
     Steps round off independently of each other.
     """
-    return np.hypot(before, ROUND_OFF * moved)
+    return np.hypot(before, UNIT_ROUND_OFF * moved)
 
 
-def noise_here(operators: Operators, sections: Sections, moved: Floats) -> float:
-    """What of a balance of forces is only round-off of this rank's jumps, which no iteration can take away.
+def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> float:
+    """Round-off bound of a balance of forces, by this rank's jumps; no iteration can reduce it.
 
-    ``moved`` as for ``blur``, of this step. [force per thickness]
+    ``moved`` (s, dim) as for ``round_off_of_jumps``, of this step. [force per thickness]
     """
-    force = np.einsum("sij,sj->si", np.abs(sections.tangent), ROUND_OFF * moved) * operators.joints.weights[:, None]
+    force = (
+        np.einsum("sij,sj->si", np.abs(sections.tangent), UNIT_ROUND_OFF * moved) * operators.joints.weights[:, None]
+    )
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
-def noise_of_pressure(network: Flow, conduction: Conduction) -> Floats:
-    """What round-off of the pressures makes of the flow at the joint ends (j, 2) [volume rate per thickness]."""
+def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
+    """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
-    noise: Floats = NOISE * ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
+    noise: Floats = NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
     return noise
 
 
-def noise_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
-    """The same of the flow at the joint ends (j, 2), from what openings are the differences of [volume rate per thickness].
+def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
+    """The same of the flow at the joint ends (j, 2), by that of openings [volume rate per thickness].
 
-    Pressures in a wide fracture in a row with a narrow one differ by hardly more than they are rounded off. A fracture that
-    is nearly closed knows its aperture to few digits, its cube to fewer, and what its walls squeeze out to those of the
-    motion that they share. ``rate`` is alpha_1.
+    Pressures in a wide fracture in series with a narrow one differ by hardly more than their round-off. The aperture of a
+    nearly closed fracture has few digits and its cube fewer. The flow displaced by its walls has those of their common motion.
+    ``rate`` is alpha_1.
     """
-    driven = noise_of_pressure(network, conduction)
+    driven = round_off_of_pressure(network, conduction)
     if moved is None:
         return driven
-    known = NOISE * ROUND_OFF * np.abs(moved)
+    known = NOISE * UNIT_ROUND_OFF * np.abs(moved)
     drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
     through = (np.abs(conduction.slope) * known).sum(axis=1) * drop
     squeezed: Floats = 0.5 * rate * network.length[:, None] * known + through[:, None]
     return driven + squeezed
 
 
-def noise_of_rock(operators: Operators, displacement: float) -> float:
+def round_off_of_rock(operators: Operators, displacement: float) -> float:
     """The same of the rock [force per thickness], from the largest displacement."""
-    return NOISE * ROUND_OFF * operators.scales.stiffness * displacement
+    return NOISE * UNIT_ROUND_OFF * operators.scales.stiffness * displacement
 
 
-def digits_of(operators: Operators, state: State) -> Digits:
+def significant_digits(operators: Operators, state: State) -> SignificantDigits:
     """Digits of the tractions of each fracture, the worst of all ranks; the rock's balance has all its motion. Collective.
 
-    Counted from the largest traction that a fracture has carried: one that lets go comes down to nothing but round-off.
+    Counted from the largest traction that a fracture has carried: after unloading only round-off remains.
     """
     sections, displacement = state.sections, state.motion.displacement
     blocks, comm, joints = operators.blocks, operators.blocks.comm, operators.joints
@@ -100,7 +102,7 @@ def digits_of(operators: Operators, state: State) -> Digits:
     fracture = np.repeat(blocks.joints.fracture, joints.points)
     error = np.einsum("sij,sj->si", np.abs(sections.tangent), sections.blur).max(axis=1, initial=0.0)
     beside = operators.scales.stiffness / (joints.points * joints.weights)
-    rock = ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
+    rock = UNIT_ROUND_OFF * beside * displacement.norm(PETSc.NormType.INFINITY)
     stiff = np.abs(sections.tangent).max(axis=(1, 2), initial=0.0)
     is_closed = stiff > 0.0
     largest = np.zeros((5, count))
@@ -110,14 +112,14 @@ def digits_of(operators: Operators, state: State) -> Digits:
     error, rock, size, stiff, beside = largest
     forces = _largest_force(operators, state)
     least = LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length)
-    held = np.maximum(size, max(least, PRESSURE_SHARE * state.drive))
+    held = np.maximum(size, max(least, PRESSURE_SHARE * state.max_overpressure))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
     if not lost.any():
-        return Digits(MOST_DIGITS, "", 0.0, 0.0, False)
+        return SignificantDigits(MOST_DIGITS, "", 0.0, 0.0, False)
     worst = int(lost.argmax())
     left, by_rock = min(MOST_DIGITS, float(-np.log10(lost[worst]))), bool(rock[worst] > error[worst])
     stiffness = float(beside[worst] if by_rock else stiff[worst])
-    return Digits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
+    return SignificantDigits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
 
 
 def _largest_force(operators: Operators, state: State) -> float:
@@ -129,12 +131,12 @@ def _largest_force(operators: Operators, state: State) -> float:
     return float(largest)
 
 
-def refuse_few(found: Digits, limit: int, time: float) -> None:
+def refuse_few(found: SignificantDigits, limit: int, time: float) -> None:
     """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
     if limit == 0 or found.digits >= limit:
         return
     enough = 0.5 * found.stiffness * 10.0 ** (found.digits - limit)
-    left = min(max(round(found.digits, 1), 0.0), limit - 0.1)  # not as many as are asked for, by rounding
+    left = min(max(round(found.digits, 1), 0.0), limit - 0.1)  # rounded down, so that it is less than required
     what, remedy = (
         (
             "the rock's stiffness E/h =",
@@ -152,9 +154,9 @@ def refuse_few(found: Digits, limit: int, time: float) -> None:
 
 TINY = 1e-300  # a network of closed fractures has no terms
 CANCELLATION = 1e-4
-"""Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance: they cancel against those of the last
-state, and with tests at 1e-11 a smaller share would ask for digits that a double does not have. So does that of the last
-pressures in a network that comes to rest."""
+"""Share of alpha_0 M u, and of alpha_1 B_F' u, that counts as a term of the balance. They cancel against those of the last
+state, and with tests at 1e-11 a smaller share would need more digits than a double has. So do the last pressures in a network
+that comes to rest."""
 LEAST_FORCE = 1e-4  # share of the natural force that counts as a term of the balance where nothing is loaded
 LEAST_DRIVE = 1e-8
 """Share of the largest pressure so far that drives at least: a network come to rest has only round-off to balance."""
@@ -162,13 +164,13 @@ LEAST_DRIVE = 1e-8
 
 @dataclass(frozen=True)
 class Residual:
-    """Sizes of what is out of balance: largest entry over the largest of the terms that should balance, and (4.9a).
+    """Sizes of the imbalance: largest entry over the largest of the terms that should balance, and (4.9a).
 
     solid, flow      largest entry, relative; what is beyond ``round_off``
     out_of_balance   Euclidean norm of the solid balance [force per thickness]
     at_nodes         of the flow, over the terms of the entry's own node: narrow fractures carry little beside wide ones
-    carried          of the flow, over what runs, where it is far less than full pressure would drive
-    round_off        relative size of what displacements of finite digits leave of either balance, whatever is iterated
+    carried          of the flow, over the actual flow, where it is far less than that at full pressure
+    round_off        relative round-off bound of either balance, which no iteration can reduce
     """
 
     solid: float
@@ -185,7 +187,7 @@ def largest(vector: PETSc.Vec) -> float:
 
 
 def largest_of(values: Floats) -> float:
-    """Size of the largest value; infinite where one is not a number."""
+    """Size of the largest of values (...); infinite where one is not a number."""
     size = float(np.abs(values).max(initial=0.0))
     return size if size == size else np.inf
 
@@ -204,16 +206,16 @@ def flow_residual(
 
     terms    None where there is no flow
     largest  the largest single term of the network, to whose round-off no node is held
-    closed   nodes whose row stands for something else, on that scale
+    closed   nodes whose row is a closure, on that scale
     """
-    own = np.full(len(balance), largest) if terms is None else np.maximum(terms, ROUND_OFF * largest)
+    own = np.full(len(balance), largest) if terms is None else np.maximum(terms, UNIT_ROUND_OFF * largest)
     for rows in closed:
         own[rows] = largest
     return over_ranks([largest_of(balance / np.maximum(own, TINY))], comm)[0]
 
 
 def flow_sizes(conduction: Conduction, before: Floats | float, drive: float, storing: float) -> tuple[Floats, float]:
-    """What elements carry at full pressure at their ends (j, 2), terms whose difference is their flow; the most that runs.
+    """Flow of elements at full pressure at their ends (j, 2), whose difference is their flow; and the largest flow.
 
     before  end pressures of the last state; drive  largest pressure that has driven since the start
     storing  b_1, by which a compressible fluid is taken up

@@ -1,10 +1,10 @@
 """Joints and fracture flow on the sections alone: Newton's method over clusters of sections, all at once.
 
-At the end of an explicit step e = e_free - S G M^-1 G' W (t(e, p) - t_old), t = f - n p: the motion of a section in the
-step, e, from its motion if joints and fluid pulled as before. Statuses as in ``newton``: held until the balance holds, then
-each section may change its own once, until none does. No iteration takes a joint past its closure.
-Pressures follow the trapezoidal rule for the motion of the walls, 2/dt B' (u_new - u) + x'_new + K_F p_new = Q_new + Q
-- K_F p - x'; condensed steps have another right side.
+At the end of an explicit step e = e_free - S G M^-1 G' W (t(e, p) - t_old), t = f - n p: the motion e of a section in the
+step, from its motion under the previous tractions of joints and fluid. Statuses as in ``newton``: held until the balance
+holds, then each section may change its own once, until none does. No iteration takes a joint past its closure. Pressures
+follow the trapezoidal rule for the motion of the walls, 2/dt B' (u_new - u) + x'_new + K_F p_new = Q_new + Q - K_F p - x';
+condensed steps have another right side.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.elements import flow as flow_element
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
@@ -23,11 +22,12 @@ from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
 from fracflow.solve.linear_check import check_solution
+from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY, largest, over_ranks
 
 
-class FilmOnJoints:
+class FlowOnJoints:
     """Balance, matrix and solver of the pressures; sections are joint ends, two a joint."""
 
     def __init__(self, operators: Operators, clusters: Clusters) -> None:
@@ -47,7 +47,7 @@ class FilmOnJoints:
         self.fills = 0
 
     def given(self, problem: StepProblem) -> PETSc.Vec:
-        """What is known of the balance before the step is solved, in a new vector. Collective."""
+        """Terms of the balance that are known before the step is solved, in a new vector. Collective."""
         state, result = problem.state, problem.source.copy()
         result.axpy(1.0, state.forces.source)
         result.axpy(-1.0, state.forces.conduction)
@@ -58,21 +58,20 @@ class FilmOnJoints:
     def balance(self, problem: StepProblem, change: Floats, given: PETSc.Vec) -> tuple[float, Floats]:
         """Evaluate ``problem.flow_balance`` where sections have moved by ``change`` (s, dim) in the step.
 
-        What is left of it over its largest term, and its derivatives (s, 2), at both nodes of the joint, by the opening of
+        Gives its residual over its largest term, and its derivatives (s, 2), at both nodes of the joint, by the opening of
         each section. Collective.
         """
         network, joints, flow = self.operators.flow, self.operators.joints, problem.flow_balance
         assert network is not None
-        opening = joints.openings(problem.state.sections.strain + change)
-        conduction = network.conduct(problem.displacement, problem.pressure, opening)
+        walls = joints.walls(problem.sections, network.law, problem.law_step())
+        conduction = network.conduct(problem.displacement, problem.pressure, walls)
         problem.conduction = conduction
         swept = problem.alphas.a1 * (joints.weights * change[:, -1]).reshape(-1, 2)
-        slope = flow_element.conductivity_tangent(conduction.slope, conduction.pressure)
+        slope = conduction.tangents(problem.alphas.b1)[1]
         flow.set(0.0)
         taken = uptake_at(self.operators, problem.state, problem.alphas, problem.fluid_before, conduction.compression)
         problem.taken_up = taken
-        if taken is not None and conduction.compression is not None:
-            slope[:, np.arange(2), np.arange(2)] += problem.alphas.b1 * conduction.compression.slope
+        if taken is not None:
             flow.getArray()[:] += taken
         network.outflow(conduction, flow)
         network.taken_up(swept, flow)
@@ -105,9 +104,7 @@ class FilmOnJoints:
         assert network is not None and problem.conduction is not None
         start, count, rate = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, problem.alphas.a1
         held = np.isin(layout.flow_numbers(np.arange(int(layout.flow_starts[-1]))), problem.loads.fixed_flow)
-        between = flow_element.conductivity(problem.conduction.conductance)
-        if (stored := problem.conduction.compression) is not None:
-            between[:, np.arange(2), np.arange(2)] += problem.alphas.b1 * stored.weight
+        between = problem.conduction.tangents(problem.alphas.b1)[0]
         joined = self.operators.blocks.joints.flow
         self.matrix.zeroEntries()
         add_blocks(self.matrix, np.where(held[joined], -1, joined), joined, between)
@@ -132,7 +129,7 @@ class FilmOnJoints:
         self.solver.setOperators(self.matrix)
         self.solver.solve(left, change)
         try:
-            check_solution(self.solver, change, left, f"time {problem.time:.6g}: pressures of the film on the joints")
+            check_solution(self.solver, change, left, f"time {problem.time:.6g}: pressures of the fluid on the joints")
             found = network.at_ends(change).ravel()
             problem.pressure.axpy(1.0, change)
         finally:
@@ -146,14 +143,13 @@ class FilmOnJoints:
         self.matrix.destroy()
 
 
-MOST_CHANGES = 50  # rounds of status changes in one step
 TIGHT = 1e-12  # of the largest motion of a section in the step
-ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of what the motion of a section is the difference of
+MOTION_ROUND_OFF = 8.0 * float(np.finfo(float).eps)  # of the motions whose difference is the motion of a section
 
 
 @dataclass(frozen=True)
 class SectionReport:
-    """Newton iterations, and what is left: of motions over the largest, of flows over the largest term."""
+    """Newton iterations, and residuals: of motions over the largest, of flows over the largest term."""
 
     iterations: int
     motion: float
@@ -162,7 +158,7 @@ class SectionReport:
 
 @dataclass(frozen=True)
 class _Rows:
-    """What clusters need of their sections in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
+    """Data of the sections of clusters in an iteration, (S, ...): residual, its size, W D, slopes of the flow."""
 
     left: Floats
     size: Floats
@@ -171,49 +167,49 @@ class _Rows:
 
 
 class SectionSolver:
-    """Solves for what sections move in a step, and for the pressures."""
+    """Solves for the motion of sections in a step, and for the pressures."""
 
-    film_kind, most_changes = FilmOnJoints, MOST_CHANGES
+    flow_kind, most_changes = FlowOnJoints, MOST_CHANGES
 
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
         self.scene, self.operators, self.clusters = scene, operators, clusters
-        self.film = self.film_kind(operators, clusters) if operators.flow is not None else None
+        self.film = self.flow_kind(operators, clusters) if operators.flow is not None else None
         self._sizes = [np.abs(batch.compliance) for batch in clusters.batches]
         self._weights = clusters.exchange.there(operators.joints.weights[:, None])[:, 0]
         count, dim = len(operators.joints.weights), operators.joints.dim
         self.elastic = np.broadcast_to(np.asarray(elastic), (count, dim, dim))
 
-    def pull(self, traction: Floats, pressure: PETSc.Vec) -> Floats:
+    def total_traction(self, traction: Floats, pressure: PETSc.Vec) -> Floats:
         """Tractions t = f - n p (s, dim) of effective tractions, and of the pressures of the flow nodes. Collective."""
         network, result = self.operators.flow, traction.copy()
         if network is not None:
             result[:, -1] -= network.at_ends(pressure).ravel()
         return result
 
-    def pushed(self, problem: StepProblem, change: Floats) -> Floats:
-        """What sections that moved by ``change`` (s, dim) pull more than before, beyond elastic moduli [stress]. Collective."""
-        before = self.pull(problem.state.sections.traction, problem.state.pressure)
-        now = self.pull(problem.sections.traction, problem.pressure)
+    def pressure_change(self, problem: StepProblem, change: Floats) -> Floats:
+        """Change (s, dim) of total tractions, beyond elastic moduli, of sections moved by ``change`` [stress]. Collective."""
+        before = self.total_traction(problem.state.sections.traction, problem.state.pressure)
+        now = self.total_traction(problem.sections.traction, problem.pressure)
         return now - before - np.einsum("sij,sj->si", self.elastic, change)
 
     def solve(
         self, problem: StepProblem, free: Floats, share: float, start: Floats | None = None, least: int = 0
     ) -> tuple[Floats, SectionReport]:
-        """Bring sections and pressures of ``problem`` into balance, from what sections move freely (s, dim).
+        """Bring sections and pressures of ``problem`` into balance, from the free motion (s, dim) of sections.
 
-        share  S of ``stepping.explicit``; ``start`` what sections (s, dim) are tried to move at first.
+        share  S of ``integrators.explicit``; ``start`` first trial (s, dim) of the motion of sections.
         least  iterations in any case
-        Returns what they move. Raises NotConverged, on every rank. Collective.
+        Returns their motion. Raises NotConverged, on every rank. Collective.
         """
         total, change, comm = 0, np.zeros_like(free) if start is None else start, self.operators.layout.comm
-        pulled = self.pull(problem.state.sections.traction, problem.state.pressure)
+        pulled = self.total_traction(problem.state.sections.traction, problem.state.pressure)
         given = self.film.given(problem) if self.film is not None else None
         try:
             for _ in range(self.most_changes):
                 change, report = self._with_statuses(problem, free, change, pulled, given, share, least - total)
                 total += report.iterations
-                if problem.hold:
+                if problem.request.hold:
                     return change, replace(report, iterations=total)
                 changed = problem.change_statuses()
                 if not comm.allreduce(bool(changed.any()), op=MPI.LOR):
@@ -240,17 +236,17 @@ class SectionSolver:
         joints, film, comm = self.operators.joints, self.film, self.operators.layout.comm
         before, weights, most = problem.state.sections, joints.weights[:, None], self.scene.accuracy.max_iterations
         for iteration in range(most + 1):
-            answer = joints.respond(before.strain + change, problem.branch, hold=True)
+            answer = problem.evaluate_joints(before.strain + change)
             problem.sections = answer
             flow, slopes = 0.0, np.zeros((len(free), 2))
             if film is not None and given is not None:
                 flow, slopes = film.balance(problem, change, given)
-            pull, moduli = self.pull(answer.traction, problem.pressure), weights[:, :, None] * answer.tangent
+            pull, moduli = self.total_traction(answer.traction, problem.pressure), weights[:, :, None] * answer.tangent
             push = weights * (pull - pulled - np.einsum("sij,sj->si", self.elastic, change))
             known = np.einsum("sij,sj->si", np.abs(moduli), np.abs(answer.strain)) + weights * np.abs(answer.traction)
             moduli = moduli - weights[:, :, None] * self.elastic
             rows = self._gather(free, change, push, known + weights * np.abs(pull), moduli, slopes, share)
-            beyond = np.abs(rows.left) - ROUND_OFF * rows.size
+            beyond = np.abs(rows.left) - MOTION_ROUND_OFF * rows.size
             here = [float(np.abs(change).max(initial=0.0)), float(beyond.max(initial=0.0))]
             moved, beyond_all, worst, bad = over_ranks(
                 [*here, float(np.abs(rows.left).max(initial=0.0)), float(not np.isfinite(push).all())], comm
@@ -264,7 +260,7 @@ class SectionSolver:
             change = change + allowed * step
         stuck = self.clusters.exchange.back((beyond > TIGHT * moved).astype(float)).any(axis=1)
         raise NotConverged(
-            f"time {problem.time:.6g}: {self._named(stuck)} found no balance of joints and film in {most} iterations of an"
+            f"time {problem.time:.6g}: {self._named(stuck)} found no balance of joints and flow in {most} iterations of an"
             f" explicit step (motion of sections out by {worst:.1e}, flow by {flow:.1e} of its largest term): take a smaller"
             " time_step"
         )
@@ -279,9 +275,9 @@ class SectionSolver:
         slopes: Floats,
         share: float,
     ) -> _Rows:
-        """Bring what this rank's sections say to the clusters, with the balance of motions there. Collective.
+        """Gather data of this rank's sections in the clusters, with the balance of motions there. Collective.
 
-        known  sizes of what ``push`` is the difference of
+        known  sizes of the terms whose difference is ``push``
         """
         count, dim = free.shape
         rows = np.hstack([free, change, push, known, moduli.reshape(count, dim**2), slopes])
@@ -296,7 +292,7 @@ class SectionSolver:
         return _Rows(left, size, flat.reshape(-1, dim, dim), slopes)
 
     def _step(self, problem: StepProblem, rows: _Rows, own_slopes: Floats, share: float) -> Floats:
-        """Newton's correction (s, dim) of what sections move; that of the pressures is made. Collective."""
+        """Newton's correction (s, dim) of the motion of sections; that of the pressures is applied here. Collective."""
         dim, exchange = rows.left.shape[1], self.clusters.exchange
         alone, by_pressure = np.zeros_like(rows.left), []
         for batch in self.clusters.batches:
@@ -333,6 +329,6 @@ class SectionSolver:
         return ", ".join(sorted(set().union(*comm.allgather(here)))) or "the network"
 
     def destroy(self) -> None:
-        """Free the film's solver. Collective."""
+        """Free the flow's solver. Collective."""
         if self.film is not None:
             self.film.destroy()

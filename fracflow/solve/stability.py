@@ -1,8 +1,8 @@
-"""Where slip whose strength falls with it has no equilibrium to go on to: the largest share of what rock can take up.
+"""Stability of slip-weakening patches: the largest ratio of weakening to the stiffness of the rock.
 
-While sections slide, rock gives way by C = G K_0^-1 G' W, K_0 its stiffness with nothing but normal stiffness on them. A step
-of slip d takes B d off their traction, and rock answers C B d: slip grows without bound where the largest eigenvalue of C B
-reaches 1 (Uenishi and Rice 2003, where B is uniform and C that of an infinite body).
+While sections slide, rock gives way by C = G K_0^-1 G' W, K_0 its stiffness with nothing but normal stiffness on them. Slip d
+reduces their traction by B d, and the response of the rock is C B d: slip grows without bound where the largest eigenvalue of
+C B reaches 1 (Uenishi and Rice 2003, where B is uniform and C that of an infinite body).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from fracflow.errors import NotConverged, is_alone
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
-from fracflow.model.state import Past, Sections
+from fracflow.model.state import SectionHistory, Sections
 from fracflow.solve.period import sprung
 
 MOST_VECTORS = 40
 SHARP = 1e-4  # of the eigenvalue: how well it is known
-SOFT = 1e-10  # of the normal stiffness, on sections that slide: what holds a block that nothing else does
+SOFT = 1e-10  # of the normal stiffness, on sections that slide: it holds a block that is otherwise loose
 
 
 @dataclass(frozen=True)
@@ -45,37 +45,37 @@ class Weakening:
 
 
 def of_state(operators: Operators, sections: Sections, almost: float = 1.0) -> Weakening:
-    """That of the sections which slide, as they are, and of others that carry ``almost`` all of their strength."""
+    """That of the sections which slide at a state, and of others that carry ``almost`` all of their strength."""
     way, shear = _sliding_way(operators, sections), sections.traction[:, :-1]
     size = np.linalg.norm(shear, axis=1)[:, None]
     starts = (sections.utilisation >= almost)[:, None] & ~way.any(axis=1, keepdims=True) & (size > 0.0)
     way = np.where(starts, shear / np.where(size > 0.0, size, 1.0), way)
-    return _weakening(operators, sections, sections.past, way)
+    return _weakening(operators, sections, sections.history, way)
 
 
 def of_step(operators: Operators, old: Sections, new: Sections) -> Weakening:
-    """The most that there may have been in a step: all that slid in it weakens as it did at its start, or does at its end."""
+    """The largest possible in a step: each section that slid weakens as at its start or as at its end."""
     moved = (new.inelastic - old.inelastic)[:, :-1]
     size = np.linalg.norm(moved, axis=1)
     way = np.where(
         (size > 0.0)[:, None], moved / np.where(size > 0.0, size, 1.0)[:, None], _sliding_way(operators, new)
     )
-    begins, ends = _weakening(operators, new, old.past, way), _weakening(operators, new, new.past, way)
-    before = _weakening(operators, old, old.past, way)
+    begins, ends = _weakening(operators, new, old.history, way), _weakening(operators, new, new.history, way)
+    before = _weakening(operators, old, old.history, way)
     most = [np.max([getattr(each, name) for each in (before, begins, ends)], axis=0) for name in ("rate", "fall")]
     return Weakening(most[0], most[1], way)
 
 
 def _sliding_way(operators: Operators, sections: Sections) -> Floats:
     way = np.zeros_like(sections.traction[:, :-1])
-    for group, past in zip(operators.joints.laws, sections.past, strict=True):
+    for group, past in zip(operators.joints.laws, sections.history, strict=True):
         for name in group.law.status:
             way[group.sections] = past[name].reshape(len(group.sections), way.shape[1])
     size = np.linalg.norm(way, axis=1)[:, None]
     return np.asarray(way / np.where(size > 0.0, size, 1.0))
 
 
-def _weakening(operators: Operators, sections: Sections, past: Past, way: Floats) -> Weakening:
+def _weakening(operators: Operators, sections: Sections, past: SectionHistory, way: Floats) -> Weakening:
     fall, steep = np.zeros(len(way)), np.zeros(len(way))
     for group, history in zip(operators.joints.laws, past, strict=True):
         here = group.sections
@@ -86,7 +86,7 @@ def _weakening(operators: Operators, sections: Sections, past: Past, way: Floats
 
 
 class Share(NamedTuple):
-    """Share of what rock takes up that falling strength gives, the slip (s,) of its mode, and whether ``SHARP`` is met."""
+    """Ratio of weakening to the stiffness of the rock, the slip (s,) of its mode, and whether ``SHARP`` is met."""
 
     value: float
     mode: Floats
@@ -153,7 +153,7 @@ class _Compliance:
         self.solver.solve(self.force, self.shape)
         size = self.shape.norm()
         if self.solver.getConvergedReason() < 0 or not np.isfinite(size):
-            raise NotConverged("nothing holds the rock beside what slides")
+            raise NotConverged("nothing holds the rock beside the sliding sections")
         return np.asarray(self.root * np.einsum("si,si->s", self.joints.strain(self.shape)[:, :-1], self.way))
 
     def dot(self, one: Floats, other: Floats) -> float:
@@ -174,7 +174,7 @@ def _arnoldi(compliance: _Compliance) -> Share:
     share, shape, is_sharp = 0.0, np.ones(1), False
     for size in range(1, MOST_VECTORS + 1):
         vector = compliance.times(basis[-1])
-        for _ in range(2):  # once more for the digits that the first leaves
+        for _ in range(2):  # refined once
             for row, each in enumerate(basis):
                 part = compliance.dot(each, vector)
                 matrix[row, size - 1] += part

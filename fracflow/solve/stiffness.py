@@ -1,6 +1,6 @@
 """The stiffness by which an iteration corrects: (4.7) Newton, (4.10) modified Newton, and the secant method of 5.1.
 
-Each is exact where the joints behave linearly; they differ in what they take for the joints, and in how long they keep it.
+Each is exact where joints behave linearly; they differ in the moduli of the joints, and in how long they keep them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fracflow.model.joints import Joints
 from fracflow.model.operators import Scales
 from fracflow.model.state import Sections
 
-SOFT = 1e-6  # of the natural stiffness: what holds a loose block on its way to the next contact
+SOFT = 1e-6  # of the natural stiffness: it holds a loose block on its way to the next contact
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class NewtonReport:
 
 
 class SingularMatrix(Exception):
-    """What a method without the tangent may come to."""
+    """A matrix that a method without the tangent may come to."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Stiffness:
 
     moduli     (joints, sections) -> moduli (s, dim, dim) of this rank's joint sections [stress/length]
     is_kept    the matrix of a step's first iteration serves for the whole step
-    weakness   why it may fail where joints have slipped; empty if they do not trouble it
+    weakness   why it may fail where joints have slipped; empty if it does not
     """
 
     moduli: Callable[[Joints, Sections], Floats]
@@ -47,12 +47,12 @@ class Stiffness:
 
 
 def tangent_moduli(joints: Joints, sections: Sections) -> Floats:
-    """(2.22) d f / d eps of what the laws answered."""
+    """(2.22) d f / d eps (s, dim, dim) of the laws' response."""
     return sections.tangent
 
 
 def secant_moduli(joints: Joints, sections: Sections) -> Floats:
-    """(f - f_0) / eps, component by component: from the initial state straight to here; the tangent at the initial state.
+    """(f - f_0) / eps (s, dim, dim), component by component, from the initial state to here; the tangent at eps = 0.
 
     Back at eps = 0 with plastic slip there is no secant: it is as steep there as round-off of eps lets it be.
     """
@@ -64,7 +64,7 @@ def secant_moduli(joints: Joints, sections: Sections) -> Floats:
 
 
 def softly_held(moduli: Floats, scales: Scales) -> Floats:
-    """Moduli with a trace of stiffness where a joint has none: the step leads a loose block to its next contact."""
+    """Moduli (s, dim, dim) with a trace of stiffness where a joint has none: a loose block moves to its next contact."""
     soft = SOFT * scales.force / (scales.displacement * scales.length)
     return moduli + soft * ~np.any(moduli != 0.0, axis=1)[:, :, None] * np.eye(moduli.shape[1])
 
@@ -78,6 +78,6 @@ NEWTON_METHODS = {
     ),
     "secant": Stiffness(
         secant_moduli,
-        weakness="it knows no plastic slip, so it cannot follow joints that unload",
+        weakness="it has no plastic slip in it, so joints that unload do not converge",
     ),
 }

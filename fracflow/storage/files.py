@@ -6,6 +6,8 @@ import errno
 import os
 import re
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fracflow.errors import InputError
@@ -60,14 +62,34 @@ def steers(text: str) -> bool:
 
 
 def shown_plain(text: str) -> str:
-    """A text as a terminal may show it: such characters are question marks."""
-    return _STEERS.sub("?", text)
+    """A text as a terminal may show it: such characters are question marks, and all others that it has no shape for."""
+    return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def fresh(path: Path) -> Path:
     """An empty file in the place of whatever has its name: a link there is taken away and not followed. Raises OSError."""
     os.close(open_fresh(path))
     return path
+
+
+def part_of(path: Path) -> Path:
+    """Where a file is written before it takes its place."""
+    return path.with_name(path.name + ".part")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Where to write what then takes the place of ``path``, whole; nothing of it stays if an error comes. Raises OSError."""
+    part = part_of(path)
+    try:
+        yield part
+        os.replace(part, path)
+    except BaseException as error:
+        with suppress(OSError):
+            part.unlink()
+        if isinstance(error, OSError) and error.filename in (None, str(part), part):
+            raise OSError(error.errno, error.strerror, str(path)) from None
+        raise
 
 
 def open_fresh(path: Path) -> int:

@@ -1,4 +1,4 @@
-"""HDF5 files that a full disk cannot break: HDF5 writes through objects of ours, which never tell it of an error.
+"""HDF5 files that a full disk cannot break: HDF5 writes through objects of ours, which never report an error to it.
 
 HDF5 cannot let go of a file that it could not write: it keeps what is left of it, and crashes when the program ends.
 """
@@ -6,19 +6,21 @@ HDF5 cannot let go of a file that it could not write: it keeps what is left of i
 from __future__ import annotations
 
 import os
+import signal
 import struct
 import zlib
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 
-from fracflow.storage.files import open_fresh, open_own
+from fracflow.storage.files import open_fresh, open_own, replacing
 
-Pieces = list[tuple[int, bytes]]  # offset and bytes, in the order in which they were written
+Writes = list[tuple[int, bytes]]  # offset in the file, and bytes
 _MAGIC = b"FRACREDO"
-_HEAD, _PIECE = struct.Struct("<8sIQ"), struct.Struct("<QQ")  # magic, checksum, length; offset, length
+_HEAD, _WRITE = struct.Struct("<8sIQ"), struct.Struct("<QQ")  # magic, checksum, length; offset, length
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 1 << 16  # bytes: metadata, not arrays
 _LARGEST, _GROWS = 1 << 28, 1 << 28  # bytes of a change, and by how many it may lengthen its file
@@ -27,15 +29,15 @@ _WRITING, _SHARED = 1, 4  # flags of a file that is written, and may be read mea
 
 
 class Backing:
-    """A file as HDF5 wants it. ``error`` is the first that there was; what comes after it is left out."""
+    """A file in the form that HDF5 needs. ``error`` is the first that there was; what comes after it is left out."""
 
     def __init__(self, path: Path) -> None:
         """Make the file, empty. Raises OSError."""
         self._begin(path, [])
         self.file = open_fresh(path)
 
-    def _begin(self, path: Path, pieces: Pieces) -> None:
-        self.path, self.size, self._at, self._pieces = path, 0, 0, pieces
+    def _begin(self, path: Path, writes: Writes) -> None:
+        self.path, self.size, self._at, self._writes = path, 0, 0, writes
         self.error: OSError | None = None
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -62,8 +64,12 @@ class Backing:
             view[: len(found)] = found
         except OSError as error:
             self._keep(error)
-        lay_over(view, self._at, self._pieces)
+        lay_over(view, self._at, self._written(self._at, self._at + len(view)))
         return len(view)
+
+    def _written(self, start: int, end: int) -> Writes:
+        """Writes that are not in the file yet, and may have bytes of a stretch of it, in their order."""
+        return self._writes
 
     def write(self, data: memoryview) -> int:
         """Put bytes there."""
@@ -97,8 +103,8 @@ class Backing:
 
     def _put(self, offset: int, data: bytes) -> None:
         self._try(lambda: write_all(self.file, data, offset))
-        if self.error is not None and len(data) <= _SMALL:  # HDF5 may want to read it again
-            self._pieces.append((offset, data))
+        if self.error is not None and len(data) <= _SMALL:  # HDF5 may read it again
+            self._writes.append((offset, data))
 
     def _try(self, action: Callable[[], None]) -> None:
         if self.error is None:
@@ -121,13 +127,29 @@ def write_all(file: int, data: bytes, offset: int) -> None:
 
 
 @contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Keep Ctrl-C until HDF5 has returned: raised by an object of ours, it would leave HDF5 in the middle of a call."""
+    came: list[int] = []
+    try:
+        before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    except ValueError:  # not in the main thread, and interrupts come to no other
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
 def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
     """An HDF5 file that is written aside, and put in the place of the last one when it is whole. Raises OSError.
 
     is_synced   bring it to disk before
     """
-    part = path.with_name(path.name + ".part")
-    try:
+    with replacing(path) as part, uninterrupted():
         backing = Backing(part)
         backing.path = path
         try:
@@ -135,25 +157,20 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
                 with h5py.File(backing, "w") as file:
                     yield file
             except (OSError, RuntimeError):
-                backing.check()  # what HDF5 says of it tells less
+                backing.check()  # the message of HDF5 is less specific
                 raise
             if is_synced:
                 backing.sync()
         finally:
             backing.close()
         backing.check()
-        os.replace(part, path)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise
 
 
 class Committed(Backing):
     """A file that changes from one whole state to the next: what is written counts when it is committed.
 
-    What changes is first put down in PATH.redo, whole, then in its place. After a kill, or half a write on a full disk,
-    ``pieces_of`` has what is missing in PATH. Until ``protect`` PATH itself is written as it comes.
+    Changes are first written to PATH.redo, whole, then in place. After a kill, or half a write on a full disk,
+    ``writes_of`` has what is missing in PATH. Until ``protect`` PATH itself is written as it comes.
     """
 
     def __init__(self, path: Path) -> None:
@@ -170,9 +187,9 @@ class Committed(Backing):
     def commit(self) -> None:
         """Let what was written count. Raises OSError; then the file stays as it was."""
         self.check()
-        if self._pieces and self._redo >= 0:
-            pieces, self._pieces = self._pieces, []
-            self._try(lambda: self._commit(pieces))
+        if self._writes and self._redo >= 0:
+            writes, self._writes = self._writes, []
+            self._try(lambda: self._commit(writes))
         self.check()
 
     def truncate(self, size: int | None = None) -> int:
@@ -197,12 +214,12 @@ class Committed(Backing):
         if self._redo < 0:
             super()._put(offset, data)
         else:
-            self._pieces.append((offset, data))
+            self._writes.append((offset, data))
 
-    def _commit(self, pieces: Pieces) -> None:
-        body = b"".join(_PIECE.pack(offset, len(data)) + data for offset, data in pieces)
+    def _commit(self, writes: Writes) -> None:
+        body = b"".join(_WRITE.pack(offset, len(data)) + data for offset, data in writes)
         write_all(self._redo, _HEAD.pack(_MAGIC, zlib.crc32(body), len(body)) + body, 0)
-        for offset, data in pieces:
+        for offset, data in writes:
             write_all(self.file, data, offset)
         os.ftruncate(self._redo, 0)
 
@@ -215,12 +232,14 @@ class Completed(Backing):
 
     def __init__(self, path: Path) -> None:
         """Open the file. Raises OSError."""
-        self._begin(path, pieces_of(path))
+        self._begin(path, writes_of(path))
         self.file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        self.size = max([os.fstat(self.file).st_size, *(offset + len(data) for offset, data in self._pieces)])
-        head = bytearray(_SUPERBLOCK)
-        self.readinto(memoryview(head))
-        self._pieces.append((0, _marked(bytes(head), self.size)[: self.size]))
+        self.size = max([os.fstat(self.file).st_size, *(offset + len(data) for offset, data in self._writes)])
+        head = bytearray(os.pread(self.file, _SUPERBLOCK, 0).ljust(_SUPERBLOCK, b"\0"))
+        lay_over(memoryview(head), 0, self._writes)
+        last = (0, _marked(bytes(head), self.size)[: self.size])
+        self._writes = without_overlap([*self._writes, last])
+        self._ends = [offset + len(data) for offset, data in self._writes]
 
     def readinto(self, into: memoryview) -> int:
         """Fill a buffer; zeros where nothing has been written. Raises OSError."""
@@ -228,13 +247,41 @@ class Completed(Backing):
         self.check()
         return found
 
+    def _written(self, start: int, end: int) -> Writes:
+        first, last = bisect_right(self._ends, start), bisect_left(self._writes, (end,))
+        return self._writes[first:last]
 
-def lay_over(into: memoryview, start: int, pieces: Pieces) -> None:
-    """Put the parts of pieces into a buffer that begins at an offset of the file."""
-    for offset, data in pieces:
+
+def lay_over(into: memoryview, start: int, writes: Writes) -> None:
+    """Put what writes have of it into a buffer that begins at an offset of the file."""
+    for offset, data in writes:
         first, last = max(start, offset), min(start + len(into), offset + len(data))
         if first < last:
             into[first - start : last - start] = data[first - offset : last - offset]
+
+
+def without_overlap(writes: Writes) -> Writes:
+    """The bytes that writes leave, each of them once, by their places; of two at a place the later one counts.
+
+    Cut where any of them begins or ends, stretches are given away from the last write to the first: n log n, whatever
+    a stranger writes.
+    """
+    cuts = sorted({cut for offset, data in writes for cut in (offset, offset + len(data))})
+    number = {cut: k for k, cut in enumerate(cuts)}
+    free = list(range(len(cuts)))  # where to look for the first stretch at or after the k-th that is not given away
+    found = []
+    for offset, data in reversed(writes):
+        k, end = number[offset], number[offset + len(data)]
+        while (k := _first_free(free, k)) < end:
+            found.append((cuts[k], data[cuts[k] - offset : cuts[k + 1] - offset]))
+            free[k] = k + 1
+    return sorted(found)
+
+
+def _first_free(free: list[int], k: int) -> int:
+    while free[k] != k:
+        free[k] = k = free[free[k]]  # halves the way for those who come after
+    return k
 
 
 def redo_of(path: Path) -> Path:
@@ -242,7 +289,7 @@ def redo_of(path: Path) -> Path:
     return path.with_name(path.name + ".redo")
 
 
-def pieces_of(path: Path) -> Pieces:
+def writes_of(path: Path) -> Writes:
     """The last change of a file, where it was put down whole and may not be in its place; else none."""
     try:
         with open(os.open(redo_of(path), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
@@ -256,22 +303,22 @@ def pieces_of(path: Path) -> Pieces:
     body = memoryview(found)[_HEAD.size : _HEAD.size + length]
     if magic != _MAGIC or len(body) != length or zlib.crc32(body) != checksum:
         return []
-    pieces, at = [], 0
-    while at + _PIECE.size <= length:
-        offset, size = _PIECE.unpack_from(body, at)
-        at += _PIECE.size + size
-        if at > length or offset + size > end:  # no change of ours
+    writes, at = [], 0
+    while at + _WRITE.size <= length:
+        offset, size = _WRITE.unpack_from(body, at)
+        at += _WRITE.size + size
+        if not size or at > length or offset + size > end:  # no change of ours
             return []
-        pieces.append((offset, bytes(body[at - size : at])))
-    return pieces
+        writes.append((offset, bytes(body[at - size : at])))
+    return writes
 
 
 def complete(path: Path) -> None:
     """Put what a file lacks in its place. Raises OSError, and InputError for a file that has another name too."""
-    if pieces := pieces_of(path):
+    if writes := writes_of(path):
         file = open_own(path, os.O_RDWR)
         try:
-            for offset, data in pieces:
+            for offset, data in writes:
                 write_all(file, data, offset)
         finally:
             os.close(file)

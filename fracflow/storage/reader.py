@@ -34,7 +34,7 @@ _OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name wou
 
 @dataclass(frozen=True)
 class Found:
-    """What a file holds: attributes, types and shapes of all datasets, and those datasets that were asked for."""
+    """The content of a file: attributes, types and shapes of all datasets, and the requested datasets."""
 
     attributes: Mapping[str, Any]
     layout: Layout

@@ -1,8 +1,8 @@
 """Files of a run with seals: digests of all that they hold, by which damage is seen before anything goes on from it.
 
-An array is hashed in pieces of whole rows, PIECE bytes or one row, in original order: however many ranks hold it, a piece has
-one digest (BLAKE2b, 16 bytes; RFC 7693). The root is the digest of names, types, shapes, attributes and all pieces. What grows
-by rows is a chain: the digest of a row is that of the one before it with the row's bytes (Haber and Stornetta 1991).
+An array is hashed in pieces of whole rows, PIECE bytes or one row, in original order. On any number of ranks a piece has one
+digest (BLAKE2b, 16 bytes; RFC 7693). The root is the digest of names, types, shapes, attributes and all pieces. An array that
+grows by rows is a chain: the digest of a row is that of the one before it with the row's bytes (Haber and Stornetta 1991).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Sealed:
-    """What a sealed file holds.
+    """The content of a sealed file.
 
     arrays  those that were asked for, by name
     notes   attributes
@@ -72,7 +72,7 @@ def root_of(layout: Layout, notes: Mapping[str, Any], digests: Bytes) -> str:
 
 
 def layout_of(arrays: Mapping[str, NDArray[Any]]) -> Layout:
-    """Types and shapes of arrays."""
+    """Types and shapes of arrays (...)."""
     return {name: (values.dtype.str, tuple(values.shape)) for name, values in arrays.items()}
 
 
@@ -140,7 +140,7 @@ def _starts(layout: Layout) -> dict[str, int]:
 
 
 def chain_start(layout: Layout, notes: Mapping[str, Any]) -> bytes:
-    """What a chain of rows begins from: the digest of names, types, shapes of a row, and notes."""
+    """The start of a chain of rows: the digest of names, types, shapes of a row, and notes."""
     rows = [[name, layout[name][0], list(layout[name][1][1:])] for name in sorted(layout)]
     return digest(json.dumps([rows, notes], sort_keys=True).encode())
 

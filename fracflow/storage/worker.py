@@ -1,12 +1,12 @@
 """The process that reads HDF5 files: the library may crash, hang or ask for any memory over a damaged or forged one.
 
-It says that it is ready, then answers requests, a line of JSON each on standard input: ``path``, ``names`` of the datasets
-that are wanted (null for all), ``live`` for a file that may have a writer. An answer is a line of JSON with attributes and
-layout; for each dataset a line with its name, type and shape, and its bytes; and a line with ``end``. A line with ``error``
-ends an answer too.
+It reports that it is ready, then serves requests, a line of JSON each on standard input. Its keys are ``path``, ``names`` of
+the datasets to read (null for all), and ``live`` for a file that may have a writer. A reply begins with a line of JSON with
+attributes and layout. Each dataset follows with a line of its name, type and shape, and its bytes. A line with ``end`` closes
+it. A line with ``error`` ends a reply too.
 
-Read are numbers in datasets of the file itself: no link but hard ones, nothing stored elsewhere, no filters, not more
-than the file can hold.
+It reads numbers in datasets of the file itself. Links other than hard ones, external storage, filters and sizes beyond the
+file are refused.
 """
 
 import os
@@ -29,7 +29,8 @@ import numpy as np
 
 from fracflow.storage import hdf5 as files_hdf
 
-MOST_SETS, MOST_GROUPS, DEEPEST = 20_000, 20_000, 16
+LEAST = 16  # bytes that a name takes in a file; where more are met, groups are in each other many times over
+DEEPEST = 16  # groups in each other
 ATTEMPTS = 5  # at a file whose writer is under way, which may change it in between
 PAUSE = 0.05  # seconds between them
 _SIZE = "/proc/self/statm"
@@ -71,7 +72,7 @@ def _read(path: Path, names: list[str] | None, live: bool) -> tuple[dict[str, An
         # no dataset stays open: one takes memory for tables of chunks, and there may be thousands
         layout = [
             (name, _type(name, dataset).str, [int(n) for n in dataset.shape])
-            for name, dataset in _datasets(file, "", 0, [0])
+            for name, dataset in _datasets(file, "", 0, iter(range(size // LEAST)))
         ]
         if sum(np.dtype(kind).itemsize * prod(shape) for _, kind, shape in layout) > bound(size):
             raise Refused(f"its datasets claim more than the {size} bytes of the file hold")
@@ -101,17 +102,16 @@ def _opened(path: Path, live: bool) -> Iterator[h5py.File]:
             backing.close()  # HDF5 leaves it open
 
 
-def _datasets(group: h5py.Group, prefix: str, depth: int, seen: list[int]) -> Iterator[tuple[str, h5py.Dataset]]:
+def _datasets(group: h5py.Group, prefix: str, depth: int, left: Iterator[int]) -> Iterator[tuple[str, h5py.Dataset]]:
     for name in group:
-        seen[0] += 1
-        if seen[0] > MOST_SETS + MOST_GROUPS or depth > DEEPEST:
-            raise Refused("it has more datasets, or groups in groups, than any run writes")
+        if next(left, None) is None or depth > DEEPEST:
+            raise Refused("it has more names, or groups in groups, than any run writes into so many bytes")
         key = f"{prefix}{name}"
         if group.id.links.get_info(os.fsencode(name)).type != h5py.h5l.TYPE_HARD:
             raise Refused(f"{key} is a link to elsewhere")
         item = group[name]
         if isinstance(item, h5py.Group):
-            yield from _datasets(item, f"{key}/", depth + 1, seen)
+            yield from _datasets(item, f"{key}/", depth + 1, left)
         elif isinstance(item, h5py.Dataset):
             yield key, _plain(key, item)
         else:

@@ -65,7 +65,7 @@ def forked(action: Callable[[], object], out: Path | None = None, err: Path | No
 
 
 def _code(action: Callable[[], object]) -> int:
-    """What a process that does an action and nothing else would exit with."""
+    """The exit code of a process that does an action and nothing else."""
     try:
         action()
     except SystemExit as end:
@@ -90,7 +90,7 @@ def _awaited(child: int) -> tuple[int, int]:
 
 
 def _fork_of_gmsh(folder: Path, allowed: gmsh_side.Limits) -> tuple[int | None, str]:
-    """What the process that runs Gmsh comes to in its folder, without starting Python again; meshio runs in this one."""
+    """The outcome of the process that runs Gmsh in its folder, without starting Python again; meshio runs in this one."""
     if b'"msh2"' in (folder / "job.json").read_bytes():
         return _read_here(folder), ""
     said = folder / "said.txt"
@@ -199,7 +199,7 @@ def _afresh(words: Sequence[str], folder: Path, out: Path, err: Path) -> tuple[i
 
 
 def _left(case: Case, words: list[str], code: int, box: Box, bases: Bases, before: dict[str, str]) -> Iterator[Found]:
-    """What is wrong with the folder after a command."""
+    """Faults of the folder after a command."""
     if words[0] == "run":
         folder = box.case / "o"
         if code == 2 and folder.exists():
@@ -227,7 +227,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _unreadable(folder: Path) -> Iterator[Found]:
-    """What cannot be read of a run that ended or failed."""
+    """Unreadable files of a run that ended or failed."""
     try:
         run = fracflow.open(folder)
         history = run.history

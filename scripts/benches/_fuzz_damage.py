@@ -85,7 +85,7 @@ def overwritten(r: random.Random, data: bytes) -> bytes:
 
 
 def cut(r: random.Random, data: bytes) -> bytes:
-    """What a copy that was broken off leaves."""
+    """The file left by a copy that was broken off."""
     return data[: r.randrange(len(data))]
 
 

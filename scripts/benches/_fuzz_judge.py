@@ -1,4 +1,4 @@
-"""What a case must not do: raise, crash, hang, take memory, leave marks outside, or say more or less than one useful line."""
+"""Faults of a case: it raises, crashes, hangs, takes memory, leaves marks outside, or prints other than one useful line."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NUMPY = re.compile(
 ENDS = tuple(
     each
     for each in vars(errors).values()
-    if isinstance(each, type) and issubclass(each, Exception) and each is not errors.PutBack
+    if isinstance(each, type) and issubclass(each, Exception) and each is not errors.ReductionInvalid
 )
 
 
@@ -82,7 +82,7 @@ class Box:
         return found
 
     def marks(self) -> list[Found]:
-        """What has changed around the case since it was last looked at; it is put right."""
+        """Changes around the case since the last look; they are put right."""
         now = self.look()
         odd = sorted(path for path in now.keys() | self.before.keys() if now.get(path) != self.before.get(path))
         if not odd:
@@ -111,7 +111,7 @@ def snapshot(folder: Path) -> dict[str, str]:
 
 
 def of_message(text: str) -> list[Found]:
-    """What is wrong with the message of an error."""
+    """Faults of the message of an error."""
     bare = re.sub(r'"[^"]*"|\([^)]*\)|[-+]?\d[\d.]*(?:e[-+]?\d+)?', "#", text.split(": ")[-1])[:60]
     found = []
     if "\n" in text or "\r" in text:
@@ -192,7 +192,7 @@ def inside(job: Callable[[], object], log: Path) -> tuple[str, list[Found]]:
 
 
 def of_command(code: int, out: str, err: str) -> list[Found]:
-    """What is wrong with what a command left: its exit code (negative: a signal) and its output."""
+    """Faults of the result of a command: its exit code (negative: a signal) and its output."""
     lines = [line for line in err.splitlines() if line.strip()]
     said = [line for line in lines if not line.startswith("note: ")]
     odd = [line for line in lines if NUMPY.search(line)]

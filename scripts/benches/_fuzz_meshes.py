@@ -11,7 +11,7 @@ import _fuzz_damage as damage
 from _fuzz_scenes import MESHES
 
 FORMATS = (("2.2", False), ("2.2", True), ("4.1", False), ("4.1", True))
-SOURCES = ("report_5_2/block.geo", "report_5_3/fault.geo", "failures/f2c_pinched/pinched.geo")
+SOURCES = ("report_5_2/block.geo", "report_5_3/fault.geo", "failures/pinched_fracture/pinched.geo")
 OF_SCENE = {name: f"{Path(name).parent}/scene.toml" for name in SOURCES}
 INTEGERS = (0, 1, 2, 3, 15, -1, 7, 99, 10**6, 2**31 - 1, -(2**31), 92)
 DOUBLES = (float("nan"), float("inf"), 1e308, -1e308, 1e-320, 0.0, -1.0, 1.0)

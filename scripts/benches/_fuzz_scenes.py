@@ -73,7 +73,7 @@ def schema() -> dict[str, Any]:
 
 
 def at(data: Any, path: tuple[Key, ...]) -> Any:
-    """What lies at a path."""
+    """The value at a path."""
     for key in path:
         data = data[key]
     return data

@@ -86,7 +86,7 @@ def difference(folder: Path, other: Path) -> str:
 
 
 def complaints(said: str, most: int = 1) -> str:
-    """What is wrong with what a run said on the terminal."""
+    """Faults of the terminal output of a run."""
     for mark in ("Traceback", "HDF5-DIAG", "Exception ignored", "Segmentation", "PETSC ERROR", "AssertionError"):
         if mark in said:
             lines = [line for line in said.splitlines() if line.strip()]

@@ -13,19 +13,14 @@ from _meta_turns import Back
 from numpy.typing import NDArray
 
 from fracflow.scene import units
+from fracflow.scene.quantities import probed
 
 Arrays = dict[str, NDArray[Any]]
 Differences = dict[str, float]
-DIMENSIONS = {
-    "displacement": units.LENGTH, "displacement_bottom": units.LENGTH, "velocity": units.VELOCITY,
-    "acceleration": units.ACCELERATION, "slip": units.LENGTH, "opening": units.LENGTH, "plastic_slip": units.LENGTH,
-    "aperture": units.LENGTH, "head": units.LENGTH, "slip_rate": units.VELOCITY, "shear_traction": units.STRESS,
-    "normal_traction": units.STRESS, "strength": units.STRESS, "pressure": units.STRESS,
-    "flow_rate": units.FLOW_RATE, "strain": units.PLAIN, "stress": units.STRESS,
-}  # fmt: skip
-VECTORS = ("displacement", "displacement_bottom", "velocity", "acceleration")
-TENSORS = ("strain", "stress")
-ALONG = ("slip", "plastic_slip", "slip_rate", "shear_traction")
+DIMENSIONS = {name: row.dimension for name, row in probed().items()}
+VECTORS, TENSORS, ALONG = (
+    [name for name, row in probed().items() if row.kind == kind] for kind in ("vector", "tensor", "shear")
+)
 ONE_PAIR = VECTORS  # of walls: where fractures meet there are several
 SAME_TIME = 1e-7  # of the run
 LEAST_BOOK = 1e-4  # of the natural energy: where nothing moves, the books hold round-off
@@ -191,7 +186,7 @@ def _by_place(events: list[dict[str, Any]], back: Back, case: Case) -> dict[tupl
 
 
 def open_books(record: Record, case: Case, back: Back) -> float:
-    """The residual of the energy books over their largest entry."""
+    """The residual of the energy balance over their largest entry."""
     books = {key: values for key, values in read_back(record, back).items() if key.startswith("energy/")}
     largest = max(np.nanmax(np.abs(v), initial=0.0) for k, v in books.items() if not k.startswith("energy/residual"))
     return float(np.nanmax(np.abs(books["energy/residual"])) / max(largest, LEAST_BOOK * sizes(case)["energy"]))

@@ -139,7 +139,7 @@ def _drive(random: np.random.Generator, data: Data, traces: list[Floats], scale:
     start = float(random.choice([0.0, 0.2])) * press
     data["fluid"] = {"viscosity": 1e-3, "specific_weight": 9810.0, "initial_pressure": start, "flow_depth": 1.0}
     data["fluid"]["compressibility"] = float(random.choice([0.0, 0.0, 1e-9]))
-    data["method"]["film"] = str(random.choice(["backward-euler", "bdf2", "trapezoid"]))
+    data["method"]["flow_integrator"] = str(random.choice(["backward-euler", "bdf2", "trapezoid"]))
     top = start + float(random.choice([0.5, 0.8, 0.95, 1.2])) * press
     is_loop = len(traces[0]) == 4
     well: Data = {"name": "w", "at": {"fracture": "f0", "end": "start"}}

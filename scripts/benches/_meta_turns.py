@@ -182,7 +182,7 @@ def _has_tolerance(case: Case) -> bool:
 def _may_split(case: Case) -> bool:
     """A rule of the film that remembers the step before begins anew with each stage, as the schema says."""
     last = case.data["stage"][-1]
-    film = case.data["method"].get("film", "backward-euler")
+    film = case.data["method"].get("flow_integrator", "backward-euler")
     fits = last["kind"] == "dynamic" or (last["kind"] == "quasi-static" and film == "backward-euler")
     return fits and not _has_tolerance(case) and "then" not in last
 

@@ -19,7 +19,7 @@ GAUSS = leggauss(20)
 
 @dataclass(frozen=True)
 class Found:
-    """What a program leaves on a fracture: positions and values of the nodes of its edges, (k, 2), or (k, 3) with middles.
+    """The result of a program on a fracture: positions and values at the nodes of its edges, (k, 2), or (k, 3) with middles.
 
     along   distance from the start of the fracture [m]
     slip, opening, pressure  [m], [m], [Pa]; the sign of the jumps is that of their sums

@@ -60,7 +60,7 @@ def scene_of(cells: int, joints: int, steps: int, method: dict[str, str]) -> dic
 def worker(name: str, cells: str, joints: str, steps: str, folder: str) -> None:
     """Make all steps by one method; write CPU seconds, iterations and sliding sections by step, and the displacements."""
     from fracflow._petsc import MPI
-    from fracflow.advance.initial_state import rest
+    from fracflow.advance.initial_state import equilibrium_state
     from fracflow.advance.stage import run_stage
     from fracflow.advance.step import Stepping, stepper_of
     from fracflow.errors import SolveError
@@ -70,7 +70,7 @@ def worker(name: str, cells: str, joints: str, steps: str, folder: str) -> None:
     scene = Scene.from_data(scene_of(int(cells), int(joints), int(steps), RIVALS[name]))
     model = prepare(scene, MPI.COMM_SELF)
     stepping, begun = Stepping(model), time.process_time()
-    state = stepping.enter(rest(model), stepper_of(scene, scene.stage[0]), scene.stage[0].time_step or 0.0)
+    state = stepping.enter(equilibrium_state(model), stepper_of(scene, scene.stage[0]), scene.stage[0].time_step or 0.0)
     found: dict[str, Any] = {"cpu": [], "newton": [], "factorisations": [], "sliding": [], "failure": ""}
     moved = np.lib.format.open_memmap(
         Path(folder) / f"{name}.npy", "w+", np.float64, (int(steps), model.operators.layout.solid_count)

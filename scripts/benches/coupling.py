@@ -1,10 +1,10 @@
 """Krylov iterations of coupling = "monolithic": coupling.py [UNKNOWNS...] [--ranks N...] [--out DIR].
 
-One time step by the program's own Newton method, into a fault at rest in a square of rock: apertures from 1e-1 to 1e-6 m, the
-fault buried or through-going, with a fixed pressure at its start or closed, so that only its walls can store the fluid; steady
-flow, quasi-static and dynamic; blocks solved exactly (MUMPS) or, for the rock, by multigrid (BoomerAMG). What counts is the
-worst linear solve of a step; its true relative residual |b - A x| / |b|, largest entries, is stated, in the scaled unknowns.
-Exit code 1 where a bar is missed: at most 20 iterations with exact blocks, 40 with multigrid.
+One time step by the program's own Newton method, into a fault at rest in a square of rock: apertures from 1e-1 to 1e-6
+m, the fault buried or through-going, with a fixed pressure at its start or closed, so that only its walls can store the
+fluid; steady flow, quasi-static and dynamic; blocks solved exactly (MUMPS) or, for the rock, by multigrid (BoomerAMG).
+The worst linear solve of a step counts; its true relative residual |b - A x| / |b|, largest entries, is stated, in the
+scaled unknowns. Exit code 1 where a bar is missed: at most 20 iterations with exact blocks, 40 with multigrid.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ def scene_of(unknowns: int, fault: str, drained: bool) -> dict[str, Any]:
 def worker(unknowns: str, fault: str, drained: str, result: str, apertures: str, blocks: str) -> None:
     """Measure all cases of a fault on this rank of several; rank 0 writes them."""
     from fracflow._petsc import MPI, PETSc
-    from fracflow.advance.initial_state import rest
+    from fracflow.advance.initial_state import equilibrium_state
     from fracflow.reduction.prepare import prepare
     from fracflow.scene.scene import Scene
 
     comm, case = MPI.COMM_WORLD, {"fault": fault, "drained": json.loads(drained)}
     model = prepare(Scene.from_data(scene_of(int(unknowns), **case)), comm)
-    state, found = rest(model), []
+    state, found = equilibrium_state(model), []
     for name in json.loads(blocks):
         found += measure_model(model, state, json.loads(apertures), name, case)
     versions = {"PETSc": ".".join(map(str, PETSc.Sys.getVersion())), "MPI": MPI.Get_library_version().split(",")[0]}
@@ -82,6 +82,7 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
     from fracflow.solve import options as defaults
     from fracflow.solve.monolithic import Monolithic
     from fracflow.solve.problem import StepProblem
+    from fracflow.solve.request import StepRequest, StepRule
 
     kinds = {"steady": Steady(), "quasi-static": BackwardEuler(), "dynamic": STEPPERS["newmark"]()}
     defaults.set_defaults(model.scene.petsc, defaults.MULTIGRID_FROM if blocks == "multigrid" else 0)
@@ -92,7 +93,8 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
     for (kind, stepper), aperture in itertools.product(kinds.items(), apertures):
         if kind == "steady" and not case["drained"]:
             continue
-        flow = replace(model.operators.flow, aperture=np.full_like(model.operators.flow.aperture, aperture))
+        film = np.full_like(model.operators.flow.aperture, aperture)
+        flow = replace(model.operators.flow, aperture=film, law=replace(model.operators.flow.law, aperture=film))
         alphas = stepper.alphas(STEPS[kind] or 1.0)
         pressure = min(0.1 * STIFFNESS * aperture, 1e6)  # opens the fault by a tenth
         reach = np.sqrt(aperture**3 * STIFFNESS / (12 * VISCOSITY * alphas.a1)) if alphas.a1 else np.inf
@@ -100,7 +102,9 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
             reach, EXTENT / (model.operators.layout.total / 2) ** 0.5, length
         )  # of the pressure in one step
         rate = pressure * (aperture**3 / (12 * VISCOSITY * reach) + alphas.a1 * reach / STIFFNESS)
-        problem = StepProblem(replace(model.operators, flow=flow), model.loads, state, alphas, 1.0, {})
+        problem = StepProblem(
+            replace(model.operators, flow=flow), state, StepRequest(1.0, 1.0, {}, model.loads), StepRule(alphas)
+        )
         problem.source.axpy(rate, model.loads.wells[0].vector)
         solves.clear()
         start = time.perf_counter()

@@ -42,7 +42,7 @@ MOST_KEPT = 3  # cases of one failure
 
 @dataclass
 class Tally:
-    """What was found: key -> how often; of which inputs; where the first was kept."""
+    """The findings: key -> how often; of which inputs; where the first was kept."""
 
     failures: Counter[str] = field(default_factory=Counter)
     kinds: dict[str, Counter[str]] = field(default_factory=dict)
@@ -146,7 +146,7 @@ class Worker:
         self.pipe = read
 
     def lines(self) -> Iterator[str]:
-        """What it has said since."""
+        """Its output since then."""
         data = os.read(self.pipe, 1 << 16)
         self.heard = time.monotonic()
         *whole, self.rest = (self.rest + data).split(b"\n")

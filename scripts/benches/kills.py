@@ -104,7 +104,7 @@ SCENES = {
     "block": Scene("report_5_2", ("stage.0.end=1.2", "output.checkpoint_every=4", "output.fields_every=3"), 0.3),
     "wells": Scene(WELLS, ("output.checkpoint_every=2", "output.fields_every=4"), 0.3),
     "auto": Scene(
-        "failures/f11_two_modes",
+        "failures/two_modes",
         (
             "stage.push.end=430", "stage.push.dynamic_time_step=0.5", "stage.push.at_rest=0.1",
             "output.checkpoint_every=8", "output.fields_every=20",
@@ -129,7 +129,7 @@ class Case:
 
 @dataclass
 class Finding:
-    """What came of a case: the code of the faulted run, and all that was wrong."""
+    """The result of a case: the exit code of the faulted run, and its faults."""
 
     case: Case
     at: int
@@ -265,14 +265,15 @@ class Bench:
     def batch(self, cases: list[Case], worker: Worker) -> Iterator[Finding]:
         """Cases that are resumed together: those on two ranks."""
         found = [self.fault(case, worker) for case in cases]
-        begun = [self.place(each.case) for each in found if (self.place(each.case) / "scene.toml").exists()]
+        # one that begins again has a process to itself: the second partition that a process makes is another than the first
+        begun = [self.place(each.case) for each in found if (self.place(each.case) / "checkpoint.h5").exists()]
         ended = resumed_on_ranks(begun, self.folder / f"batch_{cases[0].number}.out")
         for each in found:
             folder = self.place(each.case)
             if folder in ended:
                 code, said = ended[folder]
             else:
-                code, said = on_ranks(["-m", "fracflow", *self.words(each.case.scene, folder)], Path(f"{folder}.out"))
+                code, said = on_ranks(["-m", "fracflow", *self.go_on(each.case)], Path(f"{folder}.out"))
             self.judge_end(each, code, said, worker)
             yield each
 

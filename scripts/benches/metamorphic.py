@@ -3,12 +3,12 @@
     scripts/bench metamorphic [--scenes 100] [--seed 0] [--only KIND ...] [--ranks-every 4] [--out DIR]
 
 Each scene of ``_meta_scenes`` is run as it is, and changed in each way of ``_meta_turns`` that fits it, stopped and
-resumed, with a tolerance stopped and resumed, and some of them on 2 and 3 ranks. What is told of probes, energies and
-events is read back and compared over sizes that follow from the scene. A difference above the limit is explained only
-where the scene as it is, shaken in the thirteenth digit of its numbers, moves as much, which is its condition; or where
-an aperture more than doubled in one step, which the log tells, for such steps have several solutions.
+resumed, with a tolerance stopped and resumed, and some of them on 2 and 3 ranks. Probes, energies and events are read
+back and compared over sizes that follow from the scene. A difference above the limit is explained only where the scene
+as it is, shaken in the thirteenth digit of its numbers, moves as much, which is its condition; or where an aperture
+more than doubled in one step, which the log tells, for such steps have several solutions.
 
-Exit code 1 if a difference is left unexplained, the energy books stay open, something is no number, or a run fails in
+Exit code 1 if a difference is left unexplained, the energy balance stay open, something is no number, or a run fails in
 one way only.
 """
 
@@ -35,7 +35,7 @@ from _meta_scenes import Case, copied, draw, twin
 from _meta_turns import SHAKEN, TURNS, Back, shaken
 
 SAME = 1e-8  # of natural size
-CLOSED = 1e-10  # energy books over their largest entry
+CLOSED = 1e-10  # energy balance over their largest entry
 LIKEWISE = 0.1  # of a difference: what a shaken scene must move by for it to be explained
 SHAKES = 3
 WIDENS = 2.0  # growth of an aperture in a step that the log tells of: there may be several solutions

@@ -36,7 +36,7 @@ BARS = {"h1": ("slip", 0.016, 5.0), "h2": ("pressure", 0.002, 5.0)}
 """Case -> observable, error at which CPU times are compared, and how many times less fracflow's must be."""
 LARGE = 8385  # nodes at which H3 is stated
 ILUT = {"solver": "BiCGSTAB", "preconditioner": "ILUT"}
-FILM = {"film": "bdf2", "storage": "lumped", "conductance": "exact"}
+FILM = {"flow_integrator": "bdf2", "storage": "lumped", "conductance": "exact"}
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def once(curve: Curve, size: tuple[Any, ...], folder: Path, program: Path) -> tu
 
 
 def measure(cases: Sequence[str], repeats: int, out: Path, program: Path) -> list[dict[str, Any]]:
-    """All curves of the cases, the programs by turns; medians. What failed has no second try."""
+    """All curves of the cases, the programs by turns; medians. A run that failed has no second try."""
     tasks = [
         (curve, size)
         for level in range(max(len(curve.sizes) for curve in CURVES))

@@ -37,7 +37,7 @@ FASTEST = 6000.0
 
 @dataclass(frozen=True)
 class Rupture:
-    """What a run found: rupture times at the five places [s], slip and moment per metre of depth at the end, its cost."""
+    """The result of a run: rupture times at the five places [s], slip and moment per metre of depth at the end, its cost."""
 
     stepper: str
     side: float

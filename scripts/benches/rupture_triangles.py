@@ -39,7 +39,7 @@ SLIP_BAR, RMS_BAR, WORST_BAR, ORDER_BAR, BOOKS_BAR = 0.02, 0.01, 0.03, 1.4, 1e-1
 
 @dataclass(frozen=True)
 class Found:
-    """What a run found: final slips (7,) [m], normal traction off its value (rms, at worst), books, CPU seconds."""
+    """The result of a run: final slips (7,) [m], error of the normal traction (rms, largest), energy balance, CPU seconds."""
 
     slips: Floats
     rms: float

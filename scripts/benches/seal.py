@@ -25,7 +25,7 @@ import numpy as np
 
 from fracflow.output import history
 from fracflow.scene.scene import load
-from fracflow.simulation import before, recorder
+from fracflow.simulation import recorder
 from fracflow.simulation.run import run
 from fracflow.storage import sealed
 
@@ -37,7 +37,7 @@ SCENES = {
 }
 HASHING = (
     (sealed, "pieces"), (sealed, "root_of"), (history, "chain"), (history, "chain_start"),
-    (before, "scene_seal"), (recorder, "scene_seal"),
+    (recorder, "scene_seal"),
 )  # fmt: skip
 
 

@@ -36,11 +36,11 @@ PARTS = {
     "partition": ["mesh.distribute:partition_cells"],
     "distribute": ["model.setup:distribute"],
     "assemble G K M B": ["model.setup:assemble", "model.setup:assemble_loads"],
-    "start": ["simulation.run:rest", "advance.step:Stepping.enter"],
+    "start": ["simulation.run:equilibrium_state", "advance.step:Stepping.enter"],
     "Jacobian": ["solve.jacobian:JoinedMatrix.__init__", "solve.jacobian:JoinedMatrix.fill"],
     "balances": ["solve.newton:Newton._function", "solve.newton:Newton._pre_check"],
     SOLVE: ["solve.newton:Newton.solve"],
-    "energy books": ["advance.step:book", "advance.step:accept"],
+    "energy balance": ["advance.step:update_balance", "advance.step:accept"],
     "output": [
         "simulation.recorder:Recorder.__init__",
         "simulation.recorder:Recorder.record",

@@ -1,8 +1,8 @@
 """A scene run twice, as it stands and with nothing left out, and how far the two histories are apart.
 
-Values count by their change since the start, over the largest change of their kind: pressures over that of all pressures,
-components of a vector or tensor over that of all of them, energies over that of all entries of the books. What changes less
-than FLOOR of the largest value of its dimension does not.
+Values count by their change since the start, over the largest change of their kind: pressures over that of all
+pressures, components of a vector or tensor over that of all of them, energies over that of all entries of the books. A
+value that changes less than FLOOR of the largest one of its dimension counts as constant.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from fracflow._petsc import MPI
 from fracflow.advance.step import Step
 from fracflow.errors import InputError, SolveError
 from fracflow.output import read_events, read_history
-from fracflow.output.export import KINDS
+from fracflow.scene.quantities import row_of
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import PLAIN
 from fracflow.simulation.run import run
 
 Floats = NDArray[np.float64]
@@ -177,7 +178,7 @@ def columns(history: Mapping[str, NDArray[Any]], key: str) -> Floats:
 
 
 def kind_of(key: str) -> str:
-    """What a key of the history is compared by."""
+    """The measure that a key of the history is compared by."""
     name = key.rpartition("/")[2]
     return "energy" if key.startswith("energy/") else key if key.startswith("step/") else PARTS_OF.get(name, name)
 
@@ -191,7 +192,8 @@ def largest(full: Ran, reduced: Ran) -> dict[str, float]:
         for key in ran.history:
             kind, values = kind_of(key), columns(ran.history, key)
             change[kind] = max(change.get(kind, 0.0), float(np.abs(values - values[0]).max()))
-            dimension = of_kind[kind] = KINDS.get(key.rpartition("/")[2], kind)
+            row = row_of(key)
+            dimension = of_kind[kind] = kind if row is None or row.dimension == PLAIN else row.dimension
             value[dimension] = max(value.get(dimension, 0.0), float(np.abs(values).max()))
     return {kind: max(size, FLOOR * value[of_kind[kind]]) for kind, size in change.items()}
 
@@ -228,7 +230,7 @@ def between(times: Floats, values: Floats, at: Floats) -> Floats:
 def events_apart(full: Ran, reduced: Ran, sizes: Mapping[str, float]) -> Gap:
     """Each row against the row of the same place that is most like it, or against none, which neither lasts nor slips.
 
-    What reaches its strength at the end of a step slips in this one or from the next on, as round-off has it.
+    A section that reaches its strength at the end of a step slips in this one or from the next on, by round-off.
     """
     duration, found = max(full.end, reduced.end), Gap(0.0)
     most = {

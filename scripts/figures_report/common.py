@@ -1,4 +1,4 @@
-"""What the figures of the report share: runs and what is read from them."""
+"""Common parts of the figures of the report: runs and their results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RECONSTRUCTED = "(R): reconstructed, the report's figure is lost."
 
 @dataclass(frozen=True)
 class Run:
-    """What the figures need of a run."""
+    """The results of a run for the figures."""
 
     history: Mapping[str, NDArray[Any]]
     events: Sequence[Mapping[str, Any]]
@@ -46,7 +46,7 @@ def runner(folder: Path) -> Runner:
 
 
 def command(scene: str, *overrides: str) -> str:
-    """What a user types for the same run."""
+    """The command of a user for the same run."""
     return " ".join(["fracflow run", f"meshes/{scene}/scene.toml", *(f"--set {item}" for item in overrides)])
 
 
@@ -80,7 +80,7 @@ def held(run: Run) -> int:
 
 
 def energy(run: Run, *names: str) -> Floats:
-    """Sum of entries of the energy books."""
+    """Sum of entries of the energy balance."""
     return np.sum([run.history[f"energy/{name}"] for name in names], axis=0)
 
 

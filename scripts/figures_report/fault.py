@@ -45,7 +45,7 @@ def draw(folder: Path, run: Runner) -> list[Check]:
 
 
 def bars(model: str, run: Run) -> list[Check]:
-    """What the text states: 1, 2 and 3 slip to new rest positions, 4 and 5 stay."""
+    """The text states: 1, 2 and 3 slip to new rest positions, 4 and 5 stay."""
     found = slipped(run)
     over = max(event["end"] or np.inf for event in run.events)
     still = run.history["time"] >= over - 1e-9

@@ -11,12 +11,13 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, STYLE, Check, Flo
 
 from figures_report.common import RECONSTRUCTED, Runner, command, probe, runner
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 
 SCENE = "report_5_1"
 SPRINGS = 0.1  # (R) two of E = 0.05
@@ -107,7 +108,7 @@ def one_step(method: str) -> Floats:
     overrides = [*BILINEAR, f"method.newton={method}", f"accuracy.out_of_balance={TOLERANCE}"]
     model = prepare(load(ROOT / "meshes" / SCENE / "scene.toml", overrides), MPI.COMM_SELF)
     stepping = Stepping(model)
-    state, report = stepping.step(rest(model), Steady(), 1.0, 1.0, {})
+    state, report = stepping.step(equilibrium_state(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
     state.destroy()
     stepping.destroy()
     return np.array(report.out_of_balance)

@@ -28,7 +28,7 @@ class Schedule(NamedTuple):
         return np.linspace(0.0, DURATION, len(self.rates))
 
     def overrides(self, refine: int) -> list[str]:
-        """What it sets in meshes/report_5_5: sides across the fault let waves out, those at its ends hold the rock."""
+        """Its settings in meshes/report_5_5: sides across the fault absorb waves, those at its ends hold the rock."""
         times, well = self.times.tolist(), zip(WELLS, zip(*self.rates, strict=True), strict=True)
         given = [f"well.{name}.flow_rate={{time={times}, value={list(rates)}}}" for name, rates in well]
         given += [f"well.{name}.maximum_pressure={HIGHEST}" for name in WELLS]
@@ -50,11 +50,11 @@ class Schedule(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a schedule did: its events (n,), in the order of time, and the highest pressure on the fault.
+    """The result of a schedule: its events (n,), in the order of time, and the highest pressure on the fault.
 
     moment    per unit thickness, G times slip times length [lbf]
     length    of fault that slipped [ft]
-    unclosed  what the energy books miss, of the energy released
+    unclosed  what the energy balance miss, of the energy released
     dropped   kinetic energy left out at the return to rest, of the same
     is_over   whether all came to rest
     """

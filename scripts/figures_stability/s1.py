@@ -17,7 +17,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from sheets import BLUE, HALO, INK, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.errors import SolveError
 from fracflow.integrators import Newmark, Steady
 from fracflow.model.setup import Model
@@ -29,6 +29,7 @@ from fracflow.solve.accept import accept
 from fracflow.solve.fixed_point.iteration import FixedPoint
 from fracflow.solve.monolithic import Monolithic
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 
 REACH, STIFFNESS, VISCOSITY, PRESSURE = 10.0, 1e9, 1e-3, 1e5
 """Length of each of the two elements [m], k_n [Pa/m], viscosity [Pa s], pressure of the steady flow [Pa]."""
@@ -80,7 +81,7 @@ class Film:
 
     def __init__(self) -> None:
         self.model: Model = prepare(scene({}), MPI.COMM_SELF)
-        self.start = rest(self.model)
+        self.start = equilibrium_state(self.model)
         self.steady = Monolithic(self.model.scene, self.model.operators, self.model.loads)
 
     def couplings(self) -> dict[str, Coupling]:
@@ -101,9 +102,13 @@ class Film:
         """A step of the film with an aperture at rest, pumped at a rate."""
         operators = self.model.operators
         assert operators.flow is not None
-        flow = replace(operators.flow, aperture=np.full_like(operators.flow.aperture, aperture))
+        film = np.full_like(operators.flow.aperture, aperture)
+        flow = replace(operators.flow, aperture=film, law=replace(operators.flow.law, aperture=film))
         problem = StepProblem(
-            replace(operators, flow=flow), self.model.loads, state, stepper.alphas(dt), state.time + dt, {}
+            replace(operators, flow=flow),
+            state,
+            StepRequest(state.time + dt, dt, {}, self.model.loads),
+            StepRule(stepper.alphas(dt)),
         )
         problem.source.axpy(rate, self.model.loads.wells[0].vector)
         return problem

@@ -1,6 +1,6 @@
 """S2: where contact makes energy: a bar that hits a joint, by time step, stiffness of the joint and time integrator.
 
-The scene of meshes/failures/f4_impact, run by the program's own stages; what a run has at most of kinetic and stored energy,
+The scene of meshes/failures/bar_impact, run by the program's own stages; what a run has at most of kinetic and stored energy,
 the joint's in closed form, over what the bar brought.
 """
 
@@ -14,15 +14,15 @@ from matplotlib.axes import Axes
 from sheets import HALO, INK, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.stage import run_stage
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.errors import SolveError
-from fracflow.integrators import WITH_INERTIA
+from fracflow.integrators import with_inertia
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
-SCENE = ROOT / "meshes" / "failures" / "f4_impact" / "scene.toml"
+SCENE = ROOT / "meshes" / "failures" / "bar_impact" / "scene.toml"
 CELLS = 40
 DEFAULT = "redistributed"
 INTEGRATORS: Mapping[str, Mapping[str, str | float]] = {
@@ -50,8 +50,8 @@ def impact(keys: Mapping[str, str | float], step: float, stiffness: float) -> tu
     settings += [f"stage.impact.time_step={dt!r}", f"stage.impact.end={dt * np.ceil(end / dt)!r}"]
     settings += [f"fracture.face.normal_stiffness={stiffness * CELLS!r}"]
     model = prepare(load(SCENE, settings), MPI.COMM_SELF)
-    settle(model)
-    state, stepping = rest(model), Stepping(model)
+    refuse_imbalance(model)
+    state, stepping = equilibrium_state(model), Stepping(model)
     state = stepping.enter(state, stepper_of(model.scene, model.scene.stage[0]), dt)
     start, most, force, closings = 0.5 / CELLS, 0.0, 0.0, 0
     try:
@@ -73,7 +73,7 @@ def draw(folder: Path, small: bool = False) -> list[Check]:
     """Measure, draw ``s2`` and return the bars; ``small`` with few points and the first maps."""
     steps = np.array([1.0, 3.0]) if small else np.array([0.25, 0.5, 1.0, 1.8, 3.0, 5.0])
     stiffnesses = np.array([1.0, 30.0]) if small else np.array([1e-2, 0.1, 1.0, 5.0, 30.0, 300.0, 1e4])
-    known = {name: keys for name, keys in INTEGRATORS.items() if keys.get("stepper", "newmark") in WITH_INERTIA}
+    known = {name: keys for name, keys in INTEGRATORS.items() if keys.get("stepper", "newmark") in with_inertia()}
     if small:
         known = {name: known[name] for name in (DEFAULT, "lumped", "lumped without events")}
     found = {name: np.array([[impact(keys, s, k) for s in steps] for k in stiffnesses]) for name, keys in known.items()}

@@ -1,6 +1,6 @@
 """S3: how far the pressure of a loaded film overshoots, by time step, pair of matrices and rule in time.
 
-The film of meshes/failures/f3_winkler_film stands on springs, drains at one end and is loaded at once: 0 <= p <= load.
+The fracture of meshes/failures/loaded_fracture_on_springs drains at one end and is loaded at once: 0 <= p <= load.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from matplotlib.colors import LogNorm
 from sheets import HALO, INK, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.step import Stepping
 from fracflow.integrators import STEPPERS
 from fracflow.model.setup import Model
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 
-SCENE = ROOT / "meshes" / "failures" / "f3_winkler_film" / "scene.toml"
+SCENE = ROOT / "meshes" / "failures" / "loaded_fracture_on_springs" / "scene.toml"
 PAIRS = {
     "lumped": "lumped, lumped\n(default)",
     "consistent-lumped": "$e$, lumped",
@@ -36,10 +37,10 @@ COMMAND = "scripts/figures stability --only S3"
 
 def overshoots(model: Model, rule: str, dt: float) -> tuple[float, float]:
     """How far the pressure leaves [0, load] in the first step; and 0 <= p(t + dt) <= p(t) in the first ten."""
-    stepping, state = Stepping(model), rest(model)
+    stepping, state = Stepping(model), equilibrium_state(model)
     found, before = [], state.pressure.getArray().copy()
     for n in range(1, STEPS + 1):
-        new, _ = stepping.step(state, STEPPERS[rule](), n * dt, dt, {})
+        new, _ = stepping.step(state, StepRequest(n * dt, dt, {}, stepping.model.loads), STEPPERS[rule]())
         state.destroy()
         state = new
         pressure = state.pressure.getArray().copy()
@@ -55,7 +56,7 @@ def measure(steps: Floats) -> dict[tuple[str, str], Floats]:
     found = {}
     for pair in PAIRS:
         model = prepare(load(SCENE, [f"method.storage={pair}"]), MPI.COMM_SELF)
-        settle(model)
+        refuse_imbalance(model)
         for rule in RULES:
             found[pair, rule] = np.array([overshoots(model, rule, float(dt)) for dt in steps])
     return found

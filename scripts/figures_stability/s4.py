@@ -19,18 +19,20 @@ from matplotlib.patches import Patch
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, PINK, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
+from fracflow.laws.base import HELD
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.model.joints import LawGroup
 from fracflow.model.setup import Model
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import read_toml
+from fracflow.solve.request import StepRequest
 
-FOLDER = ROOT / "meshes" / "failures" / "f6a_closing"
+FOLDER = ROOT / "meshes" / "failures" / "closing_joint"
 D0 = 0.1
 SPRINGS = (0.0, 0.1)  # k_r
 WAYS = ("plain", "barrier", "default", "residual")
@@ -95,7 +97,7 @@ def make(spring: float, way: str) -> Model:
         del data["rock"]["spring"]
         data["support"] = [part for part in data["support"] if part["on"] != "ends"]
     model = prepare(Scene.from_data(data, FOLDER / "scene.toml"), MPI.COMM_SELF)
-    settle(model)
+    refuse_imbalance(model)
     if way != "plain":
         return model
     joints = model.operators.joints
@@ -106,7 +108,7 @@ def make(spring: float, way: str) -> Model:
 @contextmanager
 def solver(model: Model, spring: float) -> Iterator[Callable[[float, float], Outcome]]:
     """Function (load, start opening) -> outcome of one steady step."""
-    stepping, state, joints = Stepping(model), rest(model), model.operators.joints
+    stepping, state, joints = Stepping(model), equilibrium_state(model), model.operators.joints
     block = model.operators.blocks.solid
     unknown = block.body_unknown[block.rocks.index("block") == block.body_rock, 1]
 
@@ -116,11 +118,11 @@ def solver(model: Model, spring: float) -> Iterator[Callable[[float, float], Out
         begun = replace(
             state,
             motion=replace(state.motion, displacement=displacement),
-            sections=joints.respond(joints.strain(displacement), joints.rest(), hold=True),
+            sections=joints.evaluate(joints.strain(displacement), joints.initial_history(), HELD),
         )
         right = root(force, spring)
         try:
-            new, report = stepping.step(begun, Steady(), 1.0, 1.0, {"push": force})
+            new, report = stepping.step(begun, StepRequest(1.0, 1.0, {"push": force}, stepping.model.loads), Steady())
         except SolveError as error:
             displacement.destroy()
             if "closed beyond its aperture" in str(error):

@@ -9,15 +9,16 @@ from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.step import Stepping
-from fracflow.diagnostics.rock import STIFF
+from fracflow.diagnostics.slip import STIFF
 from fracflow.integrators import Steady
 from fracflow.model.joints import jump_matrix
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 
-SCENE = ROOT / "meshes" / "failures" / "f1_half_open" / "scene.toml"
+SCENE = ROOT / "meshes" / "failures" / "half_open_joint" / "scene.toml"
 RULES = {"nodal": GREEN, "gauss2": BLUE, "one-point": ORANGE}
 SIZE = 1.0 / 24.0
 MODULUS = 1.0 / (1.0 - 0.25**2)  # E' of the scene
@@ -32,9 +33,9 @@ def tractions(stiffness: float, rule: str) -> tuple[Floats, Floats]:
     settings = [f"fracture.closed.{part}_stiffness={each!r}" for part in ("normal", "shear")]
     scene = load(SCENE, [f"method.quadrature={rule}", *settings])
     model = prepare(scene, MPI.COMM_SELF)
-    settle(model)
-    start, stepping, ops = rest(model), Stepping(model), model.operators
-    state, _ = stepping.step(start, Steady(), 1.0, 1.0, {})
+    refuse_imbalance(model)
+    start, stepping, ops = equilibrium_state(model), Stepping(model), model.operators
+    state, _ = stepping.step(start, StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
     jump = jump_matrix(ops.blocks, np.array([-1.0, 1.0]), ops.expand)
     openings = jump.createVecLeft()
     jump.mult(state.motion.displacement, openings)

@@ -1,9 +1,9 @@
 """S6: at which load slip runs away along a bar, against the length of joints: a drop of strength at once, and one with slip.
 
-The bar of meshes/failures/f5b_rupture, E D = rho D = 1, symmetric, as a chain of nodes of its own in NumPy: the program's joint
+The bar of meshes/failures/rupture_along_bar, E D = rho D = 1, symmetric, as a chain of nodes in NumPy: the program's joint
 laws answer at the nodes, a central difference moves them, all loads at once. In |x| < 4 strength is 0.6 from the start, beyond
 it 1 until slip begins; S = (1 - tau_0)/(tau_0 - 0.6). Slip that passes x = 12 runs away. The card is asked of the scene itself;
-tests/failures/test_f5b.py runs that, too.
+tests/failures/test_rupture_along_bar.py runs that, too.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, INK, ORANGE, PALE, ROOT, SKY, Check, Floats, save, sheet, write_csv
 
-from fracflow.diagnostics import scene_card
+from fracflow.diagnostics import pre_run_checks
 from fracflow.laws import JOINT_LAWS
 from fracflow.model.setup import place
 from fracflow.reduction.prepare import read_split
 from fracflow.scene.scene import load
 
-SCENE = ROOT / "meshes" / "failures" / "f5b_rupture" / "scene.toml"
+SCENE = ROOT / "meshes" / "failures" / "rupture_along_bar" / "scene.toml"
 LENGTH, PATCH, FAR, END = 24.0, 4.0, 12.0, 26.0
 PEAK, LOW = 1.0, 0.6
 COURANT = 0.4
@@ -58,10 +58,10 @@ def runs_away(make: Make, size: float, excess: Floats) -> np.ndarray:
     law = make(np.tile(x < PATCH - 1e-9, len(excess)), tau)
     dt = COURANT * size / np.sqrt(1.0 + np.max(law.shear_stiffness) * size**2 / 4.0)
     strain, speed = np.zeros((len(tau), 2)), np.zeros((len(excess), len(x)))
-    past, beyond = law.rest(len(tau), 2), np.tile(x > FAR, len(excess))
+    past, beyond = law.initial_history(len(tau), 2), np.tile(x > FAR, len(excess))
     for _ in range(int(np.ceil(END / dt))):
-        answer = law.respond(strain, past)
-        past = answer.past
+        answer = law.evaluate(strain, past)
+        past = answer.history
         u = strain[:, 0].reshape(speed.shape)
         pull = np.zeros_like(u)
         pull[:, 1:-1] = u[:, 2:] - 2.0 * u[:, 1:-1] + u[:, :-2]
@@ -88,7 +88,7 @@ def warned(number: str, *settings: str) -> bool:
     """Whether the card says of the scene on joints of length 1 that a number is out of range."""
     scene = load(SCENE, list(settings))
     mesh = read_split(scene)
-    card = {each.name: each for each in scene_card(scene, mesh, place(scene, mesh).wells)}
+    card = {each.name: each for each in pre_run_checks(scene, mesh, place(scene, mesh).wells)}
     return card[number].out_of_range
 
 

@@ -1,6 +1,6 @@
 """S7: what grows of itself: waves along a fault that slides between unlike rocks; graded films, by pair of matrices.
 
-Fault: the layers of meshes/failures/f8_dissimilar repeat themselves along x and their cells are alike, so that every wave
+Fault: the layers of meshes/failures/dissimilar_rocks repeat themselves along x and their cells are alike, so that every wave
 exp(i kappa x + p t) is an eigenvector of the program's own matrices, with the tangent of sections that slide:
 p^2 M + K(kappa) = 0. A wave is resolved on five cells or more; shorter ones are the mesh's own, and grow too.
 Films: seven nodes at random places, random apertures, a wall on springs: p^2 m + p B K_F^-1 B_F' + k = 0, with the
@@ -18,14 +18,15 @@ from scipy import sparse
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.diagnostics import scene_card
+from fracflow.diagnostics import pre_run_checks
 from fracflow.elements.flow import conductivity, storage_matrix
+from fracflow.laws.base import HELD
 from fracflow.model.flow import STORAGE as PAIRS
 from fracflow.model.setup import Model, place
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import Scene, load
 
-SCENE = ROOT / "meshes" / "failures" / "f8_dissimilar" / "scene.toml"
+SCENE = ROOT / "meshes" / "failures" / "dissimilar_rocks" / "scene.toml"
 RESOLVED = 5.0  # cells a wave
 NOTHING = 1e-7  # of k_n c_s/mu: square roots of round-off
 SPREAD = 0.7  # of the logarithms of spacing and aperture of the films
@@ -79,8 +80,8 @@ def tangent(model: Model, friction_sign: float = 1.0) -> sparse.csr_matrix:
     """K_s + G' W D G with every section sliding, by the program's operators."""
     ops = model.operators
     joints, count = ops.joints, ops.layout.solid_count
-    past = tuple({**p, "sliding": np.full_like(p["sliding"], friction_sign)} for p in joints.rest())
-    answer = joints.respond(np.zeros((len(joints.weights), 2)), past, hold=True)
+    past = tuple({**p, "sliding": np.full_like(p["sliding"], friction_sign)} for p in joints.initial_history())
+    answer = joints.evaluate(np.zeros((len(joints.weights), 2)), past, HELD)
     rows, columns, values = ops.stiffness.getValuesCSR()
     total = sparse.csr_matrix((values, columns, rows), shape=(count, count))
     for numbers, blocks in joints.tangent(answer.tangent):
@@ -105,7 +106,7 @@ def layers(contrast: float, friction: float, stiffness: float, mesh: str = "coar
 def warned(scene: Scene) -> bool:
     """Whether the card says so, of a run as long as one e-fold takes."""
     mesh = read_split(scene)
-    card = {number.name: number for number in scene_card(scene, mesh, place(scene, mesh).wells)}
+    card = {number.name: number for number in pre_run_checks(scene, mesh, place(scene, mesh).wells)}
     return card["dissimilar rock"].value is not None
 
 
@@ -131,7 +132,8 @@ def films(pair: str, draws: int, nodes: int = 7) -> Floats:
     ends = np.stack([np.arange(nodes - 1), np.arange(1, nodes)], axis=1)
     for draw in range(draws):
         length, aperture = np.exp(random.normal(0.0, SPREAD, (2, nodes - 1)))
-        matrices = [storage_matrix(kind, length) for kind in (*PAIRS[pair], "lumped")]
+        lines = np.einsum("n,ij->nij", length, [[0.0, 0.0], [1.0, 0.0]])
+        matrices = [storage_matrix(kind, lines) for kind in (*PAIRS[pair], "lumped")]
         matrices += [conductivity(aperture**3 / length), conductivity(1.0 / length)]
         push, squeeze, area, network, bend = (_assembled(each, ends) for each in matrices)
         damping = push[:, 1:] @ np.linalg.solve(network[1:, 1:], squeeze.T[1:])

@@ -10,14 +10,14 @@ from matplotlib.axes import Axes
 from sheets import BLUE, HALO, INK, ORANGE, PALE, ROOT, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.stage import run_stage
 from fracflow.advance.step import Stepping
 from fracflow.errors import SolveError
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 
-SCENE = ROOT / "meshes" / "failures" / "f9_rigid_motion" / "scene.toml"
+SCENE = ROOT / "meshes" / "failures" / "rigid_motion" / "scene.toml"
 EPS = float(np.finfo(float).eps)
 TRACTION = 1e6  # Pa, what the roof carries
 SOFT = "rock.rock.youngs_modulus=2.5e8"  # E/h = 1e9 Pa/m, so that from k_n = 1e9 on it is the joint that loses digits
@@ -50,8 +50,8 @@ def push(stiffness: float, motion: float, steps: int = 1, digits: int = 1) -> Ca
     table = f"support.0.displacement={{y = [[0, 0], [1, {motion!r}]]}}"
     scene = load(SCENE, [*settings, table, SOFT, f"stage.push.time_step={1.0 / steps!r}", f"accuracy.digits={digits}"])
     model = prepare(scene, MPI.COMM_SELF)
-    settle(model)
-    state, stepping = rest(model), Stepping(model)
+    refuse_imbalance(model)
+    state, stepping = equilibrium_state(model), Stepping(model)
     fewest = np.inf
     try:
         for step in run_stage(stepping, state, 0, lambda line: None, {}):

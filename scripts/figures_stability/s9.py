@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from sheets import BLUE, GREEN, INK, ORANGE, PALE, Check, Floats, save, sheet, write_csv
 
 from fracflow._petsc import MPI
-from fracflow.model.fault_damping import ALIKE, AUTO, asymmetry
+from fracflow.model.terms.fault_damping import ALIKE, AUTO, asymmetry
 from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene, load

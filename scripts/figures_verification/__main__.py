@@ -17,7 +17,7 @@ from figures_verification.case import Outcome, measure
 from figures_verification.cases import CASES
 
 EXACT = 1e-9  # bars up to this are of round-off
-BOOKS = "energy books"
+BOOKS = "energy balance"
 PANELS = {
     "R02": "R02 stick-slip oscillator", "R03": "R03 waves through a joint", "R05": "R05 diffusion in a joint that opens",
     "R06": "R06 Wijesinghe", "R07": "R07 cracks", "R08": "R08 slip by injection (Viesca)", "R": "R04, R11",
@@ -87,7 +87,7 @@ def row(name: str, group: Sequence[Outcome]) -> str:
 
 
 def asked(outcomes: Sequence[Outcome]) -> list[str]:
-    """What theory or a benchmark demands: exactness, orders, errors of observables."""
+    """The demands of theory or of a benchmark: exactness, orders, errors of observables."""
     exact = ["exact"] if all(o.most <= EXACT for o in outcomes) else []
     orders = sorted({f"order {o.bar.theory}" for o in outcomes if o.bar.theory})
     return exact + orders + [f"{o.observable} to {o.bar.asked:g}" for o in outcomes if o.bar.asked is not None]
@@ -151,7 +151,7 @@ def curves(axis: Axes, outcomes: Sequence[Outcome]) -> None:
 
 
 def strips(axis: Axes, outcomes: Sequence[Outcome]) -> None:
-    """What is exact, a row a reference: the errors of all sizes, and the bars."""
+    """The exact cases, a row a reference: the errors of all sizes, and the bars."""
     names = sorted({outcome.case[:3] for outcome in outcomes}, reverse=True)
     for height, name in enumerate(names):
         group = [outcome for outcome in outcomes if outcome.case.startswith(name)]

@@ -1,4 +1,4 @@
-"""What a case is: runs of several sizes held against a closed form, and the bars on their errors and orders."""
+"""A case: runs of several sizes compared with a closed form, and the bars on their errors and orders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 class Bar(NamedTuple):
     """Largest error of an observable at the smallest size of its case, and least order; without one, of no order.
 
-    Errors are held to little more than was reached, lest they grow. What is asked of the program is another thing: the whole
+    Errors are held to little more than was reached, lest they grow. The demands on the program are separate: the whole
     order above ``order``, which theory gives the method; exactness, where ``most`` is round-off; and ``asked``, if stated.
     """
 
@@ -62,7 +62,7 @@ class Outcome(NamedTuple):
 
     @property
     def observable(self) -> str:
-        """What the errors are of."""
+        """The quantity of the errors."""
         return self.bar.observable
 
     @property

@@ -43,7 +43,7 @@ class Found(NamedTuple):
 
     @property
     def open_books(self) -> float:
-        """Largest residual of the energy books over their largest entry."""
+        """Largest residual of the energy balance over their largest entry."""
         largest = max(np.abs(v).max() for k, v in self.history.items() if k.startswith("energy/"))
         return float(np.abs(self.history["energy/residual"]).max() / largest)
 

@@ -1,1 +1,1 @@
-"""What each method pays for accuracy: error against CPU seconds and counted work, on problems with a known answer."""
+"""The cost of accuracy of each method: error against CPU seconds and counted work, on problems with a known answer."""

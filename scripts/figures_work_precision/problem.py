@@ -1,4 +1,4 @@
-"""What a problem is: methods that solve it at several levels, what each costs and how wrong it is, and the Pareto front."""
+"""A problem: methods that solve it at several levels, the cost and error of each, and the Pareto front."""
 
 from __future__ import annotations
 

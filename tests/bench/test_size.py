@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PARTS = {
     "read", "interpret", "split", "place", "partition", "distribute", "assemble G K M B", "start", "Jacobian", "balances",
-    "PETSc's solve", "energy books", "output", "checkpoint", "all else",
+    "PETSc's solve", "energy balance", "output", "checkpoint", "all else",
 }  # fmt: skip
 SUMS = {"all outside the solve", "whole"}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.stage import run_stage
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.errors import InputError, NotConverged
@@ -15,7 +15,7 @@ from fracflow.integrators import STEPPERS
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
-from fracflow.solve.condensed import Rock
+from fracflow.solve.condensed import CondensedRock
 from fracflow.solve.condensed_cost import break_even, condensed_step, condensing_cost, fits, full_step
 from fracflow.solve.jacobian import JoinedMatrix
 
@@ -54,7 +54,7 @@ CASES = {
         "method": {**AT_ENDS, "contact": "lumped"}, "fluid": {**FLUID, "compressibility": 0.5}, "well": WELLS[:1],
     },
     "quasi-static": {
-        "stage": [{"kind": "quasi-static", "time_step": 0.05, "steps": 6}], "method": {"film": "bdf2"},
+        "stage": [{"kind": "quasi-static", "time_step": 0.05, "steps": 6}], "method": {"flow_integrator": "bdf2"},
         "fluid": FLUID, "well": WELLS, **HELD,
     },
     "steady": {"stage": [STEADY], "fluid": FLUID, "well": WELLS, "geometry": CONNECTED, **HELD},
@@ -83,7 +83,7 @@ def _run(model, scene):
     """States and reports of the first stage."""
     stepping = Stepping(replace(model, scene=scene))
     stage = scene.stage[0]
-    state = stepping.enter(rest(model), stepper_of(scene, stage), stage.time_step)
+    state = stepping.enter(equilibrium_state(model), stepper_of(scene, stage), stage.time_step)
     steps = list(run_stage(stepping, state, 0, lambda line: None, {}))
     stepping.destroy()
     return steps
@@ -123,7 +123,7 @@ def test_compliance_is_that_of_the_inverse():
     ops, alphas = model.operators, STEPPERS["newmark"]().alphas(0.05)
     elastic = np.random.default_rng(1).uniform(1.0, 100.0, (len(ops.joints.weights), 2))[:, :, None] * np.eye(2)
     matrix = JoinedMatrix(ops, model.loads)
-    rock = Rock(matrix, model.loads, alphas, elastic)
+    rock = CondensedRock(matrix, model.loads, alphas, elastic)
     jump, stiff, mass = (
         each.convert("dense").getDenseArray().copy() for each in (ops.joints.jump, ops.stiffness, ops.mass)
     )

@@ -25,7 +25,7 @@ class Thresholds:
     def strain(self, velocity):
         return velocity
 
-    def approach(self, strain, change, past):
+    def approach(self, strain, change, history, step):
         friction = change[:, 0] if self.by_rate else self.thresholds - strain[:, 0]
         return np.stack([friction, strain[:, 1]], axis=1)
 
@@ -34,7 +34,8 @@ def _ends(strains, rates):
     """The states at both ends, from strains and their changes a step, each (2, s, 2)."""
     return [
         SimpleNamespace(
-            sections=SimpleNamespace(strain=np.array(strain, float), past=()),
+            time=0.0,
+            sections=SimpleNamespace(strain=np.array(strain, float), history=()),
             motion=SimpleNamespace(velocity=np.array(rate, float) / DT),
         )
         for strain, rate in zip(strains, rates, strict=True)

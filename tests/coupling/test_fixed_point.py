@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
 from fracflow.advance.step import Stepping
-from fracflow.diagnostics.film import coupling_factor
+from fracflow.diagnostics.fracture_flow import coupling_factor
 from fracflow.errors import SolveError
 from fracflow.integrators import BackwardEuler
 from fracflow.output import read_history
@@ -19,6 +19,7 @@ from fracflow.simulation.run import run
 from fracflow.solve.fixed_point.failure import cycles_needed
 from fracflow.solve.fixed_point.iteration import FixedPoint
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 
 LENGTH, APERTURE, STIFFNESS, VISCOSITY, ELEMENTS = 40.0, 2e-4, 5e9, 1e-3, 10
 FIXED = "method.coupling=fixed-point"
@@ -64,10 +65,12 @@ def test_prediction_is_the_closed_form(ends, kappa, comm):
     """Longest mode between two fixed pressures, and with one end closed; rho goes as 1/dt."""
     scene = film(ends=ends)
     model = prepare(scene, comm)
-    state = rest(model)
+    state = equilibrium_state(model)
     coupling = FixedPoint(scene, model.operators, model.loads)
     for dt in (1e-3, 1.0):
-        problem = StepProblem(model.operators, model.loads, state, BackwardEuler().alphas(dt), dt, {})
+        problem = StepProblem(
+            model.operators, state, StepRequest(dt, dt, {}, model.loads), StepRule(BackwardEuler().alphas(dt))
+        )
         problem.evaluate()
         found = coupling._prediction(problem)
         expected = rho_of_film(1.0 / dt, kappa)
@@ -82,12 +85,17 @@ def test_a_compressible_fluid_lowers_the_factor_as_the_card_says(comm):
     scene = film()
     fluid = scene.fluid.model_copy(update={"compressibility": held / APERTURE})
     model = prepare(scene.model_copy(update={"fluid": fluid}), comm)
-    settle(model)
+    refuse_imbalance(model)
     coupling = FixedPoint(model.scene, model.operators, model.loads)
     conducting = APERTURE**3 / (12.0 * VISCOSITY)
     kappa = 2.0 * ELEMENTS / LENGTH * np.sin(0.5 * np.pi / ELEMENTS)
     for dt in (10.0, 1e-3):
-        problem = StepProblem(model.operators, model.loads, rest(model), BackwardEuler().alphas(dt), dt, {})
+        problem = StepProblem(
+            model.operators,
+            equilibrium_state(model),
+            StepRequest(dt, dt, {}, model.loads),
+            StepRule(BackwardEuler().alphas(dt)),
+        )
         problem.evaluate()
         expected = coupling_factor(1.0 / dt, np.array([conducting]), np.array([kappa]), np.array([STIFFNESS]), held)[0]
         assert abs(coupling._prediction(problem).factor / expected - 1.0) <= 1e-3
@@ -101,10 +109,10 @@ def test_refusal_names_the_number_and_the_limit(comm):
     scene = film()
     limit = rho_of_film(1.0, np.pi / LENGTH)
     model = prepare(scene, comm)
-    settle(model)
-    stepping, state = Stepping(model), rest(model)
+    refuse_imbalance(model)
+    stepping, state = Stepping(model), equilibrium_state(model)
     with pytest.raises(SolveError, match="diverges") as caught:
-        stepping.step(state, BackwardEuler(), 0.1 * limit, 0.1 * limit, {})
+        stepping.step(state, StepRequest(0.1 * limit, 0.1 * limit, {}, stepping.model.loads), BackwardEuler())
     found = re.search(
         r"multiplied by ([\d.e+-]+) a cycle \(predicted; ([\d.e+-]+) measured\), most in film; it must be below 1, as for a"
         r" time_step > ([\d.e+-]+) s, not for a smaller one: .*monolithic.*aitken",
@@ -112,7 +120,7 @@ def test_refusal_names_the_number_and_the_limit(comm):
     )
     assert found and abs(float(found[1]) - 10.0) <= 0.1 and abs(float(found[3]) / limit - 1.0) <= 0.06
     assert 1.0 < float(found[2]) <= 10.1
-    new, report = stepping.step(state, BackwardEuler(), 2.0 * limit, 2.0 * limit, {})
+    new, report = stepping.step(state, StepRequest(2.0 * limit, 2.0 * limit, {}, stepping.model.loads), BackwardEuler())
     assert abs(report.predicted - 0.5) <= 0.01 and abs(report.measured - 0.5) <= 0.05 and report.cycles > 20
     new.destroy()
     stepping.destroy()
@@ -130,8 +138,8 @@ def test_relaxed_cycles_find_what_the_monolithic_solver_finds(name, factor, most
         found, model = [], prepare(scenes[0], comm)  # one partition for both
         dt = rho_of_film(1.0, np.pi / LENGTH) / factor
         for scene in scenes:
-            stepping, state = Stepping(replace(model, scene=scene)), rest(model)
-            new, report = stepping.step(state, BackwardEuler(), dt, dt, {})
+            stepping, state = Stepping(replace(model, scene=scene)), equilibrium_state(model)
+            new, report = stepping.step(state, StepRequest(dt, dt, {}, stepping.model.loads), BackwardEuler())
             found.append((new.pressure.getArray().copy(), new.motion.displacement.getArray().copy(), report))
             new.destroy()
             stepping.destroy()
@@ -148,7 +156,7 @@ def test_sealed_network_is_refused_by_name(name, comm):
     model = prepare(scene, comm)
     stepping = Stepping(model)
     with pytest.raises(SolveError, match=r"time 1 s: .* no pressure is prescribed in film \(11 nodes.*added-storage"):
-        stepping.step(rest(model), BackwardEuler(), 1.0, 1.0, {})
+        stepping.step(equilibrium_state(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), BackwardEuler())
     stepping.destroy()
 
 
@@ -156,7 +164,7 @@ def test_all_fractures_of_a_sealed_part_are_named(comm):
     model = prepare(film(ends=(), more={"cross": [[20.0, -4.0], [20.0, 4.0]]}), comm)
     stepping = Stepping(model)
     with pytest.raises(SolveError, match=r"prescribed in cross, film \(\d+ nodes around \(20, 0\)\)"):
-        stepping.step(rest(model), BackwardEuler(), 1.0, 1.0, {})
+        stepping.step(equilibrium_state(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), BackwardEuler())
     stepping.destroy()
 
 
@@ -170,12 +178,14 @@ def test_cycles_that_run_out_tell_how_many_it_takes(comm):
         model = prepare(scene.model_copy(update={"accuracy": accuracy}), comm)
         stepping = Stepping(model)
         if most is None:
-            new, report = stepping.step(rest(model), BackwardEuler(), dt, dt, {})
+            new, report = stepping.step(
+                equilibrium_state(model), StepRequest(dt, dt, {}, stepping.model.loads), BackwardEuler()
+            )
             took.append(report.cycles)
             new.destroy()
         else:
             with pytest.raises(SolveError, match=r"did not converge in 8 cycles") as caught:
-                stepping.step(rest(model), BackwardEuler(), dt, dt, {})
+                stepping.step(equilibrium_state(model), StepRequest(dt, dt, {}, stepping.model.loads), BackwardEuler())
             told.append(int(re.search(r"set accuracy.max_cycles = (\d+),", str(caught.value))[1]))
         stepping.destroy()
     assert 50 < took[0] <= told[0] <= 1.1 * took[0]

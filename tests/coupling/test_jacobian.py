@@ -5,17 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physics.test_flow_with_slip import OpensBySlip
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
-from fracflow.advance.network import Network
+from fracflow.advance.initial_state import equilibrium_state
+from fracflow.advance.network import FlowNetwork
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
-from fracflow.model.state import Memory
+from fracflow.laws import FLOW_LAWS
+from fracflow.model.compressibility import rate_by
+from fracflow.model.state import PreviousStep
+from fracflow.model.terms.term import Leaving, Term
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
+from fracflow.solve.request import StepRequest, StepRule
 
 
 @pytest.mark.parametrize("model", ["default", "report"])
@@ -24,8 +29,13 @@ def test_jacobian_is_the_derivative(stepper, model):
     overrides = [f"model={model}", "method.tangent=consistent"]
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state = rest(prepared)
-    problem = StepProblem(prepared.operators, prepared.loads, state, stepper.alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    state = equilibrium_state(prepared)
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(stepper.alphas(1e-3)),
+    )
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -49,13 +59,15 @@ def test_jacobian_of_a_compressible_fluid(stepper):
     """C(u) p' with both its derivatives, of a fluid that gives far more than the walls, after rates of a step before."""
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state, random = rest(prepared), np.random.default_rng(11 + MPI.COMM_WORLD.rank)
+    state, random = equilibrium_state(prepared), np.random.default_rng(11 + MPI.COMM_WORLD.rank)
     rate, mean = state.pressure.duplicate(), state.pressure.duplicate()
     for vector in (rate, mean):
         vector.setArray(1e-5 * random.standard_normal(vector.getLocalSize()))
-    state = replace(state, uptake=rate, memory=Memory(2e-3, None, mean))
+    state = replace(state, uptake=rate, previous_step=PreviousStep(2e-3, None, mean))
     alphas = stepper.alphas(1e-3, 2e-3)
-    problem = StepProblem(prepared.operators, prepared.loads, state, alphas, 1e-3, {"pumping": 1e-5})
+    problem = StepProblem(
+        prepared.operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads), StepRule(alphas)
+    )
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -68,16 +80,99 @@ def test_jacobian_of_a_compressible_fluid(stepper):
         thing.destroy()
 
 
+def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
+    """Walls move by random amounts: slips of either sign change the flow, along joints that are turned too."""
+    monkeypatch.setitem(FLOW_LAWS, "exact", OpensBySlip)
+    scene = load("meshes/crossings/scene.toml", ["method.tangent=consistent", "method.conductance=exact"])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = equilibrium_state(prepared), np.random.default_rng(5 + MPI.COMM_WORLD.rank)
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(Newmark().alphas(1e-3)),
+    )
+    matrix = JoinedMatrix(prepared.operators, prepared.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    newton._pack(problem)
+    unknowns = newton.unknowns.copy()
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    assert problem.conduction.by_slip is not None
+    for thing in (newton, matrix, problem):
+        thing.destroy()
+
+
+class Seeps(Term):
+    """Fluid leaves with the square of its pressure over some size, and with the aperture, as fast as walls sweep it."""
+
+    name = entry = "seeps"
+    drains = True
+
+    def __init__(self, size, speed):
+        self.size, self.speed = size, speed
+
+    def leaving(self, pressure, aperture):
+        share = pressure / self.size
+        return Leaving(*(self.speed * np.array([share**2 * aperture, 2.0 * share / self.size * aperture, share**2])))
+
+
+def test_jacobian_of_what_leaves_by_pressure_and_aperture():
+    scene = load("meshes/crossings/scene.toml", ["method.tangent=consistent"])
+    prepared = prepare(scene, MPI.COMM_WORLD)
+    state, random = equilibrium_state(prepared), np.random.default_rng(3 + MPI.COMM_WORLD.rank)
+    before, flow = prepared.operators, prepared.operators.flow
+    pressure, seeps = before.scales.pressure, Seeps(before.scales.pressure, 1e3 * before.scales.length)
+    resting, resting_end = flow.resting.copy(), flow.resting_end + 0.3 * pressure  # as deep down
+    resting.shift(0.3 * pressure)
+    flow = replace(flow, terms=(seeps,), resting=resting, resting_end=resting_end)
+    operators = replace(before, flow=flow)
+    problem = StepProblem(
+        operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(BackwardEuler().alphas(1e-3)),
+    )
+    matrix = JoinedMatrix(operators, prepared.loads)
+    newton = Newton(scene, matrix, "monolithic")
+    newton.problem = problem
+    newton._pack(problem)
+    unknowns = newton.unknowns.copy()
+    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
+    newton._unpack(unknowns)
+    check_derivative(newton, random)
+    rate, same = rate_by(operators, seeps, state), operators.layout.flow_vector()
+    aperture = flow.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
+    flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture).rate, same)
+    assert rate.norm() > 0.0 and (rate - same).norm() <= 1e-14 * rate.norm(), "counted as it is solved for"
+    sizes = [np.abs(values).max(initial=0.0) for values in problem.conduction.leaving]
+    assert all(MPI.COMM_WORLD.allreduce(float(size), op=MPI.MAX) > 0.0 for size in sizes)
+    for thing in (newton, matrix, problem):
+        thing.destroy()
+
+
 def test_jacobian_where_a_part_keeps_its_fluid():
     """A steady step of a compressible fluid that nothing drains: a row with the walls and the pressures of the whole part."""
     scene = load("meshes/crossings/scene.toml", ["fluid.compressibility=1e-6", "method.tangent=consistent"])
     prepared = prepare(scene, MPI.COMM_WORLD)
-    operators, state, random = prepared.operators, rest(prepared), np.random.default_rng(12 + MPI.COMM_WORLD.rank)
-    network, sealed = Network(prepared), replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64))
-    network.look(operators.flow.conduct(state.motion.displacement, state.pressure))
+    operators, state, random = (
+        prepared.operators,
+        equilibrium_state(prepared),
+        np.random.default_rng(12 + MPI.COMM_WORLD.rank),
+    )
+    network, sealed = (
+        FlowNetwork(prepared),
+        replace(prepared.loads, pressures=(), fixed_flow=np.zeros(0, dtype=np.int64)),
+    )
+    walls = operators.joints.walls(state.sections, operators.flow.law)
+    network.check(operators.flow.conduct(state.motion.displacement, state.pressure, walls))
     closed = network.close(sealed, stores=False)
     assert {closure.by for closure in closed.closures} == {"fluid"}
-    problem = StepProblem(operators, closed, state, Steady().alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    problem = StepProblem(
+        operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, closed), StepRule(Steady().alphas(1e-3))
+    )
     matrix = JoinedMatrix(operators, closed)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -98,11 +193,13 @@ def test_jacobian_of_weighed_balances_between_absorbing_sides(stepper):
     overrides = ["support=[]", "absorbing=[{on = ['west', 'east', 'south', 'north']}]", "method.tangent=consistent"]
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state, random = rest(prepared), np.random.default_rng(13 + MPI.COMM_WORLD.rank)
+    state, random = equilibrium_state(prepared), np.random.default_rng(13 + MPI.COMM_WORLD.rank)
     for vector, size in ((state.motion.velocity, 0.1), (state.motion.acceleration, 1e2)):
         vector.setArray(size * random.standard_normal(vector.getLocalSize()))
     alphas, loads = stepper.alphas(5e-4), prepared.loads
-    problem = StepProblem(prepared.operators, loads, state, alphas, 5e-4, {"pumping": 1e-5}, around=(5e-4, 5e-4))
+    problem = StepProblem(
+        prepared.operators, state, StepRequest(5e-4, 5e-4, {"pumping": 1e-5}, loads), StepRule(alphas, (5e-4, 5e-4))
+    )
     matrix = JoinedMatrix(prepared.operators, loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
@@ -150,8 +247,13 @@ def test_jacobian_where_joints_open_slide_and_pinch(stepper):
     overrides = [f"fracture.default.{key}" for key in stiff]
     scene = load("meshes/crossings/scene.toml", overrides)
     prepared = prepare(scene, MPI.COMM_WORLD)
-    state, comm = rest(prepared), prepared.operators.layout.comm
-    problem = StepProblem(prepared.operators, prepared.loads, state, stepper.alphas(1e-3), 1e-3, {"pumping": 1e-5})
+    state, comm = equilibrium_state(prepared), prepared.operators.layout.comm
+    problem = StepProblem(
+        prepared.operators,
+        state,
+        StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
+        StepRule(stepper.alphas(1e-3)),
+    )
     matrix = JoinedMatrix(prepared.operators, prepared.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem, newton._is_start = problem, False
@@ -179,14 +281,16 @@ def test_flow_volume_balance():
     assert ops.flow is not None
     speed, rates = ops.layout.solid_vector(), ops.layout.flow_vector()
     speed.setArray(np.random.default_rng(3 + ops.layout.comm.rank).standard_normal(speed.getLocalSize()))
-    ops.flow.squeeze.multTranspose(speed, rates)
+    ops.flow.storage_coupling.multTranspose(speed, rates)
     ends = ops.flow.opening.createVecLeft()
     ops.flow.opening.mult(speed, ends)
     walls = (ends.getArray().reshape(-1, 2).sum(axis=1) * ops.flow.length / 2).sum()
     assert np.isclose(rates.sum(), ops.layout.comm.allreduce(walls), rtol=1e-12)
     pressure, out = ops.layout.flow_vector(), ops.layout.flow_vector()
     pressure.setArray(np.random.default_rng(4 + ops.layout.comm.rank).standard_normal(pressure.getLocalSize()))
-    conduction = ops.flow.conduct(speed * 0.0, pressure)
+    conduction = ops.flow.conduct(
+        speed * 0.0, pressure, ops.joints.walls(equilibrium_state(prepared).sections, ops.flow.law)
+    )
     ops.flow.outflow(conduction, out)
     size = ops.layout.comm.allreduce(np.abs(out.getArray()).sum())
     assert abs(out.sum()) <= 1e-13 * size  # what leaves one node enters another
@@ -197,8 +301,8 @@ def test_default_pair_is_a_transpose_and_the_reports_is_not():
     for model, same in (("default", True), ("report", False)):
         ops = prepare(load("meshes/crossings/scene.toml", [f"model={model}"]), MPI.COMM_WORLD).operators
         assert ops.flow is not None
-        apart = ops.flow.push.copy()
-        apart.axpy(-1.0, ops.flow.squeeze, ops.flow.push.__class__.Structure.DIFFERENT)
+        apart = ops.flow.pressure_load.copy()
+        apart.axpy(-1.0, ops.flow.storage_coupling, ops.flow.pressure_load.__class__.Structure.DIFFERENT)
         assert (apart.norm() == 0.0) is same
 
 

@@ -1,4 +1,4 @@
-"""What every method of NEWTON_METHODS owes: the same balanced step where nothing unloads."""
+"""Every method of NEWTON_METHODS gives the same balanced step where nothing unloads."""
 
 from dataclasses import replace
 from typing import get_args
@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping
 from fracflow.integrators import Steady
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.method import Method
 from fracflow.scene.scene import load
+from fracflow.solve.request import StepRequest
 from fracflow.solve.stiffness import NEWTON_METHODS
 
 SLOW = "accuracy.max_iterations=1000"
@@ -26,7 +27,9 @@ def _steps(file, overshoot, controls, overrides):
         scene = load(f"meshes/{file}/scene.toml", settings)
         model = prepare(scene, MPI.COMM_WORLD) if model is None else replace(model, scene=scene)
         stepping = Stepping(model)
-        found[method] = stepping.step(rest(model), Steady(), 1.0, 1.0, controls)
+        found[method] = stepping.step(
+            equilibrium_state(model), StepRequest(1.0, 1.0, controls, stepping.model.loads), Steady()
+        )
         stepping.destroy()
     return found
 

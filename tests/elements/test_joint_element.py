@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from facets import SIZE, facets
 
-from fracflow.elements import joint
-from fracflow.errors import InputError
+from fracflow.elements import facet, joint
 
 pytestmark = pytest.mark.serial
 
@@ -27,22 +27,18 @@ def in_report_order(matrix):
 
 
 def test_frame():
-    frame, length = joint.frame(segments())
+    frame, length = facet.frame(segments())
     c, s = np.cos(ANGLES), np.sin(ANGLES)
     assert np.allclose(frame, np.array([[c, s], [-s, c]]).transpose(2, 0, 1))
     assert np.allclose(length, 2.5) and np.allclose(np.linalg.det(frame), 1.0)
 
 
-def test_facet_without_length():
-    points = segments()
-    points[2, 1] = points[2, 0]
-    with pytest.raises(InputError, match="facets 42"):
-        joint.frame(points, np.arange(40, 46))
+NODES = pytest.mark.parametrize("nodes", [2, 3, 4])
 
 
 def test_traction_from_stress():
     """(2.14b), with (xx, yy, zz, xy)."""
-    frame, _ = joint.frame(segments())
+    frame, _ = facet.frame(segments())
     xx, yy, xy = -2e5, -6e5, -1.4e5
     stress = np.broadcast_to([[xx, xy], [xy, yy]], (len(ANGLES), 2, 2))
     c, s = np.cos(ANGLES), np.sin(ANGLES)
@@ -53,50 +49,67 @@ def test_traction_from_stress():
 
 def test_fault_along_y():
     """Theta = 90 degrees: f_s = -sigma_xy, f_n = sigma_xx; the bottom is on the right, x > 0."""
-    frame, _ = joint.frame(np.array([[[0.0, 0.0], [0.0, 1000.0]]]))
+    frame, _ = facet.frame(np.array([[[0.0, 0.0], [0.0, 1000.0]]]))
     assert np.allclose(frame[0], [[0, 1], [-1, 0]])
     traction = joint.traction_from_stress(frame, np.array([[[-2e5, -1.4e5], [-1.4e5, -6e5]]]))
     assert np.allclose(traction, [[1.4e5, -2e5]])
 
 
-def test_strain_is_top_minus_bottom():
-    frame, _ = joint.frame(segments())
-    slip, opening = 0.3, 0.02
-    top = np.array([slip, opening]) @ frame  # rows of the frame are the axes
-    displacement = np.concatenate([np.zeros_like(top), np.zeros_like(top), top, top], axis=1) + 0.7
-    for xi, _ in joint.RULES.values():
-        strain = joint.strain(joint.jump_operator(frame, xi), displacement)
-        assert strain.shape == (len(ANGLES), len(xi), 2)
-        assert np.allclose(strain, [slip, opening])
+@NODES
+def test_strain_is_top_minus_bottom(nodes):
+    """The slips and opening of a joint whose bottom moves rigidly, and its top with it."""
+    points = facets(nodes)
+    frame, _ = facet.frame(points)
+    dim = points.shape[2]
+    jump = np.array([0.3, -0.1, 0.02])[-dim:]
+    top = np.einsum("i,nij->nj", jump, frame)  # rows of the frame are the axes
+    turn = np.random.default_rng(0).normal(size=(dim, dim))
+    rigid = points @ (turn - turn.T) + 0.7
+    displacement = np.stack([rigid, rigid + top[:, None]], axis=1).reshape(len(points), -1)
+    for rule in facet.RULES.values():
+        shapes = facet.shapes(rule[nodes].natural, nodes)
+        strain = joint.strain(joint.jump_operator(frame, shapes), displacement)
+        assert strain.shape == (len(points), len(shapes), dim)
+        assert np.allclose(strain, jump)
 
 
-def test_nodal_rule_sees_its_own_section():
-    frame, _ = joint.frame(segments(np.zeros(1)))
-    displacement = np.array([[0, 0, 0, 0, 1.0, 2.0, 3.0, 4.0]])
-    assert np.allclose(
-        joint.strain(joint.jump_operator(frame, joint.RULES["nodal"][0]), displacement), [[[1, 2], [3, 4]]]
-    )
+@NODES
+def test_nodal_rule_sees_its_own_section(nodes):
+    frame, _ = facet.frame(facets(nodes)[:1])
+    dim = len(frame[0])
+    top = np.arange(1.0, nodes * dim + 1.0).reshape(nodes, dim)
+    displacement = np.concatenate([np.zeros(nodes * dim), top.ravel()])[None]
+    shapes = facet.shapes(facet.RULES["nodal"][nodes].natural, nodes)
+    assert np.allclose(joint.strain(joint.jump_operator(frame, shapes), displacement), top @ frame[0].T)
 
 
-@pytest.mark.parametrize("rule", joint.RULES)
+@pytest.mark.parametrize("rule", facet.RULES)
 def test_rules_integrate(rule):
-    xi, weights = joint.RULES[rule]
-    length = np.array([2.5, 1.0])
-    assert np.allclose(joint.section_length(length, weights).sum(axis=1), length)
+    sections, length = facet.RULES[rule][2], np.array([2.5, 1.0])
+    xi, weights = sections.natural, sections.weights
+    lines = length[:, None, None] * np.array([[0.0, 0.0], [0.6, 0.8]])
+    assert np.allclose(facet.section_sizes(lines, sections).sum(axis=1), length)
     assert weights @ xi == pytest.approx(0.0)
     expected = {"nodal": 2.0, "gauss2": 2 / 3, "one-point": 0.0}
     assert weights @ xi**2 == pytest.approx(expected[rule])
 
 
+def parts(points, rule):
+    """Operator and sizes of a rule's sections."""
+    sections, nodes = facet.RULES[rule][points.shape[1]], points.shape[1]
+    operator = joint.jump_operator(facet.frame(points)[0], facet.shapes(sections.natural, nodes))
+    return operator, facet.section_sizes(points, sections)
+
+
 def test_tangent_is_the_explicit_one():
     """(2.21a) with (2.32a), (2.32b)."""
-    frame, length = joint.frame(segments())
-    xi, weights = joint.RULES["nodal"]
+    frame, length = facet.frame(segments())
     rng = np.random.default_rng(0)
     k_s, k_n = rng.uniform(1, 2, (2, len(ANGLES), 2))
     moduli = np.zeros((len(ANGLES), 2, 2, 2))
     moduli[..., 0, 0], moduli[..., 1, 1] = k_s, k_n
-    tangent = joint.tangent(joint.jump_operator(frame, xi), moduli, joint.section_length(length, weights))
+    operator, sizes = parts(segments(), "nodal")
+    tangent = joint.tangent(operator, moduli, sizes)
 
     def pattern(k1, k2):
         return np.array([[k1, 0, 0, -k1], [0, k2, -k2, 0], [0, -k2, k2, 0], [-k1, 0, 0, k1]])
@@ -109,24 +122,59 @@ def test_tangent_is_the_explicit_one():
         assert np.allclose(in_report_order(tangent[i]), expected)
 
 
-@pytest.mark.parametrize("rule", joint.RULES)
-def test_tangent_is_the_derivative_of_the_force(rule):
-    frame, length = joint.frame(segments())
-    xi, weights = joint.RULES[rule]
-    operator, weight = joint.jump_operator(frame, xi), joint.section_length(length, weights)
+@NODES
+@pytest.mark.parametrize("rule", facet.RULES)
+def test_tangent_is_the_derivative_of_the_force(nodes, rule):
+    """Whatever the moduli; symmetric where they are, and then the force is the derivative of the energy."""
+    operator, weight = parts(facets(nodes), rule)
+    joints, points, dim, dofs = operator.shape
     rng = np.random.default_rng(2)
-    moduli = rng.normal(size=(len(ANGLES), len(xi), 2, 2))
-    displacement = rng.normal(size=(len(ANGLES), 8))
+    moduli = rng.normal(size=(joints, points, dim, dim))
+    displacement = rng.normal(size=(joints, dofs))
     traction = np.einsum("nqij,nqj->nqi", moduli, joint.strain(operator, displacement))
     product = np.einsum("nij,nj->ni", joint.tangent(operator, moduli, weight), displacement)
     force = np.einsum("nqij,nqi->nj", operator, weight[..., None] * traction)
     assert np.allclose(force, product)
 
+    moduli = moduli + moduli.swapaxes(2, 3)
+    tangent = joint.tangent(operator, moduli, weight)
+    assert np.allclose(tangent, tangent.swapaxes(1, 2))
 
-def test_gauss_couples_ends_and_nodal_does_not():
-    frame, length = joint.frame(segments(np.zeros(1)))
+    def energy(motion):
+        strain = joint.strain(operator, motion)
+        return 0.5 * np.einsum("nq,nqi,nqij,nqj->n", weight, strain, moduli, strain)
+
+    way = rng.normal(size=(joints, dofs))
+    slope = (energy(displacement + way) - energy(displacement - way)) / 2.0  # exact of what is quadratic
+    assert np.allclose(slope, np.einsum("ni,nij,nj->n", way, tangent, displacement))
+
+
+@NODES
+@pytest.mark.parametrize("rule", facet.RULES)
+def test_rigid_motion_and_constant_traction(nodes, rule):
+    """Rigid motion costs nothing; a constant traction is shared among the nodes, the whole of it on each face."""
+    points = facets(nodes)
+    operator, weight = parts(points, rule)
+    dim, rng = points.shape[2], np.random.default_rng(3)
+    turn = rng.normal(size=(dim, dim))
+    rigid = points @ (turn - turn.T) + rng.normal(size=dim)
+    assert np.allclose(joint.strain(operator, np.concatenate([rigid, rigid], axis=1).reshape(len(points), -1)), 0.0)
+    traction = rng.normal(size=dim)
+    force = np.einsum("nqij,nq,i->nj", operator, weight, traction).reshape(len(points), 2, nodes, dim)
+    whole = SIZE[nodes] * np.einsum("i,nij->nj", traction, facet.frame(points)[0])
+    assert np.allclose(force.sum(axis=2), np.stack([-whole, whole], axis=1))
+    if rule == "gauss2" or (rule == "nodal" and nodes < 4):
+        about = points - points.mean(axis=1, keepdims=True)
+        moment = np.einsum("nki,nkj->nij", about, force[:, 1])
+        weighed = np.einsum("nk,nki->ni", facet.consistent(points).sum(axis=1), about)
+        assert np.allclose(moment, weighed[:, :, None] * whole[:, None] / SIZE[nodes], atol=1e-12)
+
+
+@NODES
+def test_gauss_couples_nodes_and_nodal_does_not(nodes):
+    points = facets(nodes)[:1]
     for rule, coupled in (("nodal", False), ("gauss2", True), ("one-point", True)):
-        xi, weights = joint.RULES[rule]
-        moduli = np.tile(np.eye(2), (1, len(xi), 1, 1))
-        tangent = joint.tangent(joint.jump_operator(frame, xi), moduli, joint.section_length(length, weights))[0]
-        assert (np.abs(tangent[0, 2]) > 1e-12) == coupled
+        operator, sizes = parts(points, rule)
+        moduli = np.tile(np.eye(points.shape[2]), (1, operator.shape[1], 1, 1))
+        tangent = joint.tangent(operator, moduli, sizes)[0]
+        assert (np.abs(tangent[0, points.shape[2]]) > 1e-12) == coupled

@@ -7,7 +7,7 @@ nodes are those of a parabola, and d' = d^3 (F - k L (d - d_0)) / (mu L^3 (1 - 1
 import numpy as np
 import pytest
 
-from failures.test_f2c import TWO_BLOCKS
+from failures.test_pinched_fracture import TWO_BLOCKS
 from fracflow._petsc import MPI
 from fracflow.output import read_history
 from fracflow.scene.scene import load

@@ -5,7 +5,7 @@ import pytest
 import random_networks
 
 from fracflow._petsc import MPI
-from fracflow.solve.residual import ROUND_OFF, flow_residual
+from fracflow.solve.residual import UNIT_ROUND_OFF, flow_residual
 
 pytestmark = pytest.mark.serial
 
@@ -31,5 +31,5 @@ def test_a_narrow_fracture_is_held_to_its_own_terms():
     balance, terms = np.array([0.0, 1e-14, 1e-20]), np.array([1.0, 1e-14, 0.0])
     assert flow_residual(balance, terms, 1.0, [], MPI.COMM_SELF) == 1.0
     assert flow_residual(balance, None, 1.0, [], MPI.COMM_SELF) == 1e-14
-    assert flow_residual(balance, terms, 1.0, [np.array([1])], MPI.COMM_SELF) == pytest.approx(1e-20 / ROUND_OFF)
+    assert flow_residual(balance, terms, 1.0, [np.array([1])], MPI.COMM_SELF) == pytest.approx(1e-20 / UNIT_ROUND_OFF)
     assert flow_residual(np.array([np.nan]), np.ones(1), 1.0, [], MPI.COMM_SELF) == np.inf

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from fracflow.laws.cubic_flow import MEANS, conductance, exact_mean_cube, report_mean_cube
+from fracflow.laws import FLOW_LAWS
+from fracflow.laws.cubic_flow import conductance, exact_mean_cube, report_mean_cube
 
 pytestmark = pytest.mark.serial
 
+MEANS = {name: law.mean_cube for name, law in FLOW_LAWS.items()}
 WALLS = [(1.0, 0.2), (0.3, 1.7), (1.0, 1.0), (2e-6, 5e-4)]
 
 

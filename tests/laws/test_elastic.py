@@ -1,9 +1,9 @@
-"""Plane strain moduli."""
+"""Moduli in the plane and in space."""
 
 import numpy as np
 import pytest
 
-from fracflow.laws.elastic import out_of_plane_stress, plane_strain_stiffness
+from fracflow.laws.elastic import out_of_plane_stress, plane_strain_stiffness, plane_stress_stiffness, solid_stiffness
 
 pytestmark = pytest.mark.serial
 
@@ -19,3 +19,18 @@ def test_no_strain_out_of_plane():
     nu, stress = 0.25, np.array([[3.0, -1.0, 0.7]])
     assert np.allclose(out_of_plane_stress(stress, nu) - nu * (stress[:, 0] + stress[:, 1]), 0)
     assert plane_strain_stiffness(1.0, 0.0).shape == (1, 3, 3)
+
+
+def test_all_are_one_law():
+    """In space by the compliance; plane strain is its part without strain across, plane stress that without stress."""
+    modulus, ratio = np.array([5e8, 2.0]), np.array([0.25, 0.4])
+    whole, strain, stress = (
+        law(modulus, ratio) for law in (solid_stiffness, plane_strain_stiffness, plane_stress_stiffness)
+    )
+    plane = np.ix_([0, 1, 5], [0, 1, 5])
+    for E, nu, D, in_strain, in_stress in zip(modulus, ratio, whole, strain, stress, strict=True):
+        compliance = np.diag([1.0 + nu] * 3 + [2.0 * (1.0 + nu)] * 3) / E
+        compliance[:3, :3] -= nu / E
+        assert np.allclose(D @ compliance, np.eye(6), atol=1e-14)
+        assert np.allclose(in_strain, D[plane])
+        assert np.allclose(in_stress @ compliance[plane], np.eye(3), atol=1e-14)

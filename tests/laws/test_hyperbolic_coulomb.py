@@ -24,7 +24,7 @@ CONTACT_LOST = 2e-3
 
 
 def at(law, slip, opening, past=None):
-    return law.respond(np.array([[slip, opening]]), law.rest(1, 2) if past is None else past)
+    return law.evaluate(np.array([[slip, opening]]), law.initial_history(1, 2) if past is None else past)
 
 
 def fig_3(e, f_n0=-2e5, k_n0=1e8, d0=0.01):
@@ -54,12 +54,12 @@ def test_energy_without_initial_traction_does_not_cancel():
 
 @pytest.mark.parametrize("opening", [-0.01, -0.011, -5.0])
 def test_walls_never_pass_through_each_other(opening):
-    past = at(LAW, 0.01, 0.0).past
+    past = at(LAW, 0.01, 0.0).history
     response = at(LAW, 0.01, opening, past)
     assert not np.isfinite(response.traction[0, 1]) and not response.traction[0, 1] > 0
     assert not np.isnan(response.margin).any()
     for name in past:
-        assert np.array_equal(response.past[name], past[name])
+        assert np.array_equal(response.history[name], past[name])
 
 
 def test_step_limit():
@@ -79,40 +79,40 @@ def test_stick_slip_drop():
 
 
 def test_sliding_follows_the_normal_traction_until_it_reverses():
-    past = at(LAW, 0.01, 0.0).past
+    past = at(LAW, 0.01, 0.0).history
     onward = at(LAW, 0.011, 1e-3, past)
     assert onward.traction[0] == pytest.approx([0.9 * 1e5 * LAW.friction_coefficient, -1e5])
-    back = at(LAW, 0.011 - 1e-5, 1e-3, onward.past)
-    assert not back.is_sliding[0] and np.all(back.past["sliding"] == 0)
+    back = at(LAW, 0.011 - 1e-5, 1e-3, onward.history)
+    assert not back.is_sliding[0] and np.all(back.history["sliding"] == 0)
     assert back.traction[0, 0] == pytest.approx(onward.traction[0, 0] - 1e8 * 1e-5)
-    healed = at(LAW, 0.011 + 5e-5, 1e-3, back.past)
+    healed = at(LAW, 0.011 + 5e-5, 1e-3, back.history)
     assert not healed.is_sliding[0], "the peak is restored"
     assert healed.traction[0, 0] == pytest.approx(onward.traction[0, 0] + 1e8 * 5e-5)
 
 
 def test_a_resting_sliding_section_stays_sliding():
     for slip in np.linspace(0.003, 7.0, 301):
-        past = at(LAW, slip, 1e-4).past
+        past = at(LAW, slip, 1e-4).history
         for _ in range(5):
             response = at(LAW, slip, 1e-4, past)
             assert response.is_sliding[0]
-            past = response.past
+            past = response.history
 
 
 def test_re_stick_is_elastic_even_past_the_peak():
-    past = at(LAW, 0.01, 0.0).past
+    past = at(LAW, 0.01, 0.0).history
     response = at(LAW, -0.01, 0.0, past)
     assert response.traction[0, 0] == pytest.approx(1e8 * (-0.01 - past["plastic_slip"][0, 0]))
     assert not response.is_sliding[0] and response.margin[0] > 0
 
 
 def test_open_section():
-    past = at(LAW, 0.01, 0.0).past
+    past = at(LAW, 0.01, 0.0).history
     response = at(LAW, 0.02, 3e-3, past)
     assert response.is_open[0] and not response.is_sliding[0]
     assert np.all(response.traction == 0) and np.all(response.tangent == 0) and response.utilisation[0] == 0
     assert response.margin[0] == pytest.approx(0.5)
-    closed = at(LAW, 0.02 + 1e-5, 1e-3, response.past)
+    closed = at(LAW, 0.02 + 1e-5, 1e-3, response.history)
     assert closed.traction[0] == pytest.approx([1e3, -1e5]) and not closed.is_sliding[0]
 
 
@@ -120,7 +120,7 @@ def test_opening_loses_the_initial_shear_energy():
     law = replace(LAW, initial_shear_traction=1e5)
     response = at(law, 0.0, 3e-3)
     assert response.stored[0] == pytest.approx(-(2e5**2) / 2e8 - 1e5**2 / 2e8)
-    assert at(law, 0.0, 1e-3, response.past).traction[0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert at(law, 0.0, 1e-3, response.history).traction[0, 0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_strength_when_open():
@@ -148,7 +148,7 @@ def test_margins_are_never_nan(changes, strain):
     law = replace(LAW, **changes)
     with np.errstate(all="raise"):
         response = at(law, *strain)
-        again = at(law, *strain, past=response.past)
+        again = at(law, *strain, past=response.history)
     for each in (response, again):
         assert each.margin[0] >= 0 and each.utilisation[0] >= 0
         assert not np.isnan(each.traction).any() and not np.isnan(each.tangent).any()

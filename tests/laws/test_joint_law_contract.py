@@ -1,14 +1,16 @@
-"""What every joint law of the registry must keep."""
+"""The contract of every joint law of the registry."""
 
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from fracflow.laws import JOINT_LAWS, keys_of
+from fracflow.laws import JOINT_LAWS, HistoryVariable, LawStep, keys_of, published_history
 from fracflow.scene.materials import Fracture
+from fracflow.scene.units import UnitSystem
 
 pytestmark = pytest.mark.serial
 
@@ -92,14 +94,14 @@ def copy(past):
 
 def latched(law, past, response):
     """The history of ``past`` with the status the response has chosen."""
-    return {name: (response.past if name in law.status else past)[name] for name in past}
+    return {name: (response.history if name in law.status else past)[name] for name in past}
 
 
 def test_shapes_and_finite(law, dim):
-    past = law.rest(SECTIONS, dim)
+    past = law.initial_history(SECTIONS, dim)
     shapes = {"shear": (SECTIONS, dim - 1), "scalar": (SECTIONS,)}
     for strain in path(dim):
-        response = law.respond(strain, past)
+        response = law.evaluate(strain, past)
         assert response.traction.shape == response.inelastic.shape == (SECTIONS, dim)
         assert response.tangent.shape == (SECTIONS, dim, dim)
         for name in ("stored", "utilisation", "is_sliding", "is_open", "margin"):
@@ -108,33 +110,33 @@ def test_shapes_and_finite(law, dim):
         for name in ("traction", "tangent", "stored", "inelastic"):
             assert np.isfinite(getattr(response, name)).all()
         assert (response.margin >= 0).all() and (response.utilisation >= 0).all()  # false for nan
-        assert set(response.past) == set(law.history)
-        for name, kind in law.history.items():
-            assert response.past[name].shape == shapes[kind]
+        assert set(response.history) == set(law.history)
+        for name, variable in law.history.items():
+            assert response.history[name].shape == shapes[variable.kind]
         assert (law.step_limit(strain, -strain) > 0).all()
         ahead = np.roll(strain, 1, axis=0) - strain
         change = law.change_at(strain, ahead)
-        past_it = law.respond(strain + ahead, past, hold=True).is_open
+        past_it = law.evaluate(strain + ahead, past, LawStep(hold=True)).is_open
         assert (change > 0).all()
         assert np.array_equal(change <= 1.0, past_it != response.is_open)
-        past = response.past
+        past = response.history
 
 
 def test_pure(law, dim):
-    past = law.rest(SECTIONS, dim)
+    past = law.initial_history(SECTIONS, dim)
     for strain in path(dim):
         kept, kept_strain = copy(past), strain.copy()
-        first, second = law.respond(strain, past), law.respond(strain, past)
+        first, second = law.evaluate(strain, past), law.evaluate(strain, past)
         assert np.array_equal(strain, kept_strain)
         for name in past:
             assert np.array_equal(past[name], kept[name])
-            assert not np.shares_memory(past[name], first.past[name])
+            assert not np.shares_memory(past[name], first.history[name])
         assert np.array_equal(first.traction, second.traction)
-        past = first.past
+        past = first.history
 
 
 def test_initial_state(law, dim):
-    response = law.respond(np.zeros((SECTIONS, dim)), law.rest(SECTIONS, dim))
+    response = law.evaluate(np.zeros((SECTIONS, dim)), law.initial_history(SECTIONS, dim))
     assert np.allclose(response.traction[:, :-1], law.initial_shear_traction)
     assert np.allclose(response.traction[:, -1], law.initial_normal_traction)
     assert np.all(response.stored == 0) and np.all(response.inelastic == 0)
@@ -142,14 +144,14 @@ def test_initial_state(law, dim):
 
 def test_tangent_is_the_derivative(law, dim, strains):
     """Central differences with the status latched, where the status holds on both sides."""
-    past, step, checked, slid = law.rest(SECTIONS, dim), 1e-9, 0, 0
+    past, step, checked, slid = law.initial_history(SECTIONS, dim), 1e-9, 0, 0
     for strain in strains:
-        response = law.respond(strain, past)
+        response = law.evaluate(strain, past)
         here = latched(law, past, response)
-        base = law.respond(strain, here)
+        base = law.evaluate(strain, here)
         for j in range(dim):
             shift = step * np.eye(dim)[j]
-            ahead, behind = law.respond(strain + shift, here), law.respond(strain - shift, here)
+            ahead, behind = law.evaluate(strain + shift, here), law.evaluate(strain - shift, here)
             difference = (ahead.traction - behind.traction) / (2 * step)
             smooth = (base.margin > 1e-3) & (ahead.is_open == behind.is_open)
             smooth &= (ahead.is_sliding == base.is_sliding) & (behind.is_sliding == base.is_sliding)
@@ -157,29 +159,29 @@ def test_tangent_is_the_derivative(law, dim, strains):
             assert np.allclose(difference[smooth], base.tangent[smooth][:, :, j], rtol=1e-5, atol=1e-3)
             checked += smooth.sum()
             slid += (smooth & base.is_sliding).sum()
-        past = response.past
+        past = response.history
     assert checked > 500
     assert slid > 50 or not law.status
 
 
 def test_dissipation(law, dim, strains):
-    past, before = law.rest(SECTIONS, dim), np.zeros((SECTIONS, dim))
+    past, before = law.initial_history(SECTIONS, dim), np.zeros((SECTIONS, dim))
     for strain in strains:
-        response = law.respond(strain, past)
+        response = law.evaluate(strain, past)
         work = np.einsum("ni,ni->n", response.traction, response.inelastic - before)
         assert (work >= -1e-14).all()
-        past, before = response.past, response.inelastic
+        past, before = response.history, response.inelastic
 
 
 def test_the_course_meets_every_state(law, dim):
     """So that the tests above see each law with a strength stick, slide, reverse, part and meet again."""
     if not law.status:
         return
-    past, seen = law.rest(SECTIONS, dim), []
+    past, seen = law.initial_history(SECTIONS, dim), []
     for strain in course(dim):
-        response = law.respond(strain, past)
+        response = law.evaluate(strain, past)
         seen.append((response.is_sliding[0], response.is_open[0]))
-        past = response.past
+        past = response.history
     kinds = [key for n, key in enumerate(seen) if n == 0 or key != seen[n - 1]]
     stick, slide, apart = (False, False), (True, False), (False, True)
     assert kinds[:2] == [stick, slide] and kinds.count(stick) >= 2 and apart in kinds
@@ -188,9 +190,9 @@ def test_the_course_meets_every_state(law, dim):
 
 def test_the_next_event_is_told(law, dim, strains):
     """Distances of friction are negative where sticking ends, or sliding, and those of contact where the walls touch."""
-    past, eps, rng = law.rest(SECTIONS, dim), 1e-9, np.random.default_rng(5)
+    past, eps, rng = law.initial_history(SECTIONS, dim), 1e-9, np.random.default_rng(5)
     for strain in strains:
-        response = law.respond(strain, past)
+        response = law.evaluate(strain, past)
         ahead = eps * rng.normal(size=strain.shape)
         contact = law.approach(strain, ahead, past)[:, 1]
         if not law.status:
@@ -200,50 +202,50 @@ def test_the_next_event_is_told(law, dim, strains):
         stuck = ~past["sliding"].any(axis=1) & ~response.is_open & (response.margin > 1e-6)
         ends = law.approach(strain, ahead, past)[:, 0] < 0.0
         assert np.array_equal(ends[stuck], response.is_sliding[stuck])
-        here = response.past
+        here = response.history
         onward = law.approach(strain, ahead, here)[:, 0]
         clear = response.is_sliding & (np.abs(onward) > 1e-2 * eps * law.shear_stiffness)
-        goes_on = law.respond(strain + ahead, here).is_sliding
+        goes_on = law.evaluate(strain + ahead, here).is_sliding
         assert np.array_equal(onward[clear] > 0.0, goes_on[clear])
         past = here
 
 
 def test_flipped_friction(law, dim, strains):
     """A section that sticks then slides the way of its trial traction, one that slides sticks; others stay as they are."""
-    past = law.rest(SECTIONS, dim)
+    past = law.initial_history(SECTIONS, dim)
     chosen = np.arange(SECTIONS) % 2 == 0
     for strain in strains if law.status else ():
-        response = law.respond(strain, past)
-        was, other = past["sliding"].any(axis=1), law.flip(strain, past, chosen)["sliding"]
+        response = law.evaluate(strain, past)
+        was, other = past["sliding"].any(axis=1), law.with_other_status(strain, past, chosen)["sliding"]
         assert np.array_equal(other.any(axis=1), was ^ chosen)
         assert np.array_equal(other[~chosen], past["sliding"][~chosen])
-        past = response.past
+        past = response.history
 
 
 def test_softening_is_told(law, dim):
     """``steepness`` is the fall of strength with plastic slip, over the shear stiffness; 0 where it does not fall."""
-    past = law.rest(SECTIONS, dim)
+    past = law.initial_history(SECTIONS, dim)
     for strain in course(dim):
-        response = law.respond(strain, past)
+        response = law.evaluate(strain, past)
         on = response.is_sliding & ~np.isinf(response.strength)
         ahead = strain.copy()
-        ahead[:, :-1] += 1e-6 * response.past.get("sliding", 0.0)
-        more = law.respond(ahead, response.past)
+        ahead[:, :-1] += 1e-6 * response.history.get("sliding", 0.0)
+        more = law.evaluate(ahead, response.history)
         on &= more.is_sliding
         moved = np.linalg.norm(more.inelastic - response.inelastic, axis=1)
         fall = np.linalg.norm(response.traction[:, :-1], axis=1) - np.linalg.norm(more.traction[:, :-1], axis=1)
-        steep = law.steepness(response.traction, response.past)
-        same = steep == law.steepness(more.traction, more.past)  # not across the end of the weakening
+        steep = law.steepness(response.traction, response.history)
+        same = steep == law.steepness(more.traction, more.history)  # not across the end of the weakening
         assert np.allclose(fall[on & same], (steep * moved * law.shear_stiffness)[on & same], rtol=1e-6, atol=1e-9)
-        past = response.past
+        past = response.history
 
 
 def test_the_drop_of_strength_is_told(law, dim):
     """``strength_drop`` is what has gone of the strength after more slip than ``slip_length``, and not before."""
-    strain, past = np.zeros((SECTIONS, dim)), law.rest(SECTIONS, dim)
+    strain, past = np.zeros((SECTIONS, dim)), law.initial_history(SECTIONS, dim)
     strain[:, -1] = -np.linspace(0.0, 5e-3, SECTIONS)
-    pressed = -law.respond(strain, past).traction[:, -1]
-    peak, drop, length = law.respond(strain, past).strength, law.strength_drop(pressed), law.slip_length(SECTIONS)
+    pressed = -law.evaluate(strain, past).traction[:, -1]
+    peak, drop, length = law.evaluate(strain, past).strength, law.strength_drop(pressed), law.slip_length(SECTIONS)
     assert drop.shape == length.shape == (SECTIONS,) and (drop >= 0.0).all() and (length >= 0.0).all()
     assert bool(law.weakens_over) == bool((np.isfinite(length) & (length > 0.0)).any())
     assert bool(law.no_drop) == bool((length == 0.0).any())
@@ -253,7 +255,7 @@ def test_the_drop_of_strength_is_told(law, dim):
 
     def lost(slip):
         strain[:, 0] = slip + (peak - law.initial_shear_traction) / law.shear_stiffness
-        answer = law.respond(strain, past)
+        answer = law.evaluate(strain, past)
         assert answer.is_sliding.all()
         return peak - np.linalg.norm(answer.traction[:, :-1], axis=1), answer.inelastic[:, 0]
 
@@ -275,30 +277,32 @@ def test_what_a_law_advises_are_keys_of_its_own(name):
 
 def test_stored_energy_is_the_work_of_the_traction(law, dim):
     """Traction = d stored / d strain while sticking."""
-    past, step = law.rest(SECTIONS, dim), 1e-7
+    past, step = law.initial_history(SECTIONS, dim), 1e-7
     strain = np.random.default_rng(3).uniform(-1e-4, 1e-4, (SECTIONS, dim))
-    base = law.respond(strain, past)
+    base = law.evaluate(strain, past)
     assert not base.is_sliding.any()
     for j in range(dim):
         shift = step * np.eye(dim)[j]
-        slope = law.respond(strain + shift, past).stored - law.respond(strain - shift, past).stored
+        slope = law.evaluate(strain + shift, past).stored - law.evaluate(strain - shift, past).stored
         assert np.allclose(slope / (2 * step), base.traction[:, j], rtol=1e-6, atol=1e-6)
 
 
 def test_one_change_of_status(law, dim):
     """Sticking to sliding one way to sliding the other takes three calls."""
-    past = law.rest(1, dim)
+    past = law.initial_history(1, dim)
     if not law.status:  # nothing to latch: the answer is the same with every status held
         strain = np.full((1, dim), 1e-3)
-        assert np.array_equal(law.respond(strain, past).traction, law.respond(strain, past, hold=True).traction)
+        assert np.array_equal(
+            law.evaluate(strain, past).traction, law.evaluate(strain, past, LawStep(hold=True)).traction
+        )
         return
     there, back = np.zeros((1, dim)), np.zeros((1, dim))
     there[0, 0], back[0, 0] = 0.1, -0.1
-    past = law.respond(there, past).past
-    reverse = law.respond(back, past)
+    past = law.evaluate(there, past).history
+    reverse = law.evaluate(back, past)
     assert not reverse.is_sliding[0]
     assert np.array_equal(reverse.inelastic[0, :-1], past["plastic_slip"][0])
-    again = law.respond(back, latched(law, past, reverse))
+    again = law.evaluate(back, latched(law, past, reverse))
     assert again.is_sliding[0] and again.traction[0, 0] < 0
 
 
@@ -309,50 +313,50 @@ def test_rotation_of_shear(law):
     turn = np.eye(3)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     turned_law = type(law)(**{**vars(law), "initial_shear_traction": law.initial_shear_traction @ turn[:2, :2].T})
-    past, turned_past = law.rest(SECTIONS, 3), law.rest(SECTIONS, 3)
+    past, turned_past = law.initial_history(SECTIONS, 3), law.initial_history(SECTIONS, 3)
     for strain in path(3):
-        plain, turned = law.respond(strain, past), turned_law.respond(strain @ turn.T, turned_past)
+        plain, turned = law.evaluate(strain, past), turned_law.evaluate(strain @ turn.T, turned_past)
         assert np.allclose(turned.traction, plain.traction @ turn.T, atol=1e-9)
         assert np.allclose(turned.tangent, turn @ plain.tangent @ turn.T, atol=1e-6)
-        past, turned_past = plain.past, turned.past
+        past, turned_past = plain.history, turned.history
 
 
 def test_3d_with_slip_along_one_axis_is_2d(law):
-    flat, solid = law.rest(SECTIONS, 2), law.rest(SECTIONS, 3)
+    flat, solid = law.initial_history(SECTIONS, 2), law.initial_history(SECTIONS, 3)
     law3 = type(law)(**{**vars(law), "initial_shear_traction": np.tile([1.0, 0.0], (SECTIONS, 1))})
     for strain in path(2):
-        two = law.respond(strain, flat)
-        three = law3.respond(np.insert(strain, 1, 0.0, axis=1), solid)
+        two = law.evaluate(strain, flat)
+        three = law3.evaluate(np.insert(strain, 1, 0.0, axis=1), solid)
         assert np.allclose(three.traction, np.insert(two.traction, 1, 0.0, axis=1), atol=1e-12)
         assert np.allclose(three.stored, two.stored)
-        flat, solid = two.past, three.past
+        flat, solid = two.history, three.history
 
 
 def test_parameters_may_be_arrays(law, dim):
     arrays = {k: v if isinstance(v, bool) else np.full(SECTIONS, v) for k, v in vars(law).items()}
     arrays["initial_shear_traction"] = np.full((SECTIONS, dim - 1), law.initial_shear_traction)
     many = type(law)(**arrays)
-    past = law.rest(SECTIONS, dim)
+    past = law.initial_history(SECTIONS, dim)
     for strain in path(dim):
-        one = law.respond(strain, past)
-        assert np.array_equal(one.traction, many.respond(strain, past).traction)
-        past = one.past
+        one = law.evaluate(strain, past)
+        assert np.array_equal(one.traction, many.evaluate(strain, past).traction)
+        past = one.history
 
 
 def test_no_sections(law, dim):
-    response = law.respond(np.zeros((0, dim)), law.rest(0, dim))
+    response = law.evaluate(np.zeros((0, dim)), law.initial_history(0, dim))
     assert response.traction.shape == (0, dim)
 
 
 def test_hold_keeps_every_status(law, dim):
-    """With ``hold`` a sticking section stays elastic past its strength, a sliding one slides though it unloads."""
-    past = law.rest(1, dim)
+    """With ``step.hold`` a sticking section stays elastic past its strength, a sliding one slides though it unloads."""
+    past = law.initial_history(1, dim)
     there, back = np.zeros((1, dim)), np.zeros((1, dim))
     there[0, 0], back[0, 0] = 0.1, -0.1
-    assert not law.respond(there, past, hold=True).is_sliding.any()
+    assert not law.evaluate(there, past, LawStep(hold=True)).is_sliding.any()
     if law.status:
-        slid = {**past, **{name: law.respond(there, past).past[name] for name in law.status}}
-        held = law.respond(back, slid, hold=True)
+        slid = {**past, **{name: law.evaluate(there, past).history[name] for name in law.status}}
+        held = law.evaluate(back, slid, LawStep(hold=True))
         assert held.is_sliding.all()
         assert held.traction[0, 0] > 0.0
 
@@ -382,8 +386,31 @@ def test_a_section_at_its_strength_fails_whichever_way_round_off_has_it(name):
     def slides(shear, pressed=pressed, **keys):
         given = {**SAMPLES[name], "initial_normal_traction": -pressed, "initial_shear_traction": shear, **keys}
         law = JOINT_LAWS[name](**given)
-        return law.respond(still, law.rest(len(still), 2)).is_sliding
+        return law.evaluate(still, law.initial_history(len(still), 2)).is_sliding
 
     assert slides(some * peak * (1.0 + steps)).all()
     assert not slides(some * peak * (1.0 - 1e-9)).any()
     assert not slides(0.0 * peak, 0.0 * pressed, cohesion=0.0).any()  # no strength, and nothing to resist
+
+
+def test_history_is_declared(law):
+    system = UnitSystem.parse("SI")
+    for name, variable in law.history.items():
+        assert variable.meaning and system.to_si(variable.dimension) > 0.0, name
+    assert set(law.status) <= set(law.history)
+
+
+def test_one_name_of_history_has_one_meaning():
+    class Other(JOINT_LAWS["slip-weakening"]):
+        history: ClassVar = {"slip_path": HistoryVariable("scalar", "time", "age")}
+
+    with_slip = (JOINT_LAWS[name] for name in ("hyperbolic-coulomb", "slip-weakening", "linear"))
+    assert published_history(with_slip) == {}, "output has what these laws remember by other names"
+    published_history(JOINT_LAWS.values())
+    assert set(published_history([Other])) == {"slip_path"}
+
+    class Third(Other):
+        history: ClassVar = {"slip_path": HistoryVariable("scalar", "length", "path")}
+
+    with pytest.raises(ValueError, match="slip_path"):
+        published_history([Other, Third])

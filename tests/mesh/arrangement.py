@@ -1,4 +1,4 @@
-"""What traces on whole numbers cut out of a square, in exact fractions: the answer that meshes are held against."""
+"""The regions that traces on whole numbers cut out of a square, in exact fractions: the reference for meshes."""
 
 from __future__ import annotations
 

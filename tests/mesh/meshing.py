@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fracflow.elements.facet import frame
 from fracflow.mesh.data import RawMesh
 from fracflow.mesh.facets import half_facets
 
@@ -55,7 +56,7 @@ def copies_at(mesh, point):
 
 
 def check(raw, mesh):
-    """What must hold for every split mesh."""
+    """Conditions on every split mesh."""
     assert np.array_equal(mesh.points, raw.points[mesh.origin])
     assert np.array_equal(mesh.origin[: len(raw.points)], np.arange(len(raw.points)))
     back = np.where(mesh.cells < 0, -1, mesh.origin[mesh.cells])
@@ -64,15 +65,14 @@ def check(raw, mesh):
     for face in (mesh.joint_bottom, mesh.joint_top):
         assert np.array_equal(mesh.origin[face], raw.fracture_facets)
     assert np.array_equal(mesh.flow_origin[mesh.joint_flow], raw.fracture_facets)
-    start, end = np.moveaxis(mesh.points[mesh.joint_bottom], 1, 0)
-    tangent = end - start
-    left = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    corners = mesh.points[mesh.joint_bottom]
+    normal = frame(corners)[0][:, -1]
     for column, sign, face in ((0, -1, mesh.joint_bottom), (1, 1, mesh.joint_top)):
         rows = mesh.joint_cells[:, column]
-        middle = centres(mesh, rows) - (start + end) / 2
-        assert np.all(sign * np.sum(middle * left, axis=1) > 0)
+        middle = centres(mesh, rows) - corners.mean(axis=1)
+        assert np.all(sign * np.sum(middle * normal, axis=1) > 0)
         assert np.all(np.any(mesh.cells[rows][:, :, None] == face[:, None, :], axis=1))
-    half = half_facets(mesh.cells, 2)
+    half = half_facets(mesh.cells, mesh.points.shape[1])
     _, count = np.unique(np.sort(half.nodes, axis=1), axis=0, return_counts=True)
     assert count.max() <= 2
     assert np.all(np.any(mesh.cells[mesh.side_cell][:, :, None] == mesh.side_facets[:, None, :], axis=1))

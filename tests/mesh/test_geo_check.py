@@ -174,7 +174,9 @@ REFUSED = [
     'Include "/etc/passwd";', 'Include "../b.geo";', 'Include "~/b.geo";', 'Include Str("b.geo");', "Include b;",
     'Include "a.geo";', 'Include "b/../../b.geo";', 'Include "C:/b.geo";',
     'Plugin(MathEval).Run;', 'Plugin(NewView).Name = "a";', 'View "a" { SP(0,0,0){1}; };', 'Save View[0] "out";',
-    'General.ErrorFileName = "out";', "General.AbortOnError = 1;", 'Solver.Executable0 = "id";', "Solver.AutoCheck = 1;",
+    'General.ErrorFileName = "out";', "General.AbortOnError = 1;", 'General.BackgroundImageFileName = "a";', "General.Color;",
+    "General.ExecutableFileName += 1;", "General.Trackball", "x = General.Trackball;", "General.Color.Text.x = 1;",
+    'Solver.Executable0 = "id";', "Solver.AutoCheck = 1;",
     'Solver.Name0 = "id";', 'PostProcessing.Format = 1;', 'Mesh.Format = "a";', 'Geometry.DoubleClickedPointCommand = "id";',
     'Mesh = "a";', "Print.Format = 1;", "Mesh.Save;", "Mesh[1].Save = 1;",
     'Field[1] = Structured;', 'Field[1] = PostView;', 'Field[1] = ExternalProcess;', 'Field[1] = Octree;',
@@ -239,6 +241,30 @@ def test_gmsh_is_given_the_checked_text_only(tmp_path):
     path = write(tmp_path, SQUARE + '// SystemCall "id";\n/* Save "out"; */ x[y] = 2;\n')
     (text,) = check_geo(path).texts.values()
     assert "SystemCall" not in text and "Save" not in text and "x[ Min(Max(0, y), 10000000)" in text
+
+
+def test_options_of_the_window_are_passed_over(tmp_path):
+    look = """
+        General.Trackball = 0; General.RotationX = 270; General.Color.Background = White; General.GraphicsFont = "Sans";
+        General.Axes = 2; General.Color.Text = {0, 0, 0}; General.Trackball = 1; General.SmallAxes += 1; Mesh.SurfaceEdges = 0;
+        Geometry.PointNumbers = 1; Geometry.Color.Points = {1, 2, 3}; If (h > 1) General.AxesFormatX = "%s"; EndIf"""
+    path = write(tmp_path, SQUARE + look + "\n")
+    checked = check_geo(path)
+    assert "General" not in "".join(checked.texts.values()) and "Mesh.SurfaceEdges" in "".join(checked.texts.values())
+    (note,) = read_mesh(path, ()).notes
+    first = (
+        "General.Trackball, General.RotationX, General.Color.Background, General.GraphicsFont, General.Axes and 3 more"
+    )
+    assert note == f"{path}: options of Gmsh's window are passed over: {first}"
+    assert not read_mesh(write(tmp_path, SQUARE, "b.geo"), ()).notes
+
+
+def test_a_remainder_of_a_division_by_zero_names_its_line(tmp_path):
+    path = write(tmp_path, "n = 4 % 3;\nm = n - 1;\n" + SQUARE + "k = 5 % m;\n")
+    with pytest.raises(
+        InputError, match=r"a\.geo: line 1, .*a\.geo: line 9: Gmsh .* after % stands 0; correct the file$"
+    ):
+        read_mesh(path, ())
 
 
 def test_files_are_included_from_the_folder_only(tmp_path):

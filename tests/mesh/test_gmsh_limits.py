@@ -1,4 +1,4 @@
-"""What a stranger's mesh file can do: nothing but be read, within limits of time and memory."""
+"""The reach of a stranger's mesh file: it can only be read, within limits of time and memory."""
 
 from __future__ import annotations
 

@@ -10,9 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fracflow.errors import InputError
-from fracflow.mesh.near import HEAD, MOST, told
+from fracflow.mesh.plane.near import HEAD, MOST, told
+from fracflow.mesh.plane.snap import FRACTION, natural_snap
 from fracflow.mesh.read import GeometrySpec, build_mesh, network_of
-from fracflow.mesh.snap import FRACTION, natural_snap
 from fracflow.mesh.split import split, summary
 
 pytestmark = pytest.mark.serial

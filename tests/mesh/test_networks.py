@@ -13,9 +13,9 @@ from meshing import areas, check
 
 from fracflow.errors import InputError
 from fracflow.mesh.facets import components
+from fracflow.mesh.plane.traces import tidy
 from fracflow.mesh.read import GeometrySpec, build_mesh, side_names
 from fracflow.mesh.split import split, summary
-from fracflow.mesh.traces import tidy
 
 pytestmark = pytest.mark.serial
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fracflow.mesh.files.gmsh import Elements
-from fracflow.mesh.quads import all_quads
-from fracflow.mesh.quality import cell_areas, corner_angles, worst_cells
+from fracflow.mesh.plane.quads import all_quads
+from fracflow.mesh.plane.quality import cell_areas, corner_angles, worst_cells
 
 pytestmark = pytest.mark.serial
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow.mesh.data import RawMesh
-from fracflow.mesh.quality import cell_areas
-from fracflow.mesh.refine import refined
+from fracflow.mesh.plane.quality import cell_areas
+from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.split import split
 
 pytestmark = pytest.mark.serial

@@ -7,10 +7,10 @@ import pytest
 from meshing import areas, check, copies_at
 
 from fracflow.errors import InputError
-from fracflow.mesh.quality import corner_angles
+from fracflow.mesh.plane.quality import corner_angles
+from fracflow.mesh.plane.traces import tidy
 from fracflow.mesh.read import GeometrySpec, build_mesh, side_names
 from fracflow.mesh.split import split, summary
-from fracflow.mesh.traces import tidy
 
 pytestmark = pytest.mark.serial
 

@@ -1,11 +1,11 @@
-"""What the end of a run says of its books: an alarm where they are open, none where all in them is round-off."""
+"""The summary of a run on its energy balance: an alarm where it is open, none where all of it is round-off."""
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from fracflow._petsc import MPI
-from fracflow.cli.report import tell
+from fracflow.cli.report import report
 from fracflow.output import HistoryFile, read_history
 from fracflow.output.history import read_rows
 from fracflow.scene.scene import load
@@ -41,7 +41,7 @@ def still(tmp_path):
 
 def told(folder):
     console = Console(width=200, record=True, quiet=False, file=(folder / "told").open("w"))
-    tell(folder, console)
+    report(folder, console)
     return console.export_text()
 
 
@@ -50,7 +50,7 @@ def test_round_off_is_no_open_book(still):
     entries = {key: np.abs(values).max() for key, values in history.items() if key.startswith("energy/")}
     assert entries["energy/residual"] > 1e-6 * max(entries.values())  # open, were the largest entry the scale
     said = told(still)
-    assert "! energy books" not in said and "all entries are round-off" in said
+    assert "! energy balance" not in said and "all entries are round-off" in said
 
 
 def test_what_is_larger_is_told(still):
@@ -59,4 +59,4 @@ def test_what_is_larger_is_told(still):
     rows["energy/rock_strain"][-1], rows["energy/residual"][-1] = 10.0, 1e-3
     HistoryFile.after(still / "history.h5", rows, about).close()
     said = told(still)
-    assert "! energy books: 1.0e-04 of the largest entry is left over" in said and "round-off" not in said
+    assert "! energy balance: 1.0e-04 of the largest entry is left over" in said and "round-off" not in said

@@ -15,7 +15,9 @@ BOOKS = {"friction": 0.0, "radiated": 0.0, "dropped": 0.0, "scheme": 0.0, "resid
 
 def _at(time, slip, traction, sliding=(), rate=(0.0, 0.0, 0.0), injected=0.0, **books):
     slides = np.isin(np.arange(3), sliding)
-    return Instant(time, *(np.array(v, float) for v in (slip, traction, rate)), slides, {**BOOKS, **books}, injected)
+    return Instant(
+        time, *(np.array(v, float)[:, None] for v in (slip, traction, rate)), slides, {**BOOKS, **books}, injected
+    )
 
 
 def test_an_event_goes_from_the_first_section_that_slides_to_the_last_that_sticks():

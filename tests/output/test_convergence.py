@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from fracflow.output.convergence import Row, compare, judged, write
-from fracflow.output.convergence_look import tell
+from fracflow.output.convergence_plot import tell
 from fracflow.output.events import COLUMNS
 from fracflow.output.history import HistoryFile
 

@@ -8,7 +8,7 @@ import pytest
 import fracflow
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import read_events
-from fracflow.output.handed import told_handed
+from fracflow.output.slip_at_crossings import told_handed
 from fracflow.scene.scene import Scene
 
 pytestmark = pytest.mark.serial

@@ -1,4 +1,4 @@
-"""Probes and fields against closed forms and the energy books."""
+"""Probes and fields against closed forms and the energy balance."""
 
 import xml.etree.ElementTree as ElementTree
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -7,6 +9,7 @@ from matplotlib.image import imread
 from fracflow.errors import InputError
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
 from fracflow.output.pictures import draw
+from fracflow.output.reader import load_run_data
 
 pytestmark = pytest.mark.serial
 
@@ -101,6 +104,14 @@ def test_a_run_that_lacks_parts_is_drawn(tmp_path, lacking):
     paths = draw(make_run(tmp_path, **lacking))
     assert len(paths) == (1 if lacking.get("probes") is False else 2)
     assert all(is_drawn(path) for path in paths)
+
+
+def test_a_vector_that_turns_is_drawn_without_jumps(tmp_path):
+    """Along (3, -4), the largest, with the sign of the component that is 4 there."""
+    data = load_run_data(make_run(tmp_path))
+    turning = {"probe/turning/displacement": np.array([[0.0, 0.0], [2.0, 1.5], [3.0, -4.0], [-1.5, 2.0], [0.4, 0.3]])}
+    found = replace(data, history={**data.history, **turning}).probe("turning", "displacement")
+    assert found == pytest.approx([0.0, 0.0, -5.0, 2.5, 0.0], abs=1e-14)
 
 
 def test_an_empty_folder_is_an_input_error(tmp_path):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.model.fault_damping import cells_near, fault_damping
 from fracflow.model.setup import on_root
+from fracflow.model.terms.fault_damping import cells_near, damping_at_faults
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.scene.scene import load
 
@@ -55,7 +55,7 @@ def in_stripes(mesh):
 
 def power(model, scene):
     """v' D v of a velocity that depends on the place alone."""
-    damping, block = fault_damping(model.operators, scene), model.operators.blocks.solid
+    damping, block = damping_at_faults(model.operators, scene), model.operators.blocks.solid
     speed, force = (model.operators.layout.solid_vector() for _ in range(2))
     own = block.points[: block.owned]
     first = int(block.unknown_starts[model.operators.layout.comm.rank])

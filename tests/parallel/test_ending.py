@@ -36,6 +36,7 @@ def test_a_rank_alone_ends_all(rank):
     done = started(PROGRAM.format(rank=rank))
     assert done.returncode == 2, done.stderr
     assert f"fracflow: rank {rank} alone: no such file" in done.stderr
+    assert done.stderr.count("fracflow: ") == 1
 
 
 INTERRUPTED = """

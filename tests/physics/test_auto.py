@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
-from fracflow.advance.regime import Course
+from fracflow.advance.initial_state import equilibrium_state
+from fracflow.advance.regime import EventState
 from fracflow.errors import InputError
 from fracflow.output import read_events, read_history
 from fracflow.reduction.prepare import prepare
@@ -15,7 +15,7 @@ from fracflow.solve.period import longest_period
 
 STIFF, SPRING, DAMPING, DROP, RATE = 50.0, 1.0, 1.0, 0.6, 1.0 / 4000.0
 TOLD = "20 longest periods"
-SCENE = "meshes/failures/f11_two_modes/scene.toml"
+SCENE = "meshes/failures/two_modes/scene.toml"
 ONE = (
     "support.1={on = ['slider', 'mass'], components = ['y']}",
     "fracture.fault={normal_stiffness = 10, shear_stiffness = 50, aperture = 1, friction_coefficient = 0.5,"
@@ -199,16 +199,18 @@ def test_an_event_that_nothing_damps_is_told_of_once(shared_tmp):
 
 @pytest.mark.serial
 def test_the_line_on_a_long_event_names_no_remedy_that_the_scene_has():
-    course = Course(0.1, 1.0, 10.0)
-    assert course.restless(20.5, 21.0, absorbs=False, damps=False) == "" != course.restless(19.0, 20.5, False, False)
-    damped, both = course.restless(19.0, 20.5, False, True), course.restless(19.0, 20.5, True, True)
+    course = EventState(0.1, 1.0, 10.0)
+    assert (
+        course.is_unstable(20.5, 21.0, absorbs=False, damps=False) == "" != course.is_unstable(19.0, 20.5, False, False)
+    )
+    damped, both = course.is_unstable(19.0, 20.5, False, True), course.is_unstable(19.0, 20.5, True, True)
     assert "[[absorbing]]" in damped and "generalised-alpha" not in damped
     assert both.endswith("it never is: raise at_rest")
 
 
 def test_the_longest_period_is_that_of_two_masses_on_three_springs(comm):
     model = prepare(load(SCENE, ["rock.slider.youngs_modulus=1e6", "rock.mass.youngs_modulus=1e6"]), comm)
-    state = rest(model)
+    state = equilibrium_state(model)
     found = longest_period(model.operators, model.loads, state.sections)
     state.destroy()
     stiffness, mass = np.array([[51.0, -1.0], [-1.0, 1.3]]), np.diag([1.0, 4.0])

@@ -1,4 +1,4 @@
-"""The energy books where a run changes its ways: pressure jumps, dropped motion, loads, damping steppers."""
+"""The energy balance where a run changes its ways: pressure jumps, dropped motion, loads, damping steppers."""
 
 import numpy as np
 import pytest

@@ -35,13 +35,13 @@ def closes(history):
 def test_a_sealed_slot_stores_what_flows_in(shared_tmp, kind, film):
     """Walls that do not move: V (exp(c_f p) - 1) = Q t, as a mean, and anywhere once fluid runs freely."""
     x, text = np.array([0.0, 1.0, 1.5, 4.0]), STIFF.format(pressure=0) + PROBE % 4 + INFLOW
-    history, fields = winkler.ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
+    history, fields = winkler.ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.flow_integrator={film}")
     length = np.repeat(np.diff(x), 2)
     assert 0.5 * length @ np.expm1(0.1 * np.ravel(fields["pressure"])) * 10.0 == pytest.approx(0.3 * 2.0, rel=1e-11)
     assert history["probe/far/pressure"][-1] < 0.1  # it is still spreading
     closes(history)
     text = text.partition("[[well]]")[0] + evenly(x, 0.3)
-    history, _ = winkler.ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.film={film}")
+    history, _ = winkler.ran(shared_tmp, x, text + stage(kind, 2.0, 5), f"method.flow_integrator={film}")
     volume = 0.3 * history["time"]
     assert history["probe/far/pressure"] == pytest.approx(10.0 * np.log1p(volume / 40.0), rel=1e-11)
     brought = 10.0 * volume / (40.0 + volume)  # int dp/rho, of which (2.33b) takes the mean in each step
@@ -86,7 +86,7 @@ def test_a_load_that_comes_and_goes_leaves_the_fluid_it_found(shared_tmp, rule):
     text += '[[load]]\non = "top"\ntraction = [0, [[0, 0], [1, -0.8], [2, 0], [3, -0.8], [4, 0], [9, 0]]]\n'
     text += '[[probe]]\nname = "far"\nat = [1.4, 0]\non = "film"\n' + stage(kind, 4.0, 8)
     options = ["method.coupling=fixed-point", "method.on_divergence=monolithic"] if rule == "fixed-point" else []
-    options += [f"method.film={rule}"] if rule in FILM else []
+    options += [f"method.flow_integrator={rule}"] if rule in FILM else []
     folder = shared_tmp / "cycle"
     MPI.COMM_WORLD.barrier()
     folder.mkdir(exist_ok=True)
@@ -139,7 +139,8 @@ def spread(folder, count, steps, *options, kind="quasi-static"):
 def test_pressure_spreads_by_the_diffusion_equation(shared_tmp):
     """Order 2 in the spacing, against Fourier's series."""
     wrong = [
-        abs(spread(shared_tmp, count, 100, "method.film=trapezoid")[0] - series(1.5, 1.0, 1.5)) for count in (3, 6, 12)
+        abs(spread(shared_tmp, count, 100, "method.flow_integrator=trapezoid")[0] - series(1.5, 1.0, 1.5))
+        for count in (3, 6, 12)
     ]
     assert np.log2(wrong[0] / wrong[1]) == pytest.approx(2, abs=0.15)
     assert np.log2(wrong[1] / wrong[2]) == pytest.approx(2, abs=0.15)
@@ -151,7 +152,7 @@ def test_pressure_spreads_by_the_diffusion_equation(shared_tmp):
 def test_order_in_time(shared_tmp, film):
     """Against the finite series of the same nodes; a dynamic stage goes by Newmark's gamma."""
     exact, wrong = series(1.5, 1.0, 1.5, 0.25), []
-    kind, options = ("dynamic", ()) if film == "newmark" else ("quasi-static", (f"method.film={film}",))
+    kind, options = ("dynamic", ()) if film == "newmark" else ("quasi-static", (f"method.flow_integrator={film}",))
     for steps in (20, 40, 80):
         pressure, history = spread(shared_tmp, 6, steps, *options, kind=kind)
         wrong.append(abs(pressure - exact))
@@ -191,7 +192,7 @@ def test_books_from_stage_to_stage(shared_tmp, film):
     text += "pressure = [[0, 0.5], [1, 0.5], [1.000001, 0.1], [2, 0.4], [9, 0.3]]\n"
     for kind in ("steady", "quasi-static", "dynamic", "quasi-static"):
         text += stage(kind, 1.0, 4)
-    history, _ = winkler.ran(shared_tmp, np.array([0.0, 1.0, 2.5, 4.0]), text, f"method.film={film}")
+    history, _ = winkler.ran(shared_tmp, np.array([0.0, 1.0, 2.5, 4.0]), text, f"method.flow_integrator={film}")
     largest = closes(history)
     assert np.abs(history["energy/fluid_storage"]).max() > 0.01 * largest
     assert np.diff(history["energy/viscous"]).min() >= 0.0

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping
 from fracflow.errors import InputError
 from fracflow.integrators import STEPPERS
 from fracflow.model.solid import mass
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
+from fracflow.solve.request import StepRequest
 
 ROCK = {"youngs_modulus": 1.0, "poissons_ratio": 0.25, "density": 2.0}
 JOINT = {"normal_stiffness": 100.0, "shear_stiffness": 50.0, "aperture": 1.0, "friction_coefficient": 0.5}
@@ -128,7 +129,7 @@ def test_every_block_falls_from_the_first_instant_and_walls_with_it(stepper):
     sides = ["west", "east", "south", "north"]
     pressed = {"initial_stress": {"xx": -10, "yy": -10}, "load": [{"on": sides, "traction": "initial-stress"}]}
     model = prepare(_scene(method={"stepper": stepper}, body_force={"x": 0.6, "y": -1.4}, **pressed), MPI.COMM_WORLD)
-    stepping, rule, state, ops = Stepping(model), STEPPERS[stepper](), rest(model), model.operators
+    stepping, rule, state, ops = Stepping(model), STEPPERS[stepper](), equilibrium_state(model), model.operators
     state = stepping.enter(state, rule, 0.1)
     one = np.ones((ops.blocks.solid.owned, 1))
     masses = _sums(ops, ops.mass, one * [1.0, 1.0])
@@ -136,7 +137,7 @@ def test_every_block_falls_from_the_first_instant_and_walls_with_it(stepper):
         masses * [0.3, -0.7], rel=1e-11
     )
     for step in range(1, 41):
-        state, _ = stepping.step(state, rule, 0.1 * step, 0.1, {})
+        state, _ = stepping.step(state, StepRequest(0.1 * step, 0.1, {}, stepping.model.loads), rule)
         followed = _times(ops.inward, state.motion.acceleration).getArray()
         assert state.motion.acceleration.getArray() == pytest.approx(followed, abs=1e-12)
         assert np.abs(followed).max(initial=0.0) < 1.5  # nothing rings

@@ -7,8 +7,8 @@ from typer.testing import CliRunner
 from fracflow._petsc import MPI
 from fracflow.cli.app import app
 from fracflow.integrators.explicit import damped_rate
-from fracflow.model.fault_damping import asymmetry, fault_damping, is_sudden
 from fracflow.model.mass import cell_rates
+from fracflow.model.terms.fault_damping import asymmetry, damping_at_faults, is_sudden
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import load
@@ -126,10 +126,10 @@ def test_only_walls_that_are_no_mirror_images_are_damped(tmp_path, above, is_dam
     made = model(tmp_path, FAULT + QUADRILATERALS)
     ops = made.operators
     assert (asymmetry(ops.blocks, made.scene).max() > 1e-3) == is_damped
-    found = fault_damping(ops, made.scene)
+    found = damping_at_faults(ops, made.scene)
     assert (None if found is None else found.ratio) == (0.25 if is_damped else None)
     given = model(tmp_path, FAULT + QUADRILATERALS, "method.fault_damping=0.1")
-    found = fault_damping(given.operators, given.scene)
+    found = damping_at_faults(given.operators, given.scene)
     assert found.ratio == 0.1
     assert (found.scale > 1.0).sum() == 2 * 3 * (80 + 2 * 3)  # three layers all around
 
@@ -141,7 +141,7 @@ def test_none_where_none_is_wanted(tmp_path, override):
     if "linear" in override:
         text = "\n".join(line for line in text.splitlines() if not line.startswith(ONLY_OF_SLIP))
     made = model(tmp_path, text, override, "method.storage=lumped")
-    assert fault_damping(made.operators, made.scene) is None
+    assert damping_at_faults(made.operators, made.scene) is None
 
 
 SQUARES = """
@@ -181,7 +181,7 @@ def test_squares_that_expand_lose_what_the_ratio_says(tmp_path):
     """Power per area of v = a (x, y), all cells damped: 4 a^2 (lambda + mu) 2 xi/omega, omega^2 = 8 (lambda + mu)/(rho h^2)."""
     (tmp_path / "squares.geo").write_text(SQUARES_GEO)
     made = model(tmp_path, SQUARES)
-    damping, block = fault_damping(made.operators, made.scene), made.operators.blocks.solid
+    damping, block = damping_at_faults(made.operators, made.scene), made.operators.blocks.solid
     speed, force = (made.operators.layout.solid_vector() for _ in range(2))
     rate, ratio, side, density, lame = 3.0, 0.1, 0.5, 4.0, 2.0  # of E = 2.5, nu = 1/4: lambda = mu = 1
     speed.getArray()[block.unknown] = rate * block.points
@@ -211,7 +211,7 @@ def test_mirror_images_are_damped_where_strength_falls_at_once(tmp_path, keys, s
     ops = made.operators
     assert asymmetry(ops.blocks, made.scene).max() < 1e-9
     assert np.array_equal(is_sudden(ops, made.scene, cell_rates(ops.blocks, made.scene)), np.full(8, sudden))
-    found = fault_damping(ops, made.scene)
+    found = damping_at_faults(ops, made.scene)
     assert (None if found is None else found.ratio) == (0.45 if sudden else None)
 
 

@@ -5,7 +5,7 @@ import pytest
 from nucleation import UNIFORM
 
 from fracflow._petsc import MPI
-from fracflow.advance.instability import Jumped
+from fracflow.advance.instability import UnstableStep
 from fracflow.errors import SolveError
 from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
@@ -85,8 +85,8 @@ def test_a_dynamic_stage_goes_on_from_a_limit_point_and_so_does_a_resumed_run(sh
 @pytest.mark.serial
 def test_a_refused_step_gets_the_name_of_its_stage():
     stage = Stage(kind="steady", name="fill", time_step=1.0, steps=1)
-    found = of_stage(stage, Jumped("time 1: slip", 7, None, None))
-    assert isinstance(found, Jumped) and found.newton == 7 and str(found) == f"stage {stage.title}: time 1: slip"
+    found = of_stage(stage, UnstableStep("time 1: slip", 7, None, None))
+    assert isinstance(found, UnstableStep) and found.newton == 7 and str(found) == f"stage {stage.title}: time 1: slip"
 
 
 def test_an_event_of_a_stage_auto_names_its_limit_point(shared_tmp):
@@ -129,7 +129,7 @@ def test_the_share_of_a_patch_in_wide_rock_is_that_of_uenishi_and_rice(monkeypat
     x = blocks.solid.points[blocks.joints.bottom][:, :, 0].ravel()
     slides = np.abs(x) < half - 0.5 * size
     weakening = Weakening(np.where(slides, 1.0, 0.0), np.where(slides, 1.0, 0.0), slides[:, None].astype(float))
-    sections = joints.respond(np.zeros((len(x), 2)), joints.rest())
+    sections = joints.evaluate(np.zeros((len(x), 2)), joints.initial_history())
     share, mode, is_sharp = largest_share(model.operators, model.loads, sections, weakening)
     assert half - size < share * UNIFORM * 32e9 < half
     shape = 1.0 - (x[slides] / half) ** 2

@@ -9,16 +9,17 @@ from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
 from fracflow.advance.inertial_steps import transit
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.regime import RADIATED, slipped
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.cli.app import app
-from fracflow.cli.run import Sight
+from fracflow.cli.run import ProgressBar
 from fracflow.errors import Interrupted
 from fracflow.output import read_events, read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
+from fracflow.solve.request import StepRequest
 
 SCENE = """
 title = "a fault that creeps past a crack that pressure opens"
@@ -80,9 +81,9 @@ def test_slip_radiates_by_what_moves_and_not_by_the_least_strength(scene, comm):
     model = prepare(load(scene), comm)
     stage = model.scene.stage[0]
     stepping, still = Stepping(model), stepper_of(model.scene, stage, "quasi-static")
-    state, ends = rest(model), (200.0, 350.0, 380.0, 400.0)
+    state, ends = equilibrium_state(model), (200.0, 350.0, 380.0, 400.0)
     for time in ends:
-        new, _ = stepping.step(state, still, time, time - state.time, state.controls)
+        new, _ = stepping.step(state, StepRequest(time, time - state.time, state.controls, stepping.model.loads), still)
         slip = slipped(model, state, new, time - state.time)
         least, before = new.sections.strength.min(), state
         state = new
@@ -178,7 +179,7 @@ def test_check_foretells_events_and_slow_slip(tmp_path):
 def test_progress_shows_trials_as_they_are_rejected():
     lines = []
     scene = SimpleNamespace(unit_system=SimpleNamespace(time="s"))
-    sight = Sight(scene, "a run", lambda text, steps: lines.append((text, steps)))
+    sight = ProgressBar(scene, "a run", lambda text, steps: lines.append((text, steps)))
     for rejected in range(3):
         sight.trial(12.0, 0.5**rejected, "why")
     assert lines[-1] == ("a run, 3 trials rejected, the last of 0.25 at 12 s", 0)

@@ -90,7 +90,7 @@ def film(name, *settings, kind="quasi-static", well="flow_rate", more=f"time_ste
 @pytest.mark.parametrize("rule", ["backward-euler", "bdf2", "trapezoid"])
 def test_volume_in_a_film_without_a_drain(name, rule):
     """To round-off after every step; of the trapezoid, whose values at steps' ends share it, where nothing follows."""
-    found, volume = film(name, f"method.film={rule}")
+    found, volume = film(name, f"method.flow_integrator={rule}")
     wrong = np.abs(volume - integral(name, found.history["time"]))
     assert (wrong[-1] if rule == "trapezoid" else wrong.max()) <= 2e-15
     assert found.open_books <= 1e-10
@@ -109,7 +109,7 @@ def test_volume_in_a_film_of_a_stage_auto(rule):
     """Steps end within a billionth of one before a jump; the trapezoid foresees the next one, which may become another."""
     steps = f"time_step = {DT}\nend = 0.5\ndynamic_time_step = 1e-3"
     for name in ("pulse in a step", "a little", "bent", "all of these"):
-        found, volume = film(name, f"method.film={rule}", "accuracy.max_halvings=2", kind="auto", more=steps)
+        found, volume = film(name, f"method.flow_integrator={rule}", "accuracy.max_halvings=2", kind="auto", more=steps)
         wrong = np.abs(volume - integral(name, found.history["time"]))
         assert (wrong[-1] <= 1e-5 * volume[-1]) if rule == "trapezoid" else (wrong.max() <= 1e-12)
         assert found.open_books <= 1e-10
@@ -162,7 +162,7 @@ def test_volume_beside_a_well_at_its_limit():
     text += "".join(f'[[probe]]\nname = "{i}"\nat = [{a}, 0]\non = "other"\n' for i, a in enumerate((2.0, 2.5, 3.0)))
     text += '[[probe]]\nname = "well"\nat = [0, 0]\non = "film"\n'
     text += '[[stage]]\nkind = "quasi-static"\ntime_step = 0.1\nsteps = 5\n'
-    found = solve(text, "method.film=bdf2", mesh=two_films())
+    found = solve(text, "method.flow_integrator=bdf2", mesh=two_films())
     volume = sum(share * found.probe(str(i), "opening").ravel() for i, share in enumerate(SHARES))
     times = found.history["time"]
     assert found.probe("well", "pressure")[1:] == pytest.approx(0.02, rel=1e-12)
@@ -201,7 +201,7 @@ def at_nodes(found, name):
 def test_volume_of_a_well_that_leaves_its_limit(tmp_path):
     """Of BDF2: from the step in which it leaves it, its film takes up the integral of its table."""
     stage = '[[stage]]\nkind = "quasi-static"\ntime_step = 0.25\nend = 6\n'
-    scene = load(scene_of(tmp_path, WELLS["leaves its limit"], stage), ["method.film=bdf2"])
+    scene = load(scene_of(tmp_path, WELLS["leaves its limit"], stage), ["method.flow_integrator=bdf2"])
     run(scene, tmp_path / "run")
     found = opened(tmp_path / "run")
     taken, (free,) = (
@@ -221,7 +221,7 @@ def test_what_wells_have_brought_is_what_a_film_holds(tmp_path, rule, compressib
         fluid = f"compressibility = {compressibility}" if compressibility else ""
         folder = tmp_path / name.replace(" ", "-")
         folder.mkdir()
-        run(load(scene_of(folder, well, AUTO, fluid), [f"method.film={rule}"]), folder / "run")
+        run(load(scene_of(folder, well, AUTO, fluid), [f"method.flow_integrator={rule}"]), folder / "run")
         found = opened(folder / "run")
         opening, pressure = (at_nodes(found, each)[-1] for each in ("opening", "pressure"))
         held = np.array(SHARES) @ (opening + (10.0 + opening) * np.expm1(compressibility * pressure))
@@ -230,7 +230,10 @@ def test_what_wells_have_brought_is_what_a_film_holds(tmp_path, rule, compressib
 
 def test_a_resumed_run_knows_what_wells_have_brought(tmp_path):
     """And what went through a well at its limit: to the last bit, at whatever step it was cut."""
-    scene = load(scene_of(tmp_path, WELLS["leaves its limit"], AUTO), ["method.film=bdf2", "output.checkpoint_every=1"])
+    scene = load(
+        scene_of(tmp_path, WELLS["leaves its limit"], AUTO),
+        ["method.flow_integrator=bdf2", "output.checkpoint_every=1"],
+    )
     run(scene, tmp_path / "whole")
     whole = read_notes(tmp_path / "whole" / "checkpoint.h5")
 

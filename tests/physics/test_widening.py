@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.explicit import ExplicitSteps
-from fracflow.advance.initial_state import rest, settle
+from fracflow.advance.explicit import ExplicitSubsteps
+from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
+from fracflow.advance.outcome import Outcome
 from fracflow.advance.step import Step
 from fracflow.model.state import StepReport
 from fracflow.output import read_history
-from fracflow.reduction.decision import Facts
+from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.run import run
+from fracflow.solve.request import StepRequest
 
 from .test_books import CRACK
 
@@ -63,9 +65,9 @@ def test_a_step_is_told_once_it_is_on_record(shared_tmp):
         file.write_text(NARROW + "time_step = 1\nsteps = 3\n", encoding="utf-8")
     comm.barrier()
     model = prepare(load(file), comm)
-    settle(model)
-    step = Step(rest(model), 0, 1.0, StepReport(widening=5.0, widest="crack at (1, 1)"), {"fresh": 1.0})
-    recorder = Recorder(model, Facts(model.scene), shared_tmp / "run", comm)
+    refuse_imbalance(model)
+    step = Step(equilibrium_state(model), 0, 1.0, StepReport(widening=5.0, widest="crack at (1, 1)"), {"fresh": 1.0})
+    recorder = Recorder(model, ReductionInput(model.scene), shared_tmp / "run", comm)
     for grown in (1.0, 5.0, 6.0, 11.0):
         recorder.record(replace(step, report=replace(step.report, widening=grown)))
     assert recorder.totals.widening == 11.0
@@ -78,10 +80,11 @@ def test_a_step_is_told_once_it_is_on_record(shared_tmp):
 def test_equal_parts_of_a_step_keep_the_most():
     state, factors = SimpleNamespace(controls={}, destroy=lambda: None), iter((1.1, 3.0, 1.2))
 
-    def part(before, time, dt, controls, ahead):
+    def part(before, request):
         grown = next(factors)
-        return SimpleNamespace(destroy=lambda: None), StepReport(widening=grown, widest=f"part {grown}")
+        made = SimpleNamespace(controls={}, destroy=lambda: None)
+        return Outcome(made, StepReport(widening=grown, widest=f"part {grown}"))
 
-    steps = ExplicitSteps(None, print)
-    report = steps.in_parts(part, state, 1.0, (1.0, 0.0), {}, 3)[1]
+    explicit, inner = SimpleNamespace(count=lambda length: 3), SimpleNamespace(advance=part)
+    report = ExplicitSubsteps(inner, explicit).advance(state, StepRequest(1.0, 1.0, {}, None, next_length=0.0)).report
     assert (report.widening, report.widest) == (3.0, "part 3.0")

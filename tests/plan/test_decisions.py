@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from fracflow.cli.app import app
 from fracflow.diagnostics.number import Number
-from fracflow.reduction import Facts, as_lines, decide
+from fracflow.reduction import ReductionInput, as_lines, decide
 
 pytestmark = pytest.mark.serial
 DRY = SLIDING.partition("[[stage]]")[0]
@@ -23,7 +23,7 @@ steps = 10
 
 
 def decisions(text, card=(), **facts):
-    return {each.part: each for each in decide(Facts(load_text(text), **facts).with_card(card))}
+    return {each.part: each for each in decide(ReductionInput(load_text(text), **facts).with_card(card))}
 
 
 def test_fluid_parts_that_hardly_matter_are_kept_where_that_costs_nothing():
@@ -31,13 +31,13 @@ def test_fluid_parts_that_hardly_matter_are_kept_where_that_costs_nothing():
     weak = [
         Number("coupling, transient", "", 1e-4),
         Number("coupling, steady", "", 1e-4),
-        Number("film ringing", "", 500.0),
+        Number("pressure ringing", "", 500.0),
     ]
     weak.append(Number("fluid compressibility", "", 1e-5))
     found = decisions(
         INJECTION.replace("viscosity", "compressibility = 4e-10\nviscosity"), weak, unknowns=1000, pressures=10
     )
-    for part in ("wall-to-flow coupling", "film storage", "compressibility"):
+    for part in ("wall-to-flow coupling", "fracture storage", "compressibility"):
         assert found[part].value < found[part].limit
         assert not found[part].left_out and found[part].saves.startswith("nothing: kept")
 
@@ -45,11 +45,11 @@ def test_fluid_parts_that_hardly_matter_are_kept_where_that_costs_nothing():
 def test_dry_scene_leaves_out_the_flow():
     found = decisions(SLIDING)
     assert found["flow"].left_out and not decisions(INJECTION)["flow"].left_out
-    assert "film storage" not in found
+    assert "fracture storage" not in found
 
 
 def test_what_was_undone_is_told():
-    (stage,) = [each.stage for each in decide(Facts(load_text(SLIDING))) if each.part == "inertia"]
+    (stage,) = [each.stage for each in decide(ReductionInput(load_text(SLIDING))) if each.part == "inertia"]
     back = decisions(SLIDING, undone={f"inertia, {stage}": "time 2: 0.5"})["inertia"]
     assert not back.left_out and as_lines([back])[0].endswith("undone at time 2: 0.5")
 
@@ -59,7 +59,7 @@ def test_check_prints_decisions_sizes_and_cost(tmp_path):
     file.write_text(INJECTION)
     done = CliRunner().invoke(app, ["check", str(file)])
     assert done.exit_code == 0, done.output
-    for word in ("film storage", "may err by", "left out", "displacement unknowns", "memory, about", "CPU s: "):
+    for word in ("fracture storage", "may err by", "left out", "displacement unknowns", "memory, about", "CPU s: "):
         assert word in done.output
     told = json.loads(CliRunner().invoke(app, ["check", str(file), "--json"]).output)
     keys = {"part", "left_out", "criterion", "value", "limit", "error", "saves", "stage", "undone", "asked", "verdict"}

@@ -12,7 +12,7 @@ from fracflow.errors import Interrupted
 from fracflow.model.state import Motion
 from fracflow.output import read_history
 from fracflow.reduction import inertia
-from fracflow.reduction.inertia import kick
+from fracflow.reduction.inertia import kink_response
 from fracflow.scene.scene import load
 from fracflow.scene.time_table import TimeTable
 from fracflow.simulation.run import resume, run
@@ -98,14 +98,14 @@ def block(shared_tmp, comm):
 def test_kick_of_ramps_pulses_and_waves():
     """T/(pi T_load) of a ramp with its ends; a pulse adds three kinks; a sine 4 omega over its range in each period."""
     period = 0.1
-    assert kick(TimeTable.constant(3.0), 0.0, 9.0, period) == 0.0
-    assert kick(TimeTable((0.0, 2.0), (0.0, -5.0)), 0.0, 9.0, period) == pytest.approx(period / (np.pi * 2.0))
-    assert kick(TimeTable((1.0, 1.01, 1.02), (0.0, 1.0, 0.0)), 0.0, 9.0, period) == pytest.approx(
+    assert kink_response(TimeTable.constant(3.0), 0.0, 9.0, period) == 0.0
+    assert kink_response(TimeTable((0.0, 2.0), (0.0, -5.0)), 0.0, 9.0, period) == pytest.approx(period / (np.pi * 2.0))
+    assert kink_response(TimeTable((1.0, 1.01, 1.02), (0.0, 1.0, 0.0)), 0.0, 9.0, period) == pytest.approx(
         200.0 * period / np.pi
     )
     times = np.linspace(0.0, 40.0, 4001)  # of period 10, from rest: 1 - cos
     wave = TimeTable(tuple(times), tuple(1.0 - np.cos(2.0 * np.pi * times / 10.0)))
-    assert kick(wave, 0.0, 40.0, period) == pytest.approx(4 * 2.0 * period / 10.0, rel=0.05)
+    assert kink_response(wave, 0.0, 40.0, period) == pytest.approx(4 * 2.0 * period / 10.0, rel=0.05)
 
 
 def test_slow_ramp_goes_without_inertia_within_the_tolerance(block, comm):
@@ -125,7 +125,7 @@ def test_fast_ramp_keeps_inertia(block, comm):
 @pytest.fixture
 def blind(monkeypatch):
     """The criterion is told that any ramp were slow; the steps tell otherwise."""
-    monkeypatch.setattr(inertia, "kick", lambda *_: 1e-3)
+    monkeypatch.setattr(inertia, "kink_response", lambda *_: 1e-3)
 
 
 def stop_after(count):

@@ -8,11 +8,11 @@ from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
 from fracflow.cli.app import app
-from fracflow.diagnostics import scene_card
+from fracflow.diagnostics import pre_run_checks
 from fracflow.mesh.read import GeometrySpec, build_mesh
 from fracflow.output import read_history
 from fracflow.reduction import mesh_size as mesh_sizes
-from fracflow.reduction.lengths import (
+from fracflow.reduction.mesh_size import (
     affordable,
     cell_count,
     corner_period,
@@ -105,7 +105,7 @@ def test_a_proposed_mesh_resolves_what_it_was_made_for(scene, why):
     mesh = read_split(scene)
     assert why in next(line for line in scene.notes if "size_at_fractures" in line)
     assert mesh_sizes.unresolved(scene, mesh, {}) == []
-    assert not any(number.out_of_range for number in scene_card(scene, mesh, {}) if number.name in OF_SLIP)
+    assert not any(number.out_of_range for number in pre_run_checks(scene, mesh, {}) if number.name in OF_SLIP)
     assert 100 < len(mesh.cells) < 20_000
     again = Scene.from_data(scene.model_dump(exclude_none=True))
     assert sized(again) == again == scene and again.notes == ()
@@ -152,7 +152,7 @@ def test_what_would_take_too_many_cells_is_capped_and_said(monkeypatch):
     assert 2000 < len(mesh.cells) < 1.25 * 4000
     (line,) = [line for line in scene.notes if "size_at_fractures" in line]
     assert "E'/k_s / 4 = 0.0133" in line and "4000 cells, the most that are proposed, do not reach it" in line
-    assert any(number.out_of_range for number in scene_card(scene, mesh, {}) if number.name in OF_SLIP)
+    assert any(number.out_of_range for number in pre_run_checks(scene, mesh, {}) if number.name in OF_SLIP)
     assert scene.geometry.growth == 0.3 and scene.geometry.size_at_tips is None
 
 

@@ -8,11 +8,11 @@ import pytest
 
 from fracflow.errors import Interrupted
 from fracflow.mesh.data import RawMesh
-from fracflow.mesh.split import glued, groups, split
+from fracflow.mesh.split import groups, merged_faces, split
 from fracflow.output import read_history
-from fracflow.reduction import Facts
-from fracflow.reduction import tied_fractures as tied
-from fracflow.reduction.tied_fractures import PART, Fractures, choose, compliance, shed
+from fracflow.reduction import ReductionInput
+from fracflow.reduction import locked_fractures as tied
+from fracflow.reduction.locked_fractures import PART, Fractures, choose, compliance, shed
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.run import resume, run
 
@@ -195,7 +195,7 @@ def test_resumed_run_ties_the_same(done):
 
 
 def why_none(data, unknowns=tied.LEAST):
-    return tied.why_none(Facts(Scene.from_data(data), unknowns=unknowns))
+    return tied.why_none(ReductionInput(Scene.from_data(data), unknowns=unknowns))
 
 
 @pytest.mark.serial
@@ -245,7 +245,7 @@ def test_compliance_is_that_of_the_fracture_and_of_the_rock_with_all():
 
 
 def chosen(known, use=lambda stress: stress / 1e7):
-    return choose(Facts(Scene.from_data(scene_of(1e-4)), unknowns=tied.LEAST), known, {}, use)
+    return choose(ReductionInput(Scene.from_data(scene_of(1e-4)), unknowns=tied.LEAST), known, {}, use)
 
 
 @pytest.mark.serial
@@ -287,7 +287,7 @@ def test_glued_mesh_is_the_one_split_without_those_fractures():
             raw, fracture_facets=raw.fracture_facets[stays], fractures=tuple(raw.fractures[k] for k in kept),
             fracture_of=np.searchsorted(kept, raw.fracture_of[stays]),
         )  # fmt: skip
-        sought, found = split(fewer), glued(whole, np.array(out))
+        sought, found = split(fewer), merged_faces(whole, np.array(out))
         for field in fields(sought):
             np.testing.assert_array_equal(getattr(found, field.name), getattr(sought, field.name), field.name)
 

@@ -164,7 +164,7 @@ def test_an_event_has_order_two_and_its_error(shared_tmp):
 
 @pytest.mark.serial
 def test_both_steps_of_a_stage_auto_are_halved():
-    scene = fracflow.load("meshes/failures/f11_two_modes/scene.toml", ["stage.push.dynamic_time_step=0.4"])
+    scene = fracflow.load("meshes/failures/two_modes/scene.toml", ["stage.push.dynamic_time_step=0.4"])
     coarse, fine = (at_level(scene, level, {}).stage[0] for level in (0, 2))
     assert (coarse.time_step / fine.time_step, fine.dynamic_time_step) == (4.0, 0.1)
     assert order_in_time(scene) == 2 and scene.stage[0].kind == "auto"
@@ -212,7 +212,7 @@ steps = 4
     kept = 'quantities = ["opening", "pressure", "flow_rate"]'
     text += "".join(f'[[probe]]\nname = "{x}"\nat = [{x}, 0]\non = "film"\n{kept}\n' for x in PLACES)
     scene = fracflow.load(
-        winkler.write(tmp_path, MPI.COMM_WORLD, np.linspace(0, 1, 21), text), ["method.film=backward-euler"]
+        winkler.write(tmp_path, MPI.COMM_WORLD, np.linspace(0, 1, 21), text), ["method.flow_integrator=backward-euler"]
     )
     run, rows = fracflow.converge(scene, tmp_path / "out", 3)
     found, times = by_name(rows), fracflow.open(tmp_path / "out" / "level-0").times[1:]

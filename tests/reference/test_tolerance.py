@@ -32,7 +32,7 @@ def modes(pressure, time):
 
 
 def history_of_film(text, well, *options):
-    """Times (n,), pressures (n, N + 1) along the film, and the largest gap of the energy books."""
+    """Times (n,), pressures (n, N + 1) along the film, and the largest gap of the energy balance."""
     x = np.linspace(0, 1, N + 1)
     probes = "".join(f'[[probe]]\nname = "{i}"\nat = [{at!r}, 0]\non = "film"\n' for i, at in enumerate(x.tolist()))
     found = solve(text + injection(well, END, 1) + probes, *options, "method.coupling=whole-lu", mesh=winkler.mesh(x))
@@ -51,7 +51,10 @@ def error_of_film(text, pressure, *options):
     "rule, tolerances", [("backward-euler", (1e-1, 1e-2)), ("bdf2", TOLERANCES), ("trapezoid", TOLERANCES[:2])]
 )
 def test_pressure_that_diffuses_from_a_jump(rule, tolerances):
-    found = [error_of_film(LINEAR, 1.0, f"method.film={rule}", f"accuracy.tolerance={each}") for each in tolerances]
+    found = [
+        error_of_film(LINEAR, 1.0, f"method.flow_integrator={rule}", f"accuracy.tolerance={each}")
+        for each in tolerances
+    ]
     proportional([largest for largest, _ in found], tolerances, 2.0)
     proportional([volume.max() for _, volume in found], tolerances, 1.0)
 
@@ -60,7 +63,7 @@ def test_of_a_fluid_that_is_stored_by_compression_alone():
     """c_f d = 1 in place of 1/k_n = 1."""
     text = LINEAR.replace("normal_stiffness = 1", "normal_stiffness = 1e7")
     text = text.replace("viscosity = 1", "viscosity = 1\ncompressibility = 0.1")
-    tolerances, rule = (1e-2, 1e-3), "method.film=bdf2"
+    tolerances, rule = (1e-2, 1e-3), "method.flow_integrator=bdf2"
     found = [error_of_film(text, 1e-4, rule, f"accuracy.tolerance={each}")[0] for each in tolerances]
     proportional(found, tolerances, 2.0)
 
@@ -70,8 +73,10 @@ def test_of_a_fluid_that_is_stored_by_compression_alone():
     "rate", ["[[0, 0], [0.2, 0], [0.21, 1], [0.22, 0]]", "[[0.2, 0], [0.2, 1], [0.21, 1], [0.21, 0]]"]
 )
 def test_pulse_of_a_well_within_the_only_step(rate, tolerance):
-    """What it brings, 0.01, is there in the end: all of it stays in the film."""
-    *_, last = history_of_film(LINEAR, f"flow_rate = {rate}", "method.film=bdf2", f"accuracy.tolerance={tolerance}")[1]
+    """The injected volume, 0.01, is there in the end: all of it stays in the fracture."""
+    *_, last = history_of_film(
+        LINEAR, f"flow_rate = {rate}", "method.flow_integrator=bdf2", f"accuracy.tolerance={tolerance}"
+    )[1]
     assert (last.sum() - last[[0, -1]].mean()) / N == pytest.approx(0.01, rel=tolerance)
 
 
@@ -82,7 +87,7 @@ def test_pressure_that_jumps_within_the_only_step(rule, tolerances):
     for each in tolerances:
         well, given = (
             f"pressure = [[0, 0], [{jump}, 0], [{jump}, 1]]",
-            (f"method.film={rule}", f"accuracy.tolerance={each}"),
+            (f"method.flow_integrator={rule}", f"accuracy.tolerance={each}"),
         )
         times, found, open_books = history_of_film(LINEAR, well, *given)
         exact = np.where((times > jump)[:, None], modes(1.0, np.maximum(times - jump, 0.0)), 0.0)

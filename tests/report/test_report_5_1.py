@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.initial_state import rest
+from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.step import Stepping
 from fracflow.errors import InputError, SolveError
 from fracflow.integrators import Steady
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
+from fracflow.solve.request import StepRequest
 
 SCENE = "meshes/report_5_1/scene.toml"
 P = np.array([1, 2, 2.5, 2, 1, -0.5, -1.5])
@@ -52,7 +53,7 @@ def _figure_10(method, overshoot):
     settings = [f"method.newton={method}", f"method.overshoot={overshoot}", "accuracy.max_iterations=300"]
     model = prepare(load(SCENE, [*FIGURE_10, *settings]), MPI.COMM_WORLD)
     stepping = Stepping(model)
-    state, report = stepping.step(rest(model), Steady(), 1.0, 1.0, {})
+    state, report = stepping.step(equilibrium_state(model), StepRequest(1.0, 1.0, {}, stepping.model.loads), Steady())
     farthest = state.motion.displacement.norm(3)
     stepping.destroy()
     assert len(report.out_of_balance) == report.newton + 1

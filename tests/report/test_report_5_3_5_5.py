@@ -11,7 +11,7 @@ CASES = [(scene, model) for scene in SLIPS for model in MODELS]
 
 @pytest.mark.parametrize(("scene", "model"), CASES)
 def test_nodes_that_slip(ran, scene, model):
-    """What the text states of each: which nodes slip, and which stay to the last."""
+    """The text states of each: which nodes slip, and which stay to the last."""
     result = ran(scene, f"model={model}")
     assert {e["probe"] for e in result.events if e["kind"] == "slip"} == SLIPS[scene]
     assert not [e for e in result.events if e["kind"] == "open"]

@@ -9,7 +9,8 @@ import pytest
 from figures_verification.cases.r04 import VISCOSITY, kirchhoff
 
 from fracflow.elements.flow import conductivity
-from fracflow.laws.cubic_flow import MEANS, conductance
+from fracflow.laws import FLOW_LAWS
+from fracflow.laws.cubic_flow import conductance
 from fracflow.output import read_history
 from fracflow.output.history import read_attributes
 from fracflow.scene.scene import load
@@ -24,7 +25,9 @@ NETWORK = [
 
 def _chain(ends, apertures, lengths, mean):
     """Dense K_F of elements (ends (n, 2)) with end apertures (n, 2)."""
-    element = conductivity(conductance(MEANS[mean](apertures[:, 0], apertures[:, 1])[0], lengths, VISCOSITY))
+    element = conductivity(
+        conductance(FLOW_LAWS[mean].mean_cube(apertures[:, 0], apertures[:, 1])[0], lengths, VISCOSITY)
+    )
     matrix = np.zeros((ends.max() + 1,) * 2)
     np.add.at(matrix, (ends[:, :, None], ends[:, None, :]), element)
     return matrix

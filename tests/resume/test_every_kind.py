@@ -1,4 +1,4 @@
-"""What a checkpoint must hold for every kind of scene: rigid rocks, ties, wells at limits, searches, every kind of stage."""
+"""The content of a checkpoint for every kind of scene: rigid rocks, ties, wells at limits, searches, every kind of stage."""
 
 from __future__ import annotations
 
@@ -44,28 +44,32 @@ CASES = {
     "search and drop": ("report_5_3", ["stage.failure.steps=8"], (2, 5, 8)),
     "crossings": ("crossings", ["stage.1.steps=8"], (2, 8)),
     "stages": (CRACK + QUASI + DYNAMIC + QUASI, [], (3, 5, 8, 10, 12)),
-    "bdf2": (CRACK + DYNAMIC + QUASI, ["method.film=bdf2", "method.storage=averaging"], (5, 6, 8)),
+    "bdf2": (CRACK + DYNAMIC + QUASI, ["method.flow_integrator=bdf2", "method.storage=averaging"], (5, 6, 8)),
     "generalised-alpha": (CRACK + QUASI + DYNAMIC, ["method.stepper=generalised-alpha"], (5, 6, 8)),
     "damped faults": (RUPTURE, ["method.stepper=explicit", "stage.0.end=0.024"], (2, 4)),
     "absorbing": (STRESSED + STILL + STILL, [], (1, 2, 9, 24)),
-    "trapezoid": (CRACK + QUASI, ["method.film=trapezoid", "method.storage=consistent-lumped"], (0, 1, 3)),
+    "trapezoid": (CRACK + QUASI, ["method.flow_integrator=trapezoid", "method.storage=consistent-lumped"], (0, 1, 3)),
     "compressible": (
         CRACK + QUASI + DYNAMIC + QUASI,
-        ["method.film=bdf2", "fluid.compressibility=1e-8"],
+        ["method.flow_integrator=bdf2", "fluid.compressibility=1e-8"],
         (1, 3, 5, 8, 10),
     ),
-    "compressible trapezoid": (CRACK + QUASI, ["method.film=trapezoid", "fluid.compressibility=1e-8"], (0, 1, 3)),
+    "compressible trapezoid": (
+        CRACK + QUASI,
+        ["method.flow_integrator=trapezoid", "fluid.compressibility=1e-8"],
+        (0, 1, 3),
+    ),
     "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
-    "parts of a step": ("failures/f6a_closing", ["accuracy.max_iterations=6"], (4, 7)),
-    "tolerance": (CRACK + QUASI + DYNAMIC, ["method.film=bdf2", "accuracy.tolerance=0.2", *SHORT], (4, 8)),
-    "tolerance at a jump": (CRACK + QUASI, [*JUMP, "method.film=bdf2", "stage.0.steps=2"], (5, 6, 7)),
+    "parts of a step": ("failures/closing_joint", ["accuracy.max_iterations=6"], (4, 7)),
+    "tolerance": (CRACK + QUASI + DYNAMIC, ["method.flow_integrator=bdf2", "accuracy.tolerance=0.2", *SHORT], (4, 8)),
+    "tolerance at a jump": (CRACK + QUASI, [*JUMP, "method.flow_integrator=bdf2", "stage.0.steps=2"], (5, 6, 7)),
     "tolerance at a spike": ("report_5_2", SPIKE, (3, 12)),
     "slip weakening": (LAYER, ["stage.0.time_step=0.1"], (6, 9, 12)),
     "explicit": (CRACK + DYNAMIC, ["method.stepper=explicit", "stage.0.time_step=6e-4"], (1, 4)),
     "auto": (
-        "failures/f11_two_modes",
+        "failures/two_modes",
         ["stage.push.end=430", "stage.push.dynamic_time_step=0.5", "stage.push.at_rest=0.1"],
         (12, 30),
     ),

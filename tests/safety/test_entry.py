@@ -1,4 +1,4 @@
-"""Input from anybody: nothing of it runs, nothing outside the run folder is written, no link followed, all in bounded time."""
+"""Scenes from anybody: nothing of them runs, PETSc's options and packages included, and all is read in bounded time."""
 
 from __future__ import annotations
 
@@ -11,76 +11,15 @@ import sys
 import time
 from pathlib import Path
 
-import h5py
-import numpy as np
 import pytest
-from resealed import resealed
+from entry import SCENE, contents, said
 
-from fracflow.cli.app import main
 from fracflow.errors import InputError
-from fracflow.mesh.store import load_mesh
-from fracflow.output.events import COLUMNS, read_events
-from fracflow.output.export import export_csv
-from fracflow.output.folder import RunFolder, write_atomic
-from fracflow.output.history import HistoryFile, read_history
 from fracflow.scene.petsc import EXPECTED, SOLVERS, refusal
 from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
 ROOT = Path(__file__).parents[2]
-
-SCENE = """
-[geometry]
-domain = [0, 0, 4, 4]
-size = 2
-[[geometry.fracture]]
-name = "fault"
-points = [[1, 2], [4, 2]]
-[rock.rock]
-youngs_modulus = "50 GPa"
-poissons_ratio = 0.25
-[fracture.fault]
-normal_stiffness = "10 GPa/m"
-shear_stiffness = "5 GPa/m"
-friction_angle_deg = 30
-aperture = "1 mm"
-[fluid]
-viscosity = "1e-3 Pa s"
-[output]
-pictures = false
-[[support]]
-on = ["west", "east", "south", "north"]
-[[well]]
-name = "well"
-at = [3, 2]
-flow_rate = 1e-9
-[[probe]]
-name = "probe"
-at = [3, 2]
-[[stage]]
-kind = "quasi-static"
-time_step = 1
-steps = 1
-"""
-
-
-def said(words, monkeypatch, capfd):
-    """Exit code of a command in this process, and its one line."""
-    monkeypatch.setattr(sys, "argv", ["fracflow", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    line = capfd.readouterr().err
-    assert line.startswith("fracflow: ") and line.count("\n") == 1 and line[:-1].isprintable(), line
-    return ended.value.code, line
-
-
-def contents(folder):
-    """All that lies in a folder: what links point to, bytes and times."""
-    found = {}
-    for path in sorted(folder.rglob("*")):
-        is_plain = path.is_file() and not path.is_symlink()
-        found[path] = (path.lstat().st_mtime_ns, path.read_bytes() if is_plain else None)
-    return found
 
 
 # PETSc's options
@@ -200,234 +139,6 @@ def test_nothing_beside_a_scene_is_an_option_or_a_package(tmp_path):
     assert done.returncode == 0 and not (tmp_path / "TRACE").exists()
 
 
-# Run folders
-
-
-@pytest.fixture(scope="module")
-def ended(tmp_path_factory):
-    """A run that has ended, with fields and a log."""
-    home = tmp_path_factory.mktemp("ended")
-    (home / "scene.toml").write_text(SCENE)
-    from fracflow.simulation.run import run
-
-    run(load(home / "scene.toml"), home / "out")
-    return home / "out"
-
-
-def linked(path, outside):
-    path.unlink(missing_ok=True)
-    path.symlink_to(outside)
-
-
-def twice(path, outside):
-    path.unlink(missing_ok=True)
-    os.link(outside, path)
-
-
-def piped(path, outside):
-    path.unlink(missing_ok=True)
-    os.mkfifo(path)
-
-
-def to_zero(path, outside):
-    linked(path, "/dev/zero")
-
-
-def elsewhere(path, outside):
-    if path.exists():
-        path.rename(outside.parent / "moved")
-    (outside.parent / "moved").mkdir(exist_ok=True)
-    path.symlink_to(outside.parent / "moved")
-
-
-TRAPS = {
-    "a log elsewhere": ("log.txt", linked),
-    "a log of two names": ("log.txt", twice),
-    "a log that is a pipe": ("log.txt", piped),
-    "a marker elsewhere": (".fracflow", linked),
-    "a marker of two names": (".fracflow", twice),
-    "a checkpoint elsewhere": ("checkpoint.h5", linked),
-    "a history without end": ("history.h5", to_zero),
-    "a half history elsewhere": ("history.h5.part", linked),
-    "a half checkpoint elsewhere": ("checkpoint.h5.part", linked),
-    "a scene that is a pipe": ("scene.toml", piped),
-    "a status elsewhere": ("status.json", linked),
-    "a half picture elsewhere": ("pictures/overview.png.part", linked),
-    "a field elsewhere": ("fields/rock_000001.h5", linked),
-    "fields elsewhere": ("fields", elsewhere),
-    "pictures elsewhere": ("pictures", elsewhere),
-    "a folder as a log": ("log.txt", lambda path, outside: (path.unlink(), path.mkdir())),
-}
-
-
-@pytest.mark.parametrize("name", TRAPS)
-def test_a_run_folder_leads_nowhere_else(name, ended, tmp_path, monkeypatch, capfd):
-    where, trap = TRAPS[name]
-    folder, outside = tmp_path / "out", tmp_path / "precious"
-    shutil.copytree(ended, folder)
-    (folder / "pictures").mkdir(exist_ok=True)
-    outside.write_text("mine\n" * 1000)
-    trap(folder / where, outside)
-    before = contents(tmp_path)
-    (tmp_path / "again").mkdir()
-    (tmp_path / "again" / "scene.toml").write_text(SCENE)
-    before = contents(tmp_path)
-    commands = [["resume", folder], ["run", tmp_path / "again" / "scene.toml", "-o", folder]]
-    for words in [*commands, *([["picture", folder], ["export", "--csv", folder]] if trap is not twice else [])]:
-        code, line = said(words, monkeypatch, capfd)
-        assert code == 2 and where.partition("/")[0] in line and "remove it" in line
-    assert contents(tmp_path) == before
-
-
-def test_what_is_written_follows_no_link(tmp_path):
-    """As the check above might be passed by a link that comes later."""
-    outside = tmp_path / "precious"
-    outside.write_text("mine")
-    folder = RunFolder(tmp_path / "out")
-    for name in ("plan.json.part", "history.h5.part"):
-        (folder / name).symlink_to(outside)
-    folder.write_text("plan.json", "{}")
-    with HistoryFile(folder / "history.h5") as history:
-        history.append({"time": 0.0})
-    (folder / "log.txt").symlink_to(outside)
-    folder.log("a line")
-    assert folder.unlogged == 1
-    with pytest.raises(InputError, match=r"log.txt: is a link"):
-        folder.cut_back(0, 0, 0)
-    write_atomic(folder / "log.txt", "")  # takes the place of the link
-    assert outside.read_text() == "mine" and not (folder / "log.txt").is_symlink()
-
-
-def external(path):
-    with h5py.File(path, "w") as file:
-        file["time"] = h5py.ExternalLink("/etc/passwd", "/x")
-
-
-def stored_elsewhere(path):
-    with h5py.File(path, "w") as file:
-        file.create_dataset("time", (10,), "f8", external=[("/etc/passwd", 0, 80)])
-
-
-def made_up(path):
-    with h5py.File(path, "w") as file:
-        file.create_dataset("time", (10**13,), "f8", chunks=(1000,))
-
-
-def in_circles(path):
-    with h5py.File(path, "w") as file:
-        file["a/b"] = h5py.SoftLink("/a")
-        file["c/d"] = file["c"] if "c" in file else file.create_group("c")
-
-
-@pytest.mark.parametrize("make", [external, stored_elsewhere, made_up, in_circles])
-@pytest.mark.parametrize("read", [read_history, load_mesh])
-def test_an_hdf5_file_holds_its_data_itself(make, read, tmp_path):
-    make(tmp_path / "a.h5")
-    with pytest.raises(InputError, match=r"a.h5: is no .*; "):
-        read(tmp_path / "a.h5")
-
-
-def test_a_run_that_was_moved_before_its_first_checkpoint_goes_on(tmp_path):
-    """Its folder alone is enough: the mesh is kept there."""
-    from fracflow.simulation.run import resume, run
-
-    home = tmp_path / "a" / "deep" / "home"
-    home.mkdir(parents=True)
-    shutil.copy(ROOT / "meshes" / "report_5_2" / "block.geo", home)
-    text = (ROOT / "meshes" / "report_5_2" / "scene.toml").read_text()
-    (home / "scene.toml").write_text(text)
-    scene = load(home / "scene.toml", ["stage.0.end=0.3"])
-    run(scene, home / "out")
-    whole = read_history(home / "out" / "history.h5")
-    shutil.move(home / "out", tmp_path / "moved")
-    shutil.rmtree(tmp_path / "a")
-    (tmp_path / "moved" / "checkpoint.h5").unlink()
-    (tmp_path / "moved" / "history.h5").unlink()
-    resume(tmp_path / "moved")
-    again = read_history(tmp_path / "moved" / "history.h5")
-    assert again.keys() == whole.keys() and all(np.array_equal(again[k], whole[k], equal_nan=True) for k in whole)
-
-
-# Names
-
-
-@pytest.mark.parametrize("name", ["\x1b[2J", "a\nb", "a\x00b", "\x9b31m", "a\u202eb", "x" * 300])
-@pytest.mark.parametrize("table", ["probe = [{{name = {}, at = [3, 2]}}]", "control = {{{} = {{initial = 1}}}}"])
-def test_names_steer_no_terminal(name, table, tmp_path):
-    quoted = '"' + "".join(c if c.isascii() and c.isprintable() else f"\\u{ord(c):04x}" for c in name) + '"'
-    (tmp_path / "scene.toml").write_text(table.format(quoted) + "\n" + SCENE.replace("[[probe]]", "[[tie]]"))
-    text = SCENE.split("[[probe]]")[0] + "[[stage]]" + SCENE.split("[[stage]]")[1]
-    (tmp_path / "scene.toml").write_text(table.format(quoted) + "\n" + text)
-    with pytest.raises(InputError, match=r"must be one line without control characters|must have at most 250 letters"):
-        load(tmp_path / "scene.toml")
-
-
-def test_names_of_a_mesh_steer_no_terminal(tmp_path):
-    from test_malformed import MSH
-
-    from fracflow.mesh.read import read_mesh
-
-    (tmp_path / "a.msh").write_text(MSH.replace('"south"', '"\x1b]0;owned\x07"'))
-    with pytest.raises(InputError, match=r"a.msh: physical curve 3: control characters in its name"):
-        read_mesh(tmp_path / "a.msh", ["fault"])
-
-
-def test_names_in_pictures_are_no_formulas(tmp_path, monkeypatch):
-    """Matplotlib would read them between dollars, and take a matplotlibrc of the working folder, which may call TeX."""
-    matplotlib = pytest.importorskip("matplotlib")
-    from fracflow.output.pictures import draw
-    from fracflow.simulation.run import run
-
-    text = SCENE.replace('"probe"', r"'$\foo{$'").replace('"fault"', r"'$\frac{$'").replace(".fault]", r".'$\frac{$']")
-    (tmp_path / "scene.toml").write_text(r"title = 'a $\foo$ b'" + "\n" + text)
-    run(load(tmp_path / "scene.toml"), tmp_path / "out")
-    with matplotlib.rc_context({"text.usetex": True, "text.latex.preamble": r"\input{/etc/hostname}"}):
-        assert len(draw(tmp_path / "out")) == 2
-
-
-def test_names_in_a_run_folder_steer_no_terminal(ended, tmp_path):
-    folder = tmp_path / "out"
-    shutil.copytree(ended, folder)
-    (folder / "events.csv").write_text(f"{','.join(COLUMNS)}\nslip,\x1b[2J,1,,0,0,0,,0,0{',' * 11}\n")
-    with resealed(folder / "mesh.h5") as (_, notes):
-        notes["fractures"] = '["\\u001b]0;owned\\u0007"]'
-    with pytest.raises(InputError, match=r"events.csv: row 1 is no event .*control characters"):
-        read_events(folder / "events.csv")
-    with pytest.raises(InputError, match=r"mesh.h5: is no saved mesh .*control characters"):
-        load_mesh(folder / "mesh.h5")
-
-
-def test_names_are_no_markup(tmp_path, monkeypatch, capfd):
-    """Rich would take [/x] for the end of a style, and end in a traceback."""
-    text = SCENE.replace('"probe"', '"p[/x]"').replace('"fault"', '"f[/x]"').replace(".fault]", '."f[/x]"]')
-    (tmp_path / "scene.toml").write_text('title = "t[/x]"\n' + text.replace("flow_rate = 1e-9", "flow_rate = 1e-5"))
-    monkeypatch.setattr(sys, "argv", ["fracflow", "run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code and "f[/x]" in capfd.readouterr().out
-
-
-def test_a_link_that_nobody_has_named_is_no_run_folder(tmp_path, monkeypatch, capfd):
-    (tmp_path / "scene.toml").write_text(SCENE)
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "runs").mkdir()
-    (tmp_path / "runs" / tmp_path.name).symlink_to(tmp_path / "elsewhere")
-    monkeypatch.chdir(tmp_path)
-    code, line = said(["run", "scene.toml"], monkeypatch, capfd)
-    assert code == 2 and f"runs/{tmp_path.name}: is a link; name the run folder with -o" in line
-    assert not list((tmp_path / "elsewhere").iterdir())
-
-
-def test_names_stay_in_their_folder(tmp_path):
-    names = ("../../x", "a/b", "a_b", "A_b", "/etc/x", "<script>", "..\\..\\y")
-    (tmp_path / "out").mkdir()
-    with HistoryFile(tmp_path / "out" / "history.h5", {"units": {}}) as history:
-        history.append({"time": 0.0} | {f"probe/{name.replace('..', '...')}/slip": 1.0 for name in names})
-    found = export_csv(tmp_path / "out")
-    assert len({path.name.lower() for path in found}) == len(names)
-    assert {path.resolve().parent for path in found} == {(tmp_path / "out" / "csv").resolve()}
-
-
 # Scenes and tables
 
 
@@ -508,7 +219,7 @@ def test_units_of_the_field_pass(unit):
     assert _UNIT.fullmatch(unit)
 
 
-# What is promised
+# The promises
 
 
 def test_each_promise_names_a_test_that_is_there():

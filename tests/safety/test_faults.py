@@ -7,6 +7,7 @@ import fcntl
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -31,6 +32,7 @@ from fracflow.simulation import recorder as recorder_of
 from fracflow.simulation.run import resume, run
 from fracflow.storage import hdf5 as files_hdf
 from fracflow.storage.hdf5 import Committed, redo_of, whole_file
+from fracflow.storage.sealed import write_sealed
 
 ROOT = Path(__file__).parents[2]
 SCENE = str(ROOT / "meshes/report_5_2/scene.toml")
@@ -218,6 +220,28 @@ def test_half_a_change_is_completed_by_whoever_reads(tmp_path):
     assert path.read_bytes() == b"one TWO three" and not redo_of(path).exists()
 
 
+@pytest.mark.serial
+@pytest.mark.parametrize("at", [1, 4, 9, 14])
+def test_an_interrupt_while_hdf5_writes_comes_after_it(at, tmp_path, monkeypatch):
+    """Out of a write that HDF5 has asked for, it would be an error of HDF5, with a traceback."""
+    real, count = os.pwrite, [0]
+
+    def interrupted(*given):
+        count[0] += 1
+        if count[0] == at:
+            signal.raise_signal(signal.SIGINT)
+        return real(*given)
+
+    monkeypatch.setattr(os, "pwrite", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_sealed(tmp_path / "a.h5", {"a": np.zeros(20_000)}, {"note": "x"})
+        count[0] = 0 if count[0] < at else at  # it has fewer writes
+        with HistoryFile(tmp_path / "b.h5") as history:
+            for row in range(3):
+                history.append({"time": row, "a": np.zeros(1000)})
+    assert count[0] >= at and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 @pytest.mark.parametrize("how", ["moved", "removed", "replaced"])
 def test_a_folder_that_goes_ends_the_run_and_goes_on_where_it_is(how, scene, whole, shared_tmp):
     folder, there = shared_tmp / "run", shared_tmp / "elsewhere"
@@ -363,15 +387,15 @@ PROGRAM = """
 import os, resource, sys
 from fracflow.cli import app as cli
 from fracflow._petsc import MPI
-from fracflow.simulation.signals import Watch
-agreed, steps = Watch.wish, 0
-def wish(self, *given, **named):
+from fracflow.simulation.signals import SignalWatch
+agreed, steps = SignalWatch.request, 0
+def request(self, *given, **named):
     global steps
     steps += 1
     if steps == 6 and MPI.COMM_WORLD.rank == MPI.COMM_WORLD.size - 1:
         {fault}
     return agreed(self, *given, **named)
-Watch.wish = wish
+SignalWatch.request = request
 sys.argv = ["fracflow", "run", {scene!r}, "-o", {folder!r}, *{sets!r}]
 cli.main()
 """

@@ -7,16 +7,20 @@ import signal
 import subprocess
 import sys
 import time
+import zlib
+from itertools import pairwise
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from resealed import changed_notes, resealed
 from rich.console import Console
 from stopped_run import flat, flip, refused, spoken
 
-from fracflow.cli.report import tell
+from fracflow.cli.report import report
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output.checkpoint import read_arrays, read_notes
@@ -24,6 +28,7 @@ from fracflow.output.history import HistoryFile, read_attributes, read_history
 from fracflow.output.reader import load_run_data
 from fracflow.scene.scene import load
 from fracflow.simulation import refinement
+from fracflow.storage import hdf5
 from fracflow.storage import reader as h5_reader
 
 pytestmark = pytest.mark.serial
@@ -58,7 +63,21 @@ def probe_without_numbers(folder):
         file.attrs.update(attrs)
 
 
+def probe_as_large_as_numbers_are(folder):
+    old, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
+    old["probe/middle/slip"][-1] = 1e308
+    HistoryFile.after(folder / "history.h5", old, attrs).close()
+
+
+def points_as_far_as_numbers_go(folder):
+    with resealed(folder / "fields/rock_mesh.h5") as (arrays, _):
+        arrays["points"] = arrays["points"] + [1e308, -1e308, 0.0]
+
+
 UNFIT = {
+    "a slip of 1e308": (probe_as_large_as_numbers_are, "history.h5: probe/middle/slip has values above 1e[+]300"),
+    "rock at 1e308": (points_as_far_as_numbers_go, "rock_mesh.h5: points has values above"),
+    "a field of 1e308": (rows_of("point/plastic_slip", lambda v: v - 1e308), "plastic_slip has values above"),
     "a word for a list": (names_of_fractures("{"), "are no names"),
     "a number for a list": (names_of_fractures("5"), "are no names"),
     "numbers for names": (names_of_fractures("[1, 2]"), "are no names"),
@@ -89,11 +108,17 @@ def test_books_need_numbers(folder):
     old, attrs = read_history(folder / "history.h5"), read_attributes(folder / "history.h5")
     HistoryFile.after(folder / "history.h5", old, attrs | {"energy_noise": "x"}).close()
     with pytest.raises(InputError, match="energy_noise is no number"):
-        tell(folder, Console(quiet=True))
+        report(folder, Console(quiet=True))
 
 
 def group_in_itself(file):
     file["loop"] = file["/"]
+
+
+def group_with_many_names(file):
+    inner = file.create_group("inner")
+    for number in range(100):  # in each other to any depth: names without end
+        inner[f"{number}"] = inner
 
 
 def gzipped(file):
@@ -119,6 +144,7 @@ HOSTILE = {
     "chunks without end": lambda file: file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(10**6,)),
     "compressed": gzipped,
     "a group in itself": group_in_itself,
+    "a group in itself by many names": group_with_many_names,
     "texts": lambda file: file.create_dataset("texts", data=["a", "b"], dtype=h5py.string_dtype()),
     "references": lambda file: file.create_dataset("to", data=[file.ref], dtype=h5py.ref_dtype),
     "records": lambda file: file.create_dataset("rows", data=np.zeros(3, dtype=[("a", "f8"), ("b", "i4")])),
@@ -163,6 +189,8 @@ NOTES = {
     "totals of another kind": ("totals", {"steps": 7, "undone": {}, "colour": 3}),
     "events of another kind": ("events", {"rows": 3}),
     "no numbers in the books": ("energy", {"kinetic": None}),
+    "a time without a value": ("time", float("nan")),
+    "a control without end": ("controls", {"": float("inf")}),
 }
 
 
@@ -177,6 +205,24 @@ def test_a_checkpoint_that_fits_its_seal_alone(name, folder, monkeypatch, capfd)
             notes[NOTES[name][0]] = NOTES[name][1]
     code, said = spoken(["resume", folder], monkeypatch, capfd)
     assert code == 2 and len(said.splitlines()) == 1 and "checkpoint.h5: is no checkpoint" in said
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("displacement", np.nan),
+        ("velocity", -np.inf),
+        ("pressure", np.nan),
+        ("sections/strain", np.inf),
+        ("sections/strength", np.nan),
+        ("past/0/plastic_slip", np.nan),
+    ],
+)
+def test_a_state_with_a_value_that_is_no_number_is_not_gone_on_from(part, value, folder, monkeypatch, capfd):
+    with resealed(folder / "checkpoint.h5") as (arrays, _):
+        arrays[part] = arrays[part].copy()
+        arrays[part].flat[0] = value
+    assert f"checkpoint.h5: is no checkpoint ({part} has values that are" in refused(folder, monkeypatch, capfd)
 
 
 @pytest.mark.parametrize(
@@ -254,6 +300,47 @@ def test_what_a_history_has_of_many_probes_is_read(tmp_path, monkeypatch):
         most.append(1024 * int(status.partition("VmHWM:")[2].split()[0]))
     assert most[1] - most[0] < 4 * (tmp_path / "1500.h5").stat().st_size
     h5_reader._reader.close()
+
+
+def test_as_many_names_are_read_as_the_file_has_room_for(tmp_path):
+    """What 4000 probes on fractures write; the limit grows with the file."""
+    with h5py.File(tmp_path / "many.h5", "w") as file:
+        file["time"] = 1.0
+        for probe in range(4000):
+            group = file.create_group(f"probe/{probe}")
+            for quantity in range(11):
+                group[f"{quantity}"] = file["time"]
+    found = h5_reader.read_h5(tmp_path / "many.h5", "is no file of a run", "", ["probe/3999/10"])
+    assert len(found.layout) == 44_001 and found.arrays["probe/3999/10"] == 1.0
+
+
+def forge_redo(path, writes):
+    body = b"".join(hdf5._WRITE.pack(offset, len(data)) + data for offset, data in writes)
+    hdf5.redo_of(path).write_bytes(hdf5._HEAD.pack(hdf5._MAGIC, zlib.crc32(body), len(body)) + body)
+
+
+def test_a_last_change_of_any_number_of_writes_is_read_at_once(folder):
+    path = folder / "history.h5"
+    right, size = read_history(path), path.stat().st_size
+    forge_redo(path, [(size, b"")] * 500_000)
+    assert not hdf5.writes_of(path)
+    forge_redo(path, [(size + 3 * number, b"x") for number in range(100_000)])
+    assert len(hdf5.writes_of(path)) == 100_000
+    began = time.monotonic()
+    assert flat(read_history(path)) == flat(right)
+    assert time.monotonic() - began < h5_reader.PATIENCE
+    disk = hdf5.Completed(path)
+    assert len(disk._written(size, size + 300)) == 100
+    disk.close()
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.binary(min_size=1, max_size=12)), max_size=8))
+def test_writes_leave_what_the_last_of_them_wrote(writes):
+    once, apart = bytearray(60), bytearray(60)
+    hdf5.lay_over(memoryview(once), 0, writes)
+    found = hdf5.without_overlap(writes)
+    hdf5.lay_over(memoryview(apart), 0, found)
+    assert apart == once and all(at + len(data) <= after for (at, data), (after, _) in pairwise(found))
 
 
 def test_no_other_part_of_the_program_reads_such_files():

@@ -63,7 +63,7 @@ def test_a_fault_that_is_planted_is_found_reduced_and_kept(tmp_path):
         "-c",
         PLANTED,
         "--inputs",
-        12,
+        60,
         "--seed",
         SEED,
         "--jobs",

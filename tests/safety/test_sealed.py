@@ -156,9 +156,9 @@ def test_a_mesh_of_another_run_is_refused(folder, monkeypatch, capfd):
 
 
 def test_a_history_of_two_names_is_not_completed(folder, tmp_path, monkeypatch, capfd):
-    """What lies beside a history may be all of it; put in its place, it would be written to the file of the other name."""
+    """A file beside a history may be all of it; put in its place, it would be written to the file of the other name."""
     history, other = folder / "history.h5", tmp_path / "precious"
-    body = files_hdf._PIECE.pack(0, history.stat().st_size) + history.read_bytes()
+    body = files_hdf._WRITE.pack(0, history.stat().st_size) + history.read_bytes()
     head = files_hdf._HEAD.pack(files_hdf._MAGIC, zlib.crc32(body), len(body))
     (folder / "history.h5.redo").write_bytes(head + body)
     other.write_text("mine\n" * 1000)

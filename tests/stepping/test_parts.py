@@ -1,10 +1,14 @@
 """A step in parts: halved where it fails or is not accurate, longer again when calm, divided anew after an event."""
 
+from typing import ClassVar
+
 import pytest
 
-from fracflow.advance.substeps import Attempted, Place, Rules, in_parts
+from fracflow.advance.outcome import Outcome
+from fracflow.advance.substeps import Rules, SubstepCursor, Substepped
 from fracflow.errors import NotConverged
 from fracflow.model.state import StepReport
+from fracflow.solve.request import LoadStep
 
 pytestmark = pytest.mark.serial
 
@@ -13,6 +17,7 @@ class Fake:
     """A state that knows where it is, and that counts what is freed."""
 
     freed = 0
+    controls: ClassVar = {}
 
     def __init__(self, at):
         self.at = at
@@ -21,11 +26,26 @@ class Fake:
         type(self).freed += 1
 
 
+class Inner:
+    """An attempt as a way to advance."""
+
+    def __init__(self, attempt):
+        self.attempt = attempt
+
+    def advance(self, state, request):
+        return self.attempt(state, request.begin, request.end, request.may_stop)
+
+
 def taken(attempt, rules, place=None, start=0.0):
-    """(from, to, place after) of each part."""
-    return [
-        (part.start, part.end, part.place) for part in in_parts(attempt, Fake(start), rules, lambda line: None, place)
-    ]
+    """(from, to, place after) of each part of a step; the place after the last is that before the next step."""
+    steps, state, found = Substepped(Inner(attempt), rules, lambda line: None, place), Fake(start), []
+    step = LoadStep(0.0, 1, 1.0, 1.0, 1.0, {}, None)
+    while not found or found[-1][1] < 1.0:
+        begin = steps.place.fraction
+        done = steps.advance(state, step.part({}, begin, 1.0))
+        state = done.state
+        found.append((begin, done.reached, steps.place))
+    return found
 
 
 def reaching(longest=1.0, event=None, error=0.0, newton=1):
@@ -39,7 +59,7 @@ def reaching(longest=1.0, event=None, error=0.0, newton=1):
             raise NotConverged("too long", 3)
         at = event if event is not None and may_stop and begin < event < end else end
         wrong = error(at - begin) if callable(error) else error
-        return Attempted(Fake(at), StepReport(newton=newton), at, wrong)
+        return Outcome(Fake(at), StepReport(newton=newton), at, wrong)
 
     attempt.tried = tried
     return attempt
@@ -68,7 +88,7 @@ def test_parts_that_fail_do_not_shrink_for_ever():
         if end > 0.3:
             raise NotConverged("no solution")
         assert len(tried) < 300  # shrinking on to round-off would take more
-        return Attempted(Fake(end), StepReport(newton=1), end, 0.9)
+        return Outcome(Fake(end), StepReport(newton=1), end, 0.9)
 
     with pytest.raises(NotConverged, match=r"no solution \(after 6 halvings of the step\)"):
         taken(attempt, Rules(6, order=1, finest=10))
@@ -83,13 +103,13 @@ def test_gives_up_by_name():
 def test_the_rest_after_an_event_is_one_part_and_ends_with_the_step():
     parts = taken(reaching(event=0.3), Rules(6, events=5))
     assert [part[:2] for part in parts] == [(0.0, 0.3), (0.3, 1.0)]
-    assert parts[0][2].events == 1 and parts[1][2].fraction == 1.0
+    assert parts[0][2].events == 1 and parts[1][1] == 1.0
 
 
 def test_events_beyond_the_most_are_not_stopped_at():
     def attempt(state, begin, end, may_stop):
         at = begin + 0.01 if may_stop else end
-        return Attempted(Fake(at), StepReport(newton=1), at)
+        return Outcome(Fake(at), StepReport(newton=1), at)
 
     ends = [part[1] for part in taken(attempt, Rules(6, events=3))]
     assert ends == pytest.approx([0.01, 0.02, 0.03, 1.0])
@@ -98,7 +118,7 @@ def test_events_beyond_the_most_are_not_stopped_at():
 def test_goes_on_from_any_place():
     parts = taken(reaching(0.3, event=0.3), Rules(6, events=5))
     for n, (_, end, place) in enumerate(parts[:-1]):
-        again = Place.of(place.as_progress())
+        again = SubstepCursor.of(place.as_progress())
         assert again == place
         assert taken(reaching(0.3, event=0.3), Rules(6, events=5), again, end) == parts[n + 1 :]
 
@@ -109,15 +129,15 @@ def test_an_inaccurate_part_is_freed_and_halved_and_the_level_is_kept():
     parts = taken(attempt, Rules(6, order=2))
     assert [part[:2] for part in parts] == [(0.0, 0.5), (0.5, 1.0)]
     assert Fake.freed == 1 and attempt.tried[0] == (0.0, 1.0)
-    assert parts[-1][2].next_step().level == 1
+    assert parts[-1][2].level == 1
 
 
 def test_calm_parts_make_the_next_one_longer():
-    place, lengths = Place(level=3), []
+    place, lengths = SubstepCursor(level=3), []
     for _ in range(3):
         parts = taken(reaching(error=1e-3), Rules(6, order=2), place)
         lengths += [end - start for start, end, _ in parts]
-        place = parts[-1][2].next_step()
+        place = parts[-1][2]
     assert lengths == [0.125] * 6 + [0.25] * 3 + [0.5] * 3
 
 
@@ -143,7 +163,7 @@ def test_a_tolerance_halves_on_where_convergence_gives_up():
     sizes = [end - begin for begin, end, _ in taken(reaching(error=lambda size: (size / 0.04) ** 2), rules)]
     assert sizes == [1 / 32] * 32
     wrong = reaching(longest=1 / 128, error=lambda size: (size / 0.04) ** 2)
-    place = Place(level=5)
+    place = SubstepCursor(level=5)
     assert taken(wrong, rules, place)[0][:2] == (0.0, 1 / 128)
     with pytest.raises(NotConverged, match="after 2 halvings"):
         taken(reaching(longest=1 / 256), rules, place)
@@ -159,5 +179,5 @@ def test_a_tolerance_comes_at_once_to_where_errors_fall_to():
 def test_prompt_parts_double_as_their_errors_foretell():
     """A part of 1/2 is allowed, one of 1 is not; each length is left as soon as the next one fits the place."""
     rules = Rules(6, order=2, finest=24, prompt=True)
-    ends = [part[1] for part in taken(reaching(error=lambda size: (size / 0.6) ** 2), rules, Place(level=6))]
+    ends = [part[1] for part in taken(reaching(error=lambda size: (size / 0.6) ** 2), rules, SubstepCursor(level=6))]
     assert ends == [1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0]

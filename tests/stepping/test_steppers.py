@@ -162,7 +162,7 @@ SCHEMES = [
 
 
 def amplification(stepper, x, xi=0.0):
-    """What a step makes of (u, dt v, dt^2 a), by the algebra of the program; omega = x, dt = 1."""
+    """The result of a step from (u, dt v, dt^2 a), by the algebra of the program; omega = x, dt = 1."""
     columns = [advance(stepper, Motion(*unit), 1.0, 1.0, 2 * xi * x, x**2) for unit in np.eye(3)]
     return np.array([[m.displacement, m.velocity, m.acceleration] for m in columns]).T
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fracflow.advance.error_control import Judge
+from fracflow.advance.error_control import ErrorEstimator
 from fracflow.advance.vibration import WATCHED, Vibration, swing_of
 from fracflow.errors import SolveError
 
@@ -41,7 +41,7 @@ def test_a_checkpoint_keeps_it():
 
 def judge(follows, of_film=False):
     """One of a stage from 0 to 1, parts of 1e-7, a tolerance of 0.01 and a largest displacement of 1."""
-    made = object.__new__(Judge)
+    made = object.__new__(ErrorEstimator)
     given = {
         "of_film": of_film,
         "tolerance": 1e-2,
@@ -60,9 +60,9 @@ def test_of_a_stage_that_needs_very_many_parts_it_says_how_many():
     w = 1e4
     large, small = (Vibration(WATCHED, a * w**2, a * w**3, "on joint at (1, 2)") for a in (1e-1, 4e-3))
     told = judge(large).outlook(0.5)
-    assert "parts as short as 1e-07, about 5e+06 more of them. They follow a vibration on joint at (1, 2)" in told
+    assert "substeps as short as 1e-07, about 5e+06 more of them. They follow a vibration on joint at (1, 2)" in told
     assert judge(large.followed_by(Vibration(1))).outlook(0.5) == ""
     with pytest.raises(SolveError, match=r"gain nothing.*amplitude 0.004, 0.004 of the largest displacement"):
         judge(small).outlook(0.5)
     film = judge(Vibration(WATCHED), of_film=True).outlook(0.5)
-    assert film.endswith("of volume stored in fractures asks for parts as short as 1e-07, about 5e+06 more of them")
+    assert film.endswith("of volume stored in fractures needs substeps as short as 1e-07, about 5e+06 more of them")

@@ -1,20 +1,19 @@
 """A .geo is a program: before Gmsh runs it, it is read through a list of statements that only make geometry.
 
-Gmsh never sees the file itself. It is given what was checked here, written anew from its tokens: without comments, line by
-line as the file has it, included files with it. So nothing turns on how Gmsh reads what is unclear.
+Gmsh never sees the file itself. Gmsh reads only the checked statements, written anew from their tokens, line by line. Comments
+are left out and included files are inserted. So nothing turns on how Gmsh reads what is unclear.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from fracflow.errors import InputError
 from fracflow.mesh.files import geo_words as words
-from fracflow.mesh.files.geo_depth import DEEPEST, REMEDY, Unit, check_depths
-from fracflow.mesh.files.geo_tokens import Token, Unclear, cut
+from fracflow.mesh.files.geo_depth import DEEPEST, REMEDY, Checked, Unit, check_depths
+from fracflow.mesh.files.geo_tokens import Token, Unclear, cut, written
 from fracflow.storage.files import read_bytes
 
 LARGEST = 16 << 20  # bytes of a file
@@ -29,15 +28,6 @@ FORMAT = re.compile(r"(?:[^%]|%[-+ 0]?\d{0,2}(?:\.\d{1,2})?[eEfFgG])*")
 LONGEST_FORMAT, LONGEST_STEM = 120, 60
 HAVE_FIELD = ("Delete", "Background", "BoundaryLayer")
 END = Token("end", "", 0, 0, "")
-
-
-@dataclass
-class Checked:
-    """Input of Gmsh: the text of each file by its name there, the first one first, and where each came from."""
-
-    texts: dict[str, str] = field(default_factory=dict)
-    sources: dict[str, Path] = field(default_factory=dict)
-    units: dict[str, Unit] = field(default_factory=dict)
 
 
 def check_geo(path: Path, root: Path | None = None) -> Checked:
@@ -69,22 +59,14 @@ def _add(found: Checked, path: Path, root: Path, above: tuple[Path, ...]) -> str
         file.check()
     except Unclear as error:
         raise InputError(f"{path}: line {error.line}: {error.why}; {REMEDY}") from None
-    found.texts[name] = _written(file.tokens)
+    found.texts[name] = written(file.tokens)
+    lines = sorted({token.line for token in file.tokens if token.value == "%" and token.kind == "mark"})
+    found.remainders += [f"{path}: line {line}" for line in lines]
     return name
 
 
 def _real(path: Path) -> Path:
     return Path(os.path.realpath(path))  # links that go round are an error of who opens the file
-
-
-def _written(tokens: list[Token]) -> str:
-    """The tokens as Gmsh is given them, each on its own line of the file."""
-    parts, line, end = [], 1, 0
-    for token in tokens:
-        parts.append("\n" * (token.line - line) if token.line > line else " " if token.at > end else "")
-        parts.append(token.shown)
-        line, end = token.line, token.at + len(token.value)
-    return "".join(parts) + "\n"
 
 
 class _File:
@@ -176,6 +158,8 @@ class _File:
             self.unit.goes_to.append((len(self.blocks), f"macro:{self._value(first + 1)}"))
             self._words(first + 1, last)
             self._ends_its_line(first, last + 1)
+        elif head.value == "General" and self._value(first + 1) == ".":
+            self._pass_over(first, last)
         else:
             self._words(first, last + 1)
             self._texts(first, last)
@@ -183,6 +167,19 @@ class _File:
                 self._keyword(head.value, first, last)
             else:
                 self._assignment(first, last)
+
+    def _pass_over(self, first: int, last: int) -> None:
+        """Leave out an option of the window, as ``General.Color.Background = White;``: whatever its value is."""
+        at = first + 1
+        while self._value(at) == "." and self._is_word(at + 1):
+            at += 2
+        name = "".join(token.value for token in self.tokens[first + 2 : at])
+        is_set = self._value(at) in ASSIGNING | COUNTING and self._value(last) == ";"
+        if not words.WINDOW.fullmatch(name) or not is_set:
+            raise self._refusal(first, last)
+        self.found.passed.append(f"General.{name}")
+        for token in self.tokens[first : last + 1]:
+            token.shown = ""
 
     def _include(self, first: int, last: int) -> None:
         token = self._token(first + 1 if last == first + 2 else first)
@@ -279,7 +276,7 @@ class _File:
         if self._matching(first + 1, "(") + 1 != last or self._token(first + 2).kind != "text":
             raise self._refusal(first, last)
 
-    # What every statement must be
+    # The form of every statement
 
     def _words(self, first: int, after: int) -> None:
         """Refuse words that are on no list, and marks that stand where only other statements have them."""

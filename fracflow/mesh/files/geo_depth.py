@@ -1,4 +1,7 @@
-"""How deep blocks, macros and included files of a .geo lie in each other: Gmsh keeps them in tables of fixed size."""
+"""The result of a check of a .geo, and how deep its blocks, macros and included files lie in each other.
+
+Gmsh keeps them in tables of fixed size.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fracflow.errors import InputError
+from fracflow.errors import MOST_TOLD, InputError
 
 DEEPEST = 40  # Gmsh has room for 100
 REMEDY = "remove it, or give --trust (trust=True in Python) if you trust whoever wrote the file"
@@ -18,6 +21,33 @@ class Unit:
 
     deepest: int = 0
     goes_to: list[tuple[int, str]] = field(default_factory=list)
+
+
+@dataclass
+class Checked:
+    """Input of Gmsh: the text of each file by its name there, the first one first, and where each came from.
+
+    passed      options that Gmsh is not given, for they only say what its window looks like
+    remainders  places of %, which divides
+    """
+
+    texts: dict[str, str] = field(default_factory=dict)
+    sources: dict[str, Path] = field(default_factory=dict)
+    units: dict[str, Unit] = field(default_factory=dict)
+    passed: list[str] = field(default_factory=list)
+    remainders: list[str] = field(default_factory=list)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A line about options that were passed over, if there were any."""
+        names = list(dict.fromkeys(self.passed))
+        more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
+        path = next(iter(self.sources.values()))
+        return (
+            (f"{path}: options of Gmsh's window are passed over: {', '.join(names[:MOST_TOLD])}{more}",)
+            if names
+            else ()
+        )
 
 
 def check_depths(units: Mapping[str, Unit], path: Path) -> None:

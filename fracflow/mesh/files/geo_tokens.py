@@ -83,3 +83,13 @@ def _token(kind: str, value: str, line: int, at: int, after: str) -> Token:
     if len(inner) > LONGEST_TEXT or HIDDEN.search(inner) or re.search('[\\x00-\\x1f\\x7f"\\\\]', inner):
         raise Unclear(line, f"{value[:LONGEST_NAME]}: a text that Gmsh may misread")
     return Token(kind, inner, line, at, f' "{inner}" ')
+
+
+def written(tokens: list[Token]) -> str:
+    """The tokens as Gmsh is given them, each on its own line of the file."""
+    parts, line, end = [], 1, 0
+    for token in tokens:
+        parts.append("\n" * (token.line - line) if token.line > line else " " if token.at > end else "")
+        parts.append(token.shown)
+        line, end = token.line, token.at + len(token.value)
+    return "".join(parts) + "\n"

@@ -41,6 +41,15 @@ BRACED = frozenset(
 ACTIONS = BRACED - HEADS  # plain words to Gmsh's lexer, which take shapes in braces
 SAYING = frozenset("Printf Error Warning".split())
 OPTIONS = frozenset("Mesh Geometry".split())  # numbers only; no other group of options can be set
+# Options of General that only say what Gmsh's window looks like, which the window itself saves: passed over, not given to Gmsh.
+WINDOW = re.compile(
+    r"""(?:(?:Small)?Axes\w* | Alpha\w* | Arrow\w* | BackgroundGradient | Camera\w* | Clip\w* | Color\.\w+ | ColorScheme
+      | DetachedMenu | Display\w* | DoubleBuffer | Draw\w+ | FastRedraw | \w*FontSize | Graphics\w+ | HighResolution\w*
+      | \w*Position[XY]? | Light\d?\w* | MaxX | MaxY | MaxZ | MinX | MinY | MinZ | Mouse\w+ | Orthographic | PolygonOffset\w*
+      | QuadricSubdivisions | Rotation\w+ | Scale[XYZ] | Shininess\w* | Stereo | Tooltips | Trackball\w* | Translation[XYZ]
+      | VectorType | \w+(?:Width|Height) | ZoomFactor)""",
+    re.VERBOSE,
+)
 FIELDS = frozenset(
     """
     Attractor AttractorAnisoCurve Ball BoundaryLayer Box Constant Curvature Cylinder Distance Extend Frustum Gradient

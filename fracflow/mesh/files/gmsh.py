@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fracflow.errors import InputError
+from fracflow.errors import MOST_TOLD, InputError
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.files.geo_check import Checked
+from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]
@@ -53,6 +53,15 @@ class Elements:
 KINDS = ("point", "line", "triangle", "quad")
 
 
+class Crashed(InputError):
+    """Gmsh has ended without a mesh or a report, by a signal that is not negative then."""
+
+    def __init__(self, message: str, signal: int) -> None:
+        """Keep the signal."""
+        super().__init__(message)
+        self.signal = signal
+
+
 def open_in_gmsh(path: Path) -> Elements:
     """Mesh a .geo of an author who is trusted: Gmsh runs the file itself. Raises InputError with Gmsh's first error."""
     return run_worker({"file": str(path.resolve())}, str(path))
@@ -61,7 +70,13 @@ def open_in_gmsh(path: Path) -> Elements:
 def open_checked(path: Path, checked: Checked) -> Elements:
     """Mesh a .geo that was checked, from what was made of it. Raises InputError with Gmsh's first error."""
     texts = {name: text.encode("utf-8", "surrogateescape") for name, text in checked.texts.items()}
-    return run_worker({"file": next(iter(texts))}, str(path), texts, checked.sources)
+    try:
+        return run_worker({"file": next(iter(texts))}, str(path), texts, checked.sources)
+    except Crashed as error:
+        if error.signal != signal.SIGFPE or not checked.remainders:
+            raise
+        where = ", ".join(checked.remainders[:MOST_TOLD])
+        raise InputError(f"{where}: Gmsh crashed over a division by zero: after % stands 0; correct the file") from None
 
 
 def open_msh(path: Path) -> Elements:
@@ -142,7 +157,7 @@ def _work(
                 line = line.replace(str(folder / each), str(source)).replace(f"'{each}'", f"'{source}'")
             raise InputError(f"{what}: {line}; {_remedy(what, line, allowed)}")
         if code or not (folder / "mesh.npz").exists():
-            raise InputError(f"{what}: {_end_of(code, said)}; {_remedy(what, said, allowed)}")
+            raise Crashed(f"{what}: {_end_of(code, said)}; {_remedy(what, said, allowed)}", -(code or 0))
         with np.load(folder / "mesh.npz") as arrays:
             return Elements(
                 points=arrays["points"],

@@ -1,7 +1,7 @@
 """The process that runs Gmsh: ``python -m fracflow.mesh.files.gmsh_worker FOLDER``.
 
 It reads job.json and writes mesh.npz in that folder. Gmsh may crash in C++; alone in its process, it
-takes nothing with it. What Gmsh reports goes to error.txt.
+takes nothing with it. Reports of Gmsh go to error.txt.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def keep_within(seconds: int, memory: int, parent: int) -> None:
 
 
 def with_gmsh(job: dict[str, Any]) -> dict[str, Any]:
-    """Let Gmsh open a file or mesh traces. Raises RuntimeError with its first error, which tells more than its last."""
+    """Let Gmsh open a file or mesh traces. Raises RuntimeError with its first error, which is more specific than its last."""
     gmsh.initialize(["gmsh"], readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.logger.start()

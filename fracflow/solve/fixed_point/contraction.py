@@ -1,7 +1,7 @@
 """How fast the cycle (4.5) contracts, from the blocks of the Jacobian, before it starts.
 
 Where walls answer pressures, C = -J_pu J_uu^-1 J_up is the rate at which they take up volume, and the feedback of their
-opening on the flow. A cycle multiplies an error of the pressures by -K^-1 C, K = J_pp; with storage S added to the flow, and
+opening on the flow. A cycle multiplies an error of the pressures by -K^-1 C, K = J_pp. With storage S added to the flow, and
 taken off again with the pressures of the last cycle, by (K + S)^-1 (S - C).
 """
 
@@ -54,7 +54,7 @@ class Cycle:
         result.scale(-1.0)
 
     def uniform_uptake(self) -> Floats:
-        """|C 1| at this rank's nodes, what a uniform pressure makes walls take up [scaled]; 0 where held. Collective."""
+        """|C 1| (n,) at this rank's nodes: uptake of the walls by a uniform pressure [scaled]; 0 where held. Collective."""
         ones, result = self.blocks[1][1].createVecs()
         ones.setArray(np.where(self.held, 0.0, 1.0))
         self.uptake(ones, result)
@@ -102,7 +102,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the linearised cycle says.
+    """Prediction of the linearised cycle.
 
     factor    rho, by which a plain cycle multiplies the error; infinite where the flow is singular
     fracture  where that error is largest
@@ -139,10 +139,10 @@ def added_storage(cycle: Cycle) -> tuple[Floats, float]:
     """Storage S (n,), scaled, with which the cycle converges, and its factor. Collective.
 
     alpha_1 A / K_s converges if K_s <= 2 min k_tot, and K_s = k_tot of a uniform pressure is as good as any
-    (where-methods-fail 2). The normal stiffness of the joint would do for closed joints only: once a joint is open its
-    walls are held by the rock alone, the more weakly the longer the fracture is, E' kappa / 4. So the walls are asked:
-    what they take up under a uniform pressure holds all of this, inertia too, node by node. It is doubled while the
-    linearised cycle does not converge.
+    (where-methods-fail 2). The normal stiffness of the joint would serve for closed joints only. Once a joint is open its
+    walls are held by the rock alone, the more weakly the longer the fracture is, E' kappa / 4. So the walls are asked: what
+    they take up under a uniform pressure holds all of this, inertia too, node by node. It is doubled while the linearised
+    cycle does not converge.
     """
     storage = cycle.uniform_uptake()
     factor = np.inf

@@ -1,4 +1,4 @@
-"""What to tell of cycles of (4.5) that do not converge: where, by how much, how many it would take, what to change."""
+"""Messages on cycles of (4.5) that do not converge: place, factor, number of cycles, remedy."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from fracflow.errors import NotConverged
-from fracflow.model.network_parts import conducting, find_parts
+from fracflow.errors import MOST_TOLD, NotConverged
+from fracflow.model.network_parts import conducting, find_components
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import Cycle, Prediction, limits_of_time_step, scaled
 from fracflow.solve.fixed_point.relaxation import RELAXATIONS
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.problem import StepProblem
 
-MOST_TOLD = 5  # parts of the network that are listed
-LOOK_BACK = 5  # ratios of changes whose mean tells how fast relaxed cycles go
+LOOK_BACK = 5  # ratios of changes whose mean is the rate of relaxed cycles
 
 
 def measured_factor(changes: list[float]) -> float:
@@ -86,7 +85,7 @@ def _sealed(problem: StepProblem) -> str:
     """The parts of the network in which no pressure is prescribed, with all their fractures. Collective."""
     assert problem.conduction is not None
     operators, held = problem.operators, problem.loads.fixed_flow
-    parts = find_parts(operators, conducting(operators, problem.conduction.conductance))
+    parts = find_components(operators, conducting(operators, problem.conduction.conductance))
     shut = [part for part in parts if not np.isin(operators.layout.flow_numbers(part.nodes), held).any()]
     shut.sort(key=lambda part: -len(part.nodes))
     more = f" and {len(shut) - MOST_TOLD} more parts" if len(shut) > MOST_TOLD else ""

@@ -1,9 +1,9 @@
 """(4.5) The report's staggered cycle: the flow with the walls held, then the solid with the pressures held.
 
 Its contraction is predicted before the first cycle of a step, and measured from then on. Plain cycles refuse, or hand the step
-over to the monolithic solver, where the prediction is not below 1; relaxed ones (``relaxation``) and those with added
-storage go on until cycles run out. All stop when both balances hold and a plain cycle would change the pressures no more:
-small changes alone would be believed too early.
+over to the monolithic solver, where the prediction is not below 1. Relaxed ones (``relaxation``) and those with added storage
+go on until cycles run out. All stop when both balances hold and a plain cycle would change the pressures no more: small
+changes alone would be believed too early.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from fracflow.solve.residual import TINY
 
 CHANGED = 0.1  # relative change of a conductance or stiffness from which on an earlier prediction is too old
 MEASURED = 3  # cycles of a step that is refused, so that the prediction can be held against something
-ROUND_OFF = 1e-13  # of the largest pressure: smaller changes say nothing
+PRESSURE_ROUND_OFF = 1e-13  # of the largest pressure: smaller changes say nothing
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class FixedPoint:
         accuracy, rule = self.scene.accuracy, RELAXATIONS[self.name]
         cycles, total, left = Cycles(prediction.factor), StepReport(), np.nan
         for number in range(1, (most or accuracy.max_cycles) + 1):
-            problem.branch = problem.state.sections.past  # no section slips for a pressure that was on its way
+            problem.branch = problem.state.sections.history  # no section slips for a pressure that was on its way
             try:
                 added = self._added(problem, prediction)
                 cycles = cycles.then(problem.pressure.getArray().copy(), added)
@@ -155,7 +155,7 @@ class FixedPoint:
                 factorisations=cycle.factorisations + 1,
                 out_of_balance=(),
             ).after(total)
-            still = max(accuracy.pressure * self._driven(problem), ROUND_OFF * self._size(problem))
+            still = max(accuracy.pressure * self._driven(problem), PRESSURE_ROUND_OFF * self._size(problem))
             if most is None and changes[-1] <= still and residual.flow <= accuracy.residual:
                 return total
             left = max(changes[-1] / max(still, TINY), residual.flow / accuracy.residual)
@@ -165,7 +165,7 @@ class FixedPoint:
         raise _Lost("", total, left)
 
     def _added(self, problem: StepProblem, prediction: Prediction) -> Floats:
-        """(4.5a) What the flow adds to the pressures (n,) of this rank, the walls as they are. Collective."""
+        """(4.5a) Changes (n,) that the flow makes to this rank's pressures, the walls as they are. Collective."""
         unit, scale = problem.operators.scales.pressure, problem.flow_scale()
         self.whole_matrix.fill(problem.alphas, problem.sections.tangent, problem.conduction, scale)
         if self.whole_matrix.fills != self._network_of:
@@ -227,7 +227,7 @@ class FixedPoint:
         return float(problem.pressure.norm(PETSc.NormType.INFINITY))
 
     def _driven(self, problem: StepProblem) -> float:
-        """What drives: differences between pressures, or their change in the step; a datum drives nothing. Collective."""
+        """The pressure that drives: differences, or the change in the step; a datum drives nothing. Collective."""
         now, before = problem.pressure.getArray(readonly=True), problem.state.pressure.getArray(readonly=True)
         span = problem.pressure.max()[1] - problem.pressure.min()[1]
         return max(span, self._largest(now - before))

@@ -22,7 +22,7 @@ PARALLEL = 1e-8  # of a column's own length: what is left of it beside the other
 
 @dataclass(frozen=True)
 class Cycles:
-    """What the cycles of a step have shown.
+    """The last cycles of a step.
 
     factor   rho, by which a plain cycle is predicted to multiply the error
     tried    pressures (n,) of this rank from which the last cycles started
@@ -36,7 +36,7 @@ class Cycles:
     share: float = 0.0
 
     def then(self, tried: Floats, added: Floats) -> Cycles:
-        """One cycle more, the oldest forgotten."""
+        """One cycle more, from ``tried`` (n,) with the change ``added`` (n,); the oldest is forgotten."""
         keep = slice(-DEPTH, None)
         return Cycles(self.factor, (*self.tried[keep], tried), (*self.added[keep], added), self.share)
 
@@ -55,12 +55,12 @@ Rule = Callable[[Cycles, Together], tuple[Floats, float]]
 
 
 def plain(cycles: Cycles, together: Together) -> tuple[Floats, float]:
-    """(4.5) All of it."""
+    """(4.5) The whole change (n,) of a plain cycle."""
     return cycles.added[-1], 1.0
 
 
 def aitken(cycles: Cycles, together: Together) -> tuple[Floats, float]:
-    """The share that would have left least of the last change, had it been taken then; at most all."""
+    """The share of the change (n,) that would have left least of the last one, had it been taken then; at most all."""
     share = cycles.safe_share
     if cycles.share > 0.0 and len(cycles.added) > 1:
         old, new = cycles.added[-2:]
@@ -71,7 +71,7 @@ def aitken(cycles: Cycles, together: Together) -> tuple[Floats, float]:
 
 
 def anderson(cycles: Cycles, together: Together) -> tuple[Floats, float]:
-    """The combination of the last cycles that leaves least change, and a safe share of that."""
+    """The combination of the last cycles that leaves least change, and a safe share of that: a change (n,)."""
     share, added = cycles.safe_share, cycles.added[-1]
     if len(cycles.added) < 2:
         return share * added, share

@@ -69,7 +69,7 @@ steps = {steps}
 
 def film(x: Floats, scene: str, rule: str) -> tuple[Found, Floats, Floats]:
     """Run a film with nodes at x: histories, pressure and opening (n,) at the end."""
-    found = solve(scene, f"method.film={rule}", "method.coupling=whole-lu", mesh=winkler.mesh(x))
+    found = solve(scene, f"method.flow_integrator={rule}", "method.coupling=whole-lu", mesh=winkler.mesh(x))
     last = found.fractures[-1]
     _, order = np.unique(last.points[:, 0], return_index=True)  # each piece has its own ends
     return found, last.point["pressure"][order], last.point["opening"][order]
@@ -134,7 +134,7 @@ def cubic(rule: str) -> Callable[[float], tuple[float, ...]]:
     return at
 
 
-BOOKS = Bar("energy books", 1e-10)
+BOOKS = Bar("energy balance", 1e-10)
 
 
 def bar(what: str, rule: str, first: float, second: float, slack: float = 0.1) -> Bar:

@@ -74,7 +74,7 @@ def in_rock(triangles: bool) -> Callable[[float], tuple[float, ...]]:
         x = np.linspace(0, 25, round(25 / size) + 1)
         mesh = tensor(x, np.linspace(-0.1, 0.1, 5), {"film": (0.0, 0.0, 25.0)}, triangles)
         scene = ROCK + injection(f"pressure = {PUMPED}", END, round(10 / size))
-        last = solve(scene, "method.film=bdf2", "method.coupling=whole-lu", mesh=mesh).fractures[-1]
+        last = solve(scene, "method.flow_integrator=bdf2", "method.coupling=whole-lu", mesh=mesh).fractures[-1]
         place = last.points[:, 0]
         right, near = w(place / np.sqrt(4 * DIFFUSIVITY * END)) - 1, place <= SHOWN
         fields = (last.point["pressure"] - AT_REST) / (STIFFNESS * APERTURE), last.point["opening"] / APERTURE

@@ -1,7 +1,7 @@
 """R08: slip driven by injection into a fault of constant friction, self-similar (Viesca, J. Fluid Mech. 928, A29, 2021).
 
 Mode II, mu* = G/(1 - nu), pressure p0 + dp erfc(|x|/l), l = sqrt(4 alpha t), on the fault; |x| < a = lambda l slips, and
-nothing is singular at its ends. What the friction has lost, averaged over the crack by Abel's equation,
+nothing is singular at its ends. The loss of friction, averaged over the crack by Abel's equation,
     Tau(z) = 2/pi int_0^{pi/2} erfc(z sin theta) d theta,
 gives lambda: Tau(lambda) = T = (1 - tau/(f sigma')) sigma'/dp, and the slip
     delta = f dp a/mu* 2 int_0^{sqrt(1 - X^2)} (Tau(lambda sqrt(X^2 + v^2)) - T) dv, X = x/a.
@@ -94,7 +94,7 @@ def pushed(
         text += f"pressure = {{along = {(x + FAR).tolist()}, time = [0, 1], value = {value}}}\n"
         stage = "stage=[{kind = 'steady', time_step = 1, steps = 1}]"
     mesh = tensor(x, y, {"fault": (0.0, -FAR, FAR)}, triangles)
-    return solve(text, stage, "method.film=bdf2", "method.coupling=whole-lu", mesh=mesh)
+    return solve(text, stage, "method.flow_integrator=bdf2", "method.coupling=whole-lu", mesh=mesh)
 
 
 def errors(stress: float, coupled: bool, triangles: bool = False) -> Callable[[float], tuple[float, ...]]:

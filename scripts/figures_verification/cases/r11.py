@@ -1,4 +1,4 @@
-"""R11: what the energy books say exactly.
+"""R11: the energy balance to round-off.
 
 With the work of the joints by (2.33b) they close to round-off whatever happens; with the closed form of the energy stored in
 a joint they close to second order of the time step, the error of the trapezoid. A pulse V sin^2(pi t/T) brings 3/8 Z V^2 T,
@@ -43,7 +43,7 @@ def radiated(size: float) -> tuple[float, ...]:
     return *(abs(value / brought - 1) for value in energy.values()), found.open_books
 
 
-BOOKS = Bar("energy books", 1e-10)
+BOOKS = Bar("energy balance", 1e-10)
 CASES = (
     Case(
         "R11 block, closed form", (Bar("energy", 5e-5, 1.8), BOOKS), closed_form, (0.1, 0.05, 0.025), (0.2, 0.1), "dt"

@@ -51,7 +51,7 @@ steps = 4
 def amplitudes(storage: str, film: str) -> Floats:
     """Amplitudes (n, k) of the modes in the pressures of a run: at the start, with a pulse at one end, and after it."""
     x = np.arange(N + 1)
-    settings = (f"method.storage={storage}", f"method.film={film}", "method.coupling=whole-lu")
+    settings = (f"method.storage={storage}", f"method.flow_integrator={film}", "method.coupling=whole-lu")
     found = solve(LINEAR + PULSE, *settings, mesh=winkler.mesh(x.astype(float)))
     pressure = np.array([found.probe(str(i), "pressure") for i in x])
     ends = np.where((x == 0) | (x == N), 0.5, 1.0)

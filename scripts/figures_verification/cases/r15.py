@@ -65,7 +65,7 @@ def errors(coupled: bool, time_step: float) -> Callable[[float], tuple[float, ..
         text = SCENE.replace("SIZE", repr(size))
         text += WELL if coupled else prescribed(size)
         stage = f"stage=[{{kind = 'quasi-static', end = 60, time_step = {time_step}}}]"
-        found = solve(text, stage, "method.film=bdf2", may_stop=True)
+        found = solve(text, stage, "method.flow_integrator=bdf2", may_stop=True)
         return (abs(found.history["time"][-1] / onset() - 1.0),)
 
     return at

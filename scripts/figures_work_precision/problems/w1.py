@@ -50,7 +50,7 @@ def method(rule: str, coupling: str) -> Method:
 
 def by_tolerance(rule: str = "") -> Method:
     """A rule whose steps the program chooses, and the rule too if none is given."""
-    given = (f"method.film={rule}",) if rule else ()
+    given = (f"method.flow_integrator={rule}",) if rule else ()
     run_to = lambda tolerance: run(*given, f"accuracy.tolerance={tolerance}", steps=2)  # noqa: E731
     return Method(f"{rule or 'default'}, by tolerance", run_to, TOLERANCES, default=not rule)
 

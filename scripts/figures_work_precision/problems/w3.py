@@ -1,4 +1,4 @@
-"""W3: a bar hits a stiff joint (meshes/failures/f4_impact, k_n = 30 E/h of its mesh); mass at the contact, steppers.
+"""W3: a bar hits a stiff joint (meshes/failures/bar_impact, k_n = 30 E/h of its mesh); mass at the contact, steppers.
 
 d'Alembert, E = rho = L = v = 1: with a(t) the velocity that comes in, half of the bar's until the wave is back at t = 2, the
 wall moves by w' = 2a - k w and the force is k w: F = 1 - exp(-kt), and from then on, s = t - 2, F = 2 (1 + ks) exp(-ks) - 1

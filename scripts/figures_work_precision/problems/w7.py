@@ -63,7 +63,7 @@ def run(steps: float, *settings: str) -> Found:
 @cache
 def reference() -> tuple[Floats, Floats]:
     """Pressure and slip of the reference."""
-    return ends(run(16 * STEPS[1], *FULL, "method.film=bdf2"))
+    return ends(run(16 * STEPS[1], *FULL, "method.flow_integrator=bdf2"))
 
 
 def answer(steps: float, *settings: str) -> Answer:
@@ -81,7 +81,7 @@ def method(name: str, *settings: str) -> Method:
     return Method(name, lambda steps: answer(steps, *settings), STEPS, default=not settings)
 
 
-BDF2 = "method.film=bdf2"
+BDF2 = "method.flow_integrator=bdf2"
 PROBLEM = Problem(
     "W7", "Injection until a fault slips: all in it, and as planned", "steps", "pressure or slip at the end",
     (

@@ -1,0 +1,233 @@
+"""Lines in a plane become a planar graph: near points merge, points move onto near lines, crossings are cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from fracflow.mesh.data import Floats, Ints
+
+CORNER, ON_SIDE, FREE = 0, 1, 2  # how freely a point moves: not at all, along its side, anywhere
+CHUNK = 2_000_000  # pairs looked at together
+ALMOST_ON = 2e-3  # slope, 0.11 degrees, at which a point and the ends of an edge make one line
+
+
+class Graph(Protocol):
+    """Points and the edges between them."""
+
+    @property
+    def points(self) -> Floats:
+        """(n, 2) [length]."""
+
+    @property
+    def edges(self) -> Ints:
+        """(m, 2) points from start to end."""
+
+
+@dataclass(frozen=True)
+class PlanarGraph:
+    """Points and the edges between them.
+
+    points  (n, 2)  where they are now [length]; merged ones stay in the table, unused
+    first   (n, 2)  where they were when they came in
+    became  (n,)    the point each has been merged into, itself if none
+    rank    (n,)    CORNER, ON_SIDE or FREE
+    edges   (m, 2)  points from start to end, along the line they came from
+    owner   (m,)    the line of each: a trace, or side k of the domain as -1 - k
+    bends   points (k,) that edges of owner (k,) were led through, at a distance (k,) [length]
+    given   points that were there before any crossing
+    """
+
+    points: Floats
+    first: Floats
+    became: Ints
+    rank: Ints
+    edges: Ints
+    owner: Ints
+    bends: tuple[Ints, Ints, Floats]
+    given: int
+
+
+def planar_graph_of(domain: Floats, traces: list[Floats]) -> PlanarGraph:
+    """The sides of a polygon (k, 2) and the segments of the traces, each (m, 2), as they are given."""
+    count = len(domain)
+    around = np.arange(count)
+    starts = count + np.cumsum([0, *map(len, traces)])
+    points = np.concatenate([domain, *traces])
+    inner = np.setdiff1d(np.arange(count, len(points)), starts[1:] - 1)
+    edges = np.concatenate([np.stack([around, (around + 1) % count], axis=1), np.stack([inner, inner + 1], axis=1)])
+    owner = np.concatenate([-1 - around, np.repeat(np.arange(len(traces)), [len(t) - 1 for t in traces])])
+    rank = np.repeat([CORNER, FREE], [count, len(points) - count])
+    nothing = np.zeros(0, dtype=np.int64)
+    bends = (nothing, nothing, np.zeros(0))
+    return PlanarGraph(
+        points, points.copy(), np.arange(len(points)), rank, edges, owner.astype(np.int64), bends, len(points)
+    )
+
+
+def settle(lines: PlanarGraph, snap: float, rounds: int) -> PlanarGraph | None:
+    """Merge, move and cut until nothing is left to do; None if that takes more than ``rounds``.
+
+    Afterwards edges meet at common points only. No two points are within ``snap`` of each other, and no end or bend
+    of a line is within ``snap`` of another edge. A crossing may be: were it moved, the next one along two lines that
+    part slowly would come near too, and so on to their ends.
+    """
+    for _ in range(rounds):
+        before = lines
+        for change in (merge, attach, cross):
+            lines = change(lines, snap)
+        if lines is before:
+            return lines
+    return None
+
+
+def merge(lines: PlanarGraph, snap: float) -> PlanarGraph:
+    """Merge points within ``snap``: into corners first, then points of a side, then those where most edges meet.
+
+    Of others alike into those of longer lines, whichever line comes first.
+    """
+    from scipy.spatial import cKDTree  # imports much
+
+    used = np.unique(lines.edges)
+    pairs = used[cKDTree(lines.points[used]).query_pairs(snap, output_type="ndarray")].reshape(-1, 2)
+    pairs = pairs[np.any(lines.rank[pairs] != CORNER, axis=1)]
+    if not len(pairs):
+        return lines
+    degree = np.bincount(lines.edges.ravel(), minlength=len(lines.points))
+    close = np.unique(pairs)
+    place = np.empty(len(lines.points), dtype=np.int64)
+    order = np.lexsort([close, -_lengths_at(lines)[close], -degree[close], lines.rank[close]])
+    place[close[order]] = np.arange(len(close))
+    pairs = np.take_along_axis(pairs, np.argsort(place[pairs], axis=1), axis=1)
+    target = np.arange(len(lines.points))
+    for keeper, other in pairs[np.lexsort([place[pairs[:, 1]], place[pairs[:, 0]]])].tolist():
+        if target[keeper] == keeper and target[other] == other and lines.rank[other] != CORNER:
+            target[other] = keeper
+    edges = target[lines.edges]
+    is_left = edges[:, 0] != edges[:, 1]
+    return replace(lines, became=target[lines.became], edges=edges[is_left], owner=lines.owner[is_left])
+
+
+def _lengths_at(lines: PlanarGraph) -> Floats:
+    """Of each point (n,) the length of the lines that it is of together, nine digits: equal ones stay equal."""
+    line = np.unique(lines.owner, return_inverse=True)[1]
+    whole = np.bincount(line, np.linalg.norm(np.diff(lines.points[lines.edges], axis=1)[:, 0], axis=1))
+    found = np.bincount(lines.edges.ravel(), np.repeat(whole[line], 2), len(lines.points))
+    return np.asarray(np.round(found / whole.max(), 9))
+
+
+def attach(lines: PlanarGraph, snap: float) -> PlanarGraph:
+    """Move points within ``snap`` of an edge onto it; a point of a side stays, and the edge bends to it."""
+    point, edge, along, foot, distance = near_edges(lines, np.unique(lines.edges), snap)
+    ends = lines.points[lines.edges[edge]]
+    nearest_end = np.linalg.norm(ends - lines.points[point][:, None], axis=2).min(axis=1)
+    is_meant = (point < lines.given) | (distance < ALMOST_ON * nearest_end)
+    is_meant &= (lines.rank[point] == FREE) | (lines.owner[edge] >= 0)
+    point, edge, along, foot, distance = (part[is_meant] for part in (point, edge, along, foot, distance))
+    if not len(point):
+        return lines
+    order = np.lexsort([distance, point])
+    order = order[np.append(True, point[order][1:] != point[order][:-1])]
+    point, edge, along, foot, distance = (part[order] for part in (point, edge, along, foot, distance))
+    is_free = lines.rank[point] == FREE
+    points, rank = lines.points.copy(), lines.rank.copy()
+    points[point[is_free]] = foot[is_free]
+    rank[point[is_free & (lines.owner[edge] < 0)]] = ON_SIDE
+    held = (point[~is_free], lines.owner[edge[~is_free]], distance[~is_free])
+    bends = tuple(np.concatenate(both) for both in zip(lines.bends, held, strict=True))
+    return _cut(replace(lines, points=points, rank=rank, bends=bends), edge, along, point)  # type: ignore[arg-type]
+
+
+def cross(lines: PlanarGraph, snap: float) -> PlanarGraph:
+    """Cut edges where they cross."""
+    one, other = boxes_that_meet(lines.points[lines.edges], 0.0)
+    apart = np.all(lines.edges[one][:, :, None] != lines.edges[other][:, None, :], axis=(1, 2))
+    one, other = one[apart], other[apart]
+    start, step = lines.points[lines.edges[:, 0]], np.diff(lines.points[lines.edges], axis=1)[:, 0]
+    reach = start[other] - start[one]
+    span = _turn(step[one], step[other])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along_one, along_other = _turn(reach, step[other]) / span, _turn(reach, step[one]) / span
+    inside = (span != 0) & (along_one > 0) & (along_one < 1) & (along_other > 0) & (along_other < 1)
+    if not np.any(inside):
+        return lines
+    one, other, along_one, along_other = (part[inside] for part in (one, other, along_one, along_other))
+    # On the straighter of the two, a side: its points must stay on it.
+    on_one = (lines.owner[one] < 0)[:, None]
+    new = np.where(
+        on_one, start[one] + along_one[:, None] * step[one], start[other] + along_other[:, None] * step[other]
+    )
+    number = len(lines.points) + np.arange(len(new))
+    rank = np.where((lines.owner[one] < 0) | (lines.owner[other] < 0), ON_SIDE, FREE)
+    more = replace(
+        lines,
+        points=np.concatenate([lines.points, new]),
+        first=np.concatenate([lines.first, new]),
+        became=np.concatenate([lines.became, number]),
+        rank=np.concatenate([lines.rank, rank]),
+    )
+    twice = np.concatenate([number, number])
+    return _cut(more, np.concatenate([one, other]), np.concatenate([along_one, along_other]), twice)
+
+
+def near_edges(lines: Graph, chosen: Ints, reach: float) -> tuple[Ints, Ints, Floats, Floats, Floats]:
+    """Chosen points within ``reach`` of an edge that does not end there, opposite to its inside.
+
+    Gives point (n,), edge (n,), place along the edge (n,) from 0 to 1, foot (n, 2) and distance (n,) [length].
+    """
+    point, edge = _points_in_boxes(lines.points[chosen], lines.points[lines.edges], reach)
+    point = chosen[point]
+    apart = np.all(lines.edges[edge] != point[:, None], axis=1)
+    point, edge = point[apart], edge[apart]
+    start, end = np.moveaxis(lines.points[lines.edges[edge]], 1, 0)
+    along = np.sum((lines.points[point] - start) * (end - start), axis=1) / np.sum((end - start) ** 2, axis=1)
+    foot = start + along[:, None] * (end - start)
+    distance = np.linalg.norm(lines.points[point] - foot, axis=1)
+    hit = (along > 0) & (along < 1) & (distance <= reach)
+    return point[hit], edge[hit], along[hit], foot[hit], distance[hit]
+
+
+def _cut(lines: PlanarGraph, edge: Ints, along: Floats, point: Ints) -> PlanarGraph:
+    """Lead ``edge`` (k,) through ``point`` (k,), in the order of ``along`` (k,)."""
+    whole = np.arange(len(lines.edges))
+    on = np.concatenate([whole, edge, whole])
+    node = np.concatenate([lines.edges[:, 0], point, lines.edges[:, 1]])
+    order = np.lexsort([np.concatenate([np.full(len(whole), -1.0), along, np.full(len(whole), 2.0)]), on])
+    on, node = on[order], node[order]
+    is_piece = (on[1:] == on[:-1]) & (node[1:] != node[:-1])
+    pieces = np.stack([node[:-1], node[1:]], axis=1)[is_piece]
+    return replace(lines, edges=pieces, owner=lines.owner[on[:-1][is_piece]])
+
+
+def boxes_that_meet(ends: Floats, reach: float) -> tuple[Ints, Ints]:
+    """Pairs i < j of edges (m, 2, 2) whose boxes, wider by ``reach``, meet."""
+    low, high = ends.min(axis=1) - reach, ends.max(axis=1) + reach
+    found = []
+    step = max(1, CHUNK // max(1, len(ends)))
+    for begin in range(0, len(ends), step):
+        rows = slice(begin, begin + step)
+        meets = np.all((low[rows, None] <= high) & (low <= high[rows, None]), axis=2)
+        one, other = np.nonzero(meets)
+        found.append(np.stack([one + begin, other])[:, one + begin < other])
+    one, other = np.concatenate(found, axis=1)
+    return one, other
+
+
+def _points_in_boxes(points: Floats, ends: Floats, reach: float) -> tuple[Ints, Ints]:
+    """Pairs of points (n, 2) and edges (m, 2, 2) with the point in the edge's box, wider by ``reach``."""
+    low, high = ends.min(axis=1) - reach, ends.max(axis=1) + reach
+    found = []
+    step = max(1, CHUNK // max(1, len(ends)))
+    for begin in range(0, len(points), step):
+        part = points[begin : begin + step, None]
+        point, edge = np.nonzero(np.all((part >= low) & (part <= high), axis=2))
+        found.append(np.stack([point + begin, edge]))
+    point, edge = np.concatenate(found, axis=1)
+    return point, edge
+
+
+def _turn(one: Floats, other: Floats) -> Floats:
+    """Cross product of vectors (., 2)."""
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]

@@ -1,0 +1,1 @@
+"""Terms of the balances, a file each; ``registry`` has them all."""

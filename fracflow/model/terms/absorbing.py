@@ -1,0 +1,220 @@
+"""Sides that absorb waves, and the waves that come in there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.elements import dashpot, facet
+from fracflow.errors import InputError
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Floats, Ints
+from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.operators import Operators
+from fracflow.model.properties import outward, side_facets
+from fracflow.model.solid import nodal_force, nodal_layout, node_unknowns, projected, rock_values
+from fracflow.model.terms.term import Term
+from fracflow.scene.scene import Absorbing, Scene
+from fracflow.scene.time_table import Around
+from fracflow.scene.values import TimeTable
+
+SAME = 1e-9  # relative difference of two speeds, or of a delay to the time across the side, that counts as none
+
+
+@dataclass(frozen=True)
+class Facets:
+    """This rank's facets (n,) of absorbing sides: nodes (n, k), outward normal, and what their own rock is like.
+
+    size  (n, k) length or area that each node stands for
+    """
+
+    nodes: Ints
+    size: Floats
+    normal: Floats
+    lam: Floats
+    shear: Floats
+    density: Floats
+
+    def speed(self, kind: str) -> Floats:
+        """c_p or c_s (f,) of facets [length/time]."""
+        speed: Floats = np.sqrt((self.lam + 2.0 * self.shear if kind == "p" else self.shear) / self.density)
+        return speed
+
+    @property
+    def impedance(self) -> Floats:
+        """C of each node of the facets (n, k, dim, dim) [force time/length per thickness]."""
+        of_p, of_s = self.density * self.speed("p"), self.density * self.speed("s")
+        return dashpot.impedance_blocks(self.size, self.normal, of_p, of_s)
+
+
+def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
+    """The facets of an entry [[absorbing]]. Raises InputError, on every rank. Collective."""
+    known = blocks.solid.sides
+    for name in absorbing.on:
+        if name not in known:
+            raise InputError(f'absorbing: on = "{name}": no such side (the mesh has: {", ".join(known) or "none"})')
+    facets = np.concatenate([side_facets(blocks, name) for name in absorbing.on])
+    nodes, cells = blocks.solid.side_facets[facets], blocks.solid.side_cell[facets]
+    if blocks.comm.allreduce(int((blocks.solid.body[nodes] >= 0).any())):
+        raise InputError(f"absorbing: on = {list(absorbing.on)}: lies on a rigid rock, in which no wave travels")
+    corners = blocks.solid.points[nodes]
+    lam, shear = dashpot.lame(
+        rock_values(blocks, scene, "youngs_modulus")[cells], rock_values(blocks, scene, "poissons_ratio")[cells]
+    )
+    size, normal = facet.nodal_sizes(corners), outward(blocks, facets)
+    return Facets(nodes, size, normal, lam, shear, rock_values(blocks, scene, "density")[cells])
+
+
+def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
+    """Lines of the log on an entry: the share of a wave that its sides reflect. Collective."""
+    lines = _leaves_by(blocks, absorbing)
+    ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
+    everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
+    for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
+        for told in dashpot.reflections(float(ratio)):
+            lines.append(f"absorbing {', '.join(absorbing.on)}: of {told} (Poisson's ratio {ratio:.4g})")
+    return lines
+
+
+def _leaves_by(blocks: Blocks, absorbing: Absorbing) -> list[str]:
+    """Lines for the log on sides through which the wave that enters there also leaves. Collective."""
+    if absorbing.wave is None or absorbing.wave.direction is None:
+        return []
+    lines = []
+    for name in absorbing.on:
+        towards = outward(blocks, side_facets(blocks, name)) @ np.array(absorbing.wave.direction)
+        if blocks.comm.allreduce(float(towards.min(initial=np.inf)), op=MPI.MIN) > SAME:
+            lines.append(
+                f"absorbing {name}: the wave leaves by this side, which takes its energy off work_incident; to see it as"
+                " radiated give the side an [[absorbing]] of its own, without the wave"
+            )
+    return lines
+
+
+class AbsorbingSides(Term):
+    """All absorbing sides of a scene: dashpots, waves that come in, and nodes that stay without inertia."""
+
+    name, entry = "absorbed", "radiated"
+
+    def __init__(self, operators: Operators, scene: Scene) -> None:
+        """Raises InputError, on every rank. Collective."""
+        blocks, expand = operators.blocks, operators.expand
+        self.sides = [(absorbing, facets_of(blocks, scene, absorbing)) for absorbing in scene.absorbing]
+        self.blocks, self.waves, self._notes = blocks, tuple[IncidentWave, ...](), tuple[str, ...]()
+        if not scene.has_dynamics:
+            return
+        self.damping = self._impedance(expand)
+        waves = [(absorbing, facets) for absorbing, facets in self.sides if absorbing.wave is not None]
+        self.waves = tuple(_wave(blocks, absorbing, facets, expand) for absorbing, facets in waves)
+        self._notes = tuple(line for each in self.sides for line in _notes(blocks, *each))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How much of a wave the sides send back."""
+        return self._notes
+
+    def _impedance(self, expand: PETSc.Mat | None) -> PETSc.Mat:
+        """C, lumped: a block of dim x dim at each node, diagonal where sides lie along the axes. Collective."""
+        layout = nodal_layout(self.blocks)
+        matrix = create_matrix((layout, layout), self.blocks.sizes.dim, self.blocks.comm)
+        for _, facets in self.sides:
+            values = facets.impedance
+            for corner in range(values.shape[1]):
+                numbers = node_unknowns(self.blocks, facets.nodes[:, corner])
+                add_blocks(matrix, numbers, numbers, values[:, corner])
+        matrix.assemble()
+        return projected(matrix, expand)
+
+    def held(self) -> tuple[Ints, Floats]:
+        """Unknowns (n,) of this rank's part of the sides that are held without inertia, and their places (n, dim)."""
+        nodes = [facets.nodes.ravel() for absorbing, facets in self.sides if absorbing.without_inertia == "held"]
+        found = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *nodes]))
+        block, dim = self.blocks.solid, self.blocks.sizes.dim
+        return block.unknown[found, :dim].ravel(), np.repeat(block.points[found], dim, axis=0)
+
+    def incoming(self, time: float, around: Around, result: PETSc.Vec) -> float | None:
+        """Add the forces of the waves at the end of a step to ``result``; their power. Collective."""
+        if not self.waves:
+            return None
+        for wave in self.waves:
+            wave.add_force(time, around, result)
+        return sum(wave.power(time, around) for wave in self.waves)
+
+    def energy(self, taken: float, brought: float) -> Mapping[str, float]:
+        """Energy that the sides radiate, and work of incident waves."""
+        return {"radiated": taken + brought, "work_incident": brought}
+
+
+def absorbing_sides(operators: Operators, scene: Scene) -> tuple[AbsorbingSides, ...]:
+    """The absorbing sides of a scene that has any. Raises InputError, on every rank. Collective."""
+    return (AbsorbingSides(operators, scene),) if scene.absorbing else ()
+
+
+@dataclass(frozen=True)
+class IncidentWave:
+    """A plane wave that comes in at the nodes (n, k) of facets: force (n, k, dim) and power (n, k) of a unit of velocity.
+
+    velocity  particle velocity where the wave arrives first
+    delay     (n, k) how much later it arrives [time]
+    """
+
+    blocks: Blocks
+    expand: PETSc.Mat | None
+    nodes: Ints
+    force: Floats
+    work: Floats
+    delay: Floats
+    velocity: TimeTable
+
+    def _at(self, time: float, around: Around) -> Floats:
+        return self.velocity.around((time - self.delay).ravel(), *around).reshape(self.delay.shape)
+
+    def add_force(self, time: float, around: Around, result: PETSc.Vec) -> None:
+        """Add the forces at the end of a step to ``result``. Collective."""
+        here = nodal_force(self.blocks, self.nodes, self.force * self._at(time, around)[..., None], self.expand)
+        result.axpy(1.0, here)
+        here.destroy()
+
+    def power(self, time: float, around: Around) -> float:
+        """Power that it brings into the rock [energy/time per thickness]. Collective."""
+        return float(self.blocks.comm.allreduce(float(np.sum(self.work * self._at(time, around) ** 2))))
+
+
+def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Mat | None) -> IncidentWave:
+    """(Joyner and Chen 1975) In the rock without anything else the sides would carry C v + sigma n of the wave alone."""
+    wave, comm = absorbing.wave, blocks.comm
+    assert wave is not None
+    length = facets.size.sum(axis=1)
+    if wave.direction is None:
+        inward = comm.allreduce(-(facets.normal * length[:, None]).sum(axis=0))
+        total = comm.allreduce(float(length.sum()))
+        if np.linalg.norm(inward) < (1.0 - SAME) * total:
+            raise InputError(
+                f"absorbing: on = {list(absorbing.on)}: is not one straight side: give wave.direction, the way the wave goes"
+            )
+    else:
+        inward = np.array(wave.direction)
+    direction = inward / np.linalg.norm(inward)
+    motion = direction if wave.kind == "p" else np.array([-direction[1], direction[0]])
+    speed = facets.speed(wave.kind)
+    traction = dashpot.wave_traction(facets.normal, direction, motion, facets.lam, facets.shear, speed)
+    force = np.einsum("nkij,j->nki", facets.impedance, motion) + facets.size[:, :, None] * traction[:, None]
+    along = blocks.solid.points[facets.nodes] @ direction
+    first = comm.allreduce(float(along.min(initial=np.inf)), op=MPI.MIN)
+    last = comm.allreduce(float(along.max(initial=-np.inf)), op=MPI.MAX)
+    slow = comm.allreduce(float(speed.min(initial=np.inf)), op=MPI.MIN)
+    fast = comm.allreduce(float(speed.max(initial=0.0)), op=MPI.MAX)
+    size = comm.allreduce(float(length.sum()))
+    delay = (along - first) / speed[:, None]
+    if last - first <= SAME * size:
+        delay = np.zeros_like(delay)
+    elif fast > (1.0 + SAME) * slow:
+        raise InputError(
+            f"absorbing: on = {list(absorbing.on)}: lies on rocks with waves of {slow:.6g} and {fast:.6g}: a wave comes in"
+            " at an angle on one rock only; give each side its own, or leave wave.direction out"
+        )
+    work = facets.size * (traction @ motion)[:, None]
+    return IncidentWave(blocks, expand, facets.nodes, force, work, delay, wave.velocity)

@@ -1,0 +1,230 @@
+"""Fractures that the plan ties: found in a model, left out of its mesh, and watched from the rock beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from fracflow.elements import facet, joint, solid
+from fracflow.errors import ReductionInvalid
+from fracflow.laws import JOINT_LAWS
+from fracflow.laws.base import HELD
+from fracflow.laws.elastic import plane_strain_stiffness
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.split import groups, merged_faces
+from fracflow.model.contact_mass import redistributes
+from fracflow.model.properties import initial_pressure
+from fracflow.model.setup import Model, on_root
+from fracflow.model.state import State
+from fracflow.model.stress import deforms, per_cell, properties, strain, stress_change, tensors
+from fracflow.reduction.decision import LockedFractures, ReductionInput
+from fracflow.reduction.locked_fractures import NONE, PART, USE, Fractures, choose, why_none
+from fracflow.reduction.prepare import prepare
+from fracflow.reduction.unloaded_blocks import named_nodes
+
+MOST = 1e7  # distances between fractures: some seconds
+PRESSED = 1e-12  # of the natural pressure: the least that a wall is pressed by when its strength is asked for
+
+
+def use_of_strength(model: Model, added: Floats) -> Floats:
+    """Share of its strength that each section (s,) of this rank uses with tractions (s, dim) added to its initial ones.
+
+    Infinite under tension, where the walls may part.
+    """
+    joints, found = model.operators.joints, np.zeros(len(added))
+    least = PRESSED * model.operators.scales.pressure
+    traction = joints.initial + added
+    for group in joints.laws:
+        here, count = traction[group.sections], len(group.sections)
+        pressed = {
+            "initial_normal_traction": np.minimum(here[:, -1], -least),
+            "initial_shear_traction": 0.0 * here[:, :-1],
+        }
+        law = replace(group.law, **pressed)  # type: ignore[type-var]
+        strength = law.evaluate(np.zeros_like(here), law.initial_history(count, joints.dim), HELD).strength
+        used = np.linalg.norm(here[:, :-1], axis=1) / np.maximum(strength, least)
+        found[group.sections] = np.where(law.opens & (here[:, -1] >= 0.0), inf, used)
+    return found
+
+
+def _largest(model: Model, values: Floats, count: int) -> Floats:
+    """Largest value (f,) on each fracture, of values (s,) at the sections of all ranks. Collective."""
+    found = np.full(count, -inf)
+    joints = model.operators.blocks.joints
+    np.maximum.at(found, np.repeat(joints.fracture, model.operators.joints.points), values)
+    return np.max(model.operators.layout.comm.allgather(found), axis=0)
+
+
+def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
+    """The fractures of a settled model that may be tied. Collective."""
+    if why := why_none(facts):
+        return LockedFractures(why=why)
+    ops, comm, scene = model.operators, model.operators.layout.comm, model.scene
+    known = comm.bcast(on_root(comm, lambda: _of_mesh(model)), root=0)
+    if known is None:
+        return LockedFractures(why=f"more than {MOST:g} distances between fractures would have to be found")
+    count = len(known.names)
+    if not count:
+        return LockedFractures(why="there are none")
+    joints, zero = ops.joints, np.zeros_like(ops.joints.initial)
+    tangent = joints.evaluate(zero, joints.initial_history(), HELD).tangent
+    least = np.einsum("sii->si", tangent).min(axis=1, initial=inf)
+    shear = np.linalg.norm(joints.initial[:, :-1], axis=1)
+    known = replace(known, stiffness=-_largest(model, -least, count), shear=_largest(model, shear, count))
+    fracture = np.repeat(ops.blocks.joints.fracture, joints.points)
+
+    def use(stress: Floats) -> Floats:
+        added = np.copysign(stress[fracture, None], joints.initial)
+        added[:, -1] = stress[fracture] * (2.0 if scene.has_flow else 1.0)  # fluid that stays takes up what presses
+        return _largest(model, use_of_strength(model, added), count)
+
+    spots = comm.bcast(_well_points(model))
+    return choose(facts, known, {name: float(initial_pressure(scene, point)) for name, point in spots.items()}, use)
+
+
+def _well_points(model: Model) -> dict[str, Floats]:
+    mesh = model.mesh
+    return (
+        {} if mesh is None else {name: mesh.points[mesh.flow_origin[node]] for name, node in model.placed.wells.items()}
+    )
+
+
+def _of_mesh(model: Model) -> Fractures | None:
+    """Values of fractures from the mesh, on rank 0; stiffness and shear are 1 and 0. None for too many fractures."""
+    mesh, scene, placed = model.mesh, model.scene, model.placed
+    assert mesh is not None
+    count, fracture = len(mesh.fractures), mesh.joint_fracture
+    places = mesh.points[mesh.flow_origin]
+    _, length = facet.frame(mesh.points[mesh.joint_bottom])
+    joints, whole = (np.bincount(fracture, each, count).astype(float) for each in (np.ones_like(length), length))
+    group = np.unique(groups(mesh), return_inverse=True)[1].ravel()
+    probes = [*placed.probes.values()]
+    probed = np.array([node for place in probes for node in place.stands_on], np.int64)
+    wells = mesh.flow_origin[np.array([*placed.wells.values()], dtype=np.int64)]
+    named = np.union1d(wells, mesh.origin[probed])
+    barred = np.array([name in scene.drained for name in mesh.fractures], dtype=bool)
+    barred[fracture[np.isin(mesh.flow_origin[mesh.joint_flow], named).any(axis=1)]] = True
+    barred[fracture[~deforms(mesh, scene)[mesh.joint_cells].all(axis=1)]] = True
+    if redistributes(scene):
+        barred |= np.array([JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures], dtype=bool)
+    nodes = [np.unique(mesh.joint_flow[group[fracture] == number]) for number in range(group.max(initial=-1) + 1)]
+    if len(nodes) * len(places) > MOST:
+        return None
+    away = [KDTree(places[each]).query(places)[0] for each in nodes]  # (g, q) from every flow node
+    apart = np.full((len(nodes), count), inf)
+    for row, distance in zip(apart, away, strict=True):
+        np.minimum.at(row, fracture, distance[mesh.joint_flow].min(axis=1))
+    used = np.unique(mesh.cell_rock)
+    elastic = [rock for rock in (scene.rock[mesh.rocks[i]] for i in used) if not rock.rigid]
+    young, poisson, density = (
+        np.array([getattr(rock, key) or 0.0 for rock in elastic])
+        for key in ("youngs_modulus", "poissons_ratio", "density")
+    )
+    waves = plane_strain_stiffness(young, poisson)[..., 0, 0] if elastic else young
+    return Fractures(
+        names=mesh.fractures, group=group, jumps=joints * model.operators.joints.points * mesh.points.shape[1],
+        length=whole, facet=whole / np.maximum(joints, 1.0), stiffness=np.ones(count), shear=np.zeros(count),
+        barred=barred, apart=apart,
+        reach=np.array([0.5 * np.linalg.norm(np.ptp(places[each], axis=0)) for each in nodes]),
+        held=_to_held(model, mesh), probed=_to_probes(mesh, [place.point for place in probes]),
+        area=float(per_cell(mesh.cells, lambda _, corners: solid.area(mesh.points[corners])).sum()),
+        size=float(np.ptp(mesh.points, axis=0).min()),
+        modulus=float((young / (1.0 - poisson**2)).max(initial=0.0)),
+        impedance=float(np.sqrt(density * waves).max(initial=0.0)),
+    )  # fmt: skip
+
+
+def _to_held(model: Model, mesh: SplitMesh) -> Floats:
+    """Distance (f,) to supports and terms that hold sides, on average along each fracture; infinite without any."""
+    scene, held = model.scene, [np.zeros(0, dtype=np.int64)]
+    for on in (*(each.on for each in scene.support), *(term.on for term in scene.terms if term.holds)):
+        held += [named_nodes(model, mesh, name) for name in on]
+    nodes, count = np.unique(np.concatenate(held)), len(mesh.fractures)
+    if not len(nodes):
+        return np.full(count, inf)
+    away = KDTree(mesh.points[nodes]).query(mesh.points[mesh.flow_origin])[0][mesh.joint_flow].mean(axis=1)
+    _, length = facet.frame(mesh.points[mesh.joint_bottom])
+    whole = np.bincount(mesh.joint_fracture, length, count)
+    return np.asarray(np.bincount(mesh.joint_fracture, away * length, count) / np.maximum(whole, NONE))
+
+
+def _to_probes(mesh: SplitMesh, points: Sequence[Floats]) -> Floats:
+    """Distance (p, f) of each fracture from each of the ``points`` (dim,) of probes [length]."""
+    found = np.full((len(points), len(mesh.fractures)), inf)
+    for row, point in zip(found, points, strict=True):
+        away = np.linalg.norm(mesh.points[mesh.flow_origin] - point, axis=1)
+        np.minimum.at(row, mesh.joint_fracture, away[mesh.joint_flow].min(axis=1))
+    return found
+
+
+def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
+    return np.isin(np.array(mesh.fractures), names)
+
+
+def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
+    """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
+    comm, ops = model.operators.layout.comm, model.operators
+    mesh = on_root(
+        comm, lambda: merged_faces(model.mesh, _chosen(model.mesh, names)) if model.mesh is not None else None
+    )
+    for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
+        matrix.destroy()
+    return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names)
+
+
+def watch_tied(model: Model, state: State) -> None:
+    """Raise ReductionInvalid, on every rank, where rock beside locked fractures uses more than USE of their strength.
+
+    Collective.
+    """
+    whole = model.whole
+    if whole is None:
+        return
+    blocks, joints = whole.operators.blocks, whole.operators.joints
+    motion = _displacement(model, state)
+    added = blocks.comm.bcast(None if motion is None else _added(model, motion))  # (f, side, dim)
+    names = blocks.joints.fractures
+    found = np.zeros(len(names))
+    for side in (0, 1):
+        here = np.repeat(added[blocks.joints.ids, side], joints.points, axis=0)
+        found = np.maximum(found, _largest(whole, use_of_strength(whole, here), len(names)))
+    found[~np.isin(np.array(names), model.locked)] = 0.0
+    if found.max() > USE:
+        use, name = float(found.max()), names[int(found.argmax())]
+        raise ReductionInvalid(PART, state.time, f"{use:.3g} of the strength of {name} would be used, above {USE:g}")
+
+
+def _displacement(model: Model, state: State) -> Floats | None:
+    """Displacement (n, dim) of all nodes on rank 0. Collective."""
+    ops, solids = model.operators, model.operators.blocks.solid
+    nodal = ops.nodal(state.motion.displacement)
+    local = nodal.getArray(readonly=True).reshape(-1, ops.blocks.sizes.dim)[: solids.owned].copy()
+    nodal.destroy()
+    return ops.blocks.gather(solids.node_ids[: solids.owned], local, ops.blocks.sizes.nodes)
+
+
+def _added(model: Model, motion: Floats) -> Floats:
+    """Increase of tractions (f, side, dim) of locked joints, from the cells on either side; 0 at others. On rank 0.
+
+    A fluid that cannot leave takes up what presses the walls of its fractures, at most as much as anywhere along them.
+    """
+    assert model.whole is not None and model.whole.mesh is not None and model.mesh is not None
+    mesh, scene = model.whole.mesh, model.scene
+    out = np.flatnonzero(_chosen(mesh, model.locked)[mesh.joint_fracture])
+    cells = mesh.joint_cells[out].ravel()
+    moduli = (properties(mesh, scene, key, cells) for key in ("youngs_modulus", "poissons_ratio"))
+    gained = tensors(stress_change(strain(model.mesh.points, model.mesh.cells[cells], motion), *moduli))[:, :2, :2]
+    frame, _ = facet.frame(mesh.points[mesh.joint_bottom[out]])
+    traction = joint.traction_from_stress(np.repeat(frame, 2, axis=0), gained).reshape(len(out), 2, 2)
+    if scene.has_flow:
+        group = groups(mesh)[mesh.joint_fracture[out]]
+        pressed = np.zeros(group.max(initial=-1) + 1)
+        np.maximum.at(pressed, group, -traction[:, :, -1].min(axis=1))
+        traction[:, :, -1] += pressed[group, None]
+    result = np.zeros((len(mesh.joint_flow), *traction.shape[1:]))
+    result[out] = traction
+    return result

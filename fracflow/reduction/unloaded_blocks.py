@@ -1,0 +1,115 @@
+"""Parts of the rock that nothing loads: they are in balance from the start, and are held there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fracflow._petsc import MPI
+from fracflow.mesh.data import Bools, SplitMesh
+from fracflow.mesh.split import parts
+from fracflow.model.dirichlet import PrescribedValues, own
+from fracflow.model.setup import Model, on_root
+from fracflow.reduction.decision import Decision, ReductionInput, UnloadedBlocks
+from fracflow.scene.boundary import Support
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import TimeTable
+
+
+def moves(support: Support) -> bool:
+    """Whether a support ever prescribes another displacement than none."""
+    tables = [
+        *(support.displacement or {}).values(),
+        *(entry for row in support.displacement_gradient or () for entry in row),
+    ]
+    return any(value != 0.0 for table in tables for value in table.values)
+
+
+def loaded_names(scene: Scene) -> Iterator[str]:
+    """Sides, rocks and points on which something acts beside the initial stress."""
+    for load in scene.load:
+        if load.traction != "initial-stress":
+            yield from load.on
+    for support in scene.support:
+        if moves(support):
+            yield from support.on
+    for term in scene.terms:
+        if term.waves:
+            yield from term.on
+
+
+def idle_nodes(model: Model) -> tuple[Bools, UnloadedBlocks]:
+    """Which nodes (n,) are of parts that nothing loads, and how many parts there are. On rank 0."""
+    mesh, scene, placed = model.mesh, model.scene, model.placed
+    assert mesh is not None
+    part = np.unique(parts(mesh, placed.ties), return_inverse=True)[1].ravel()
+    count = int(part.max(initial=-1)) + 1
+    none = np.zeros(len(part), dtype=bool)
+    asked = (
+        scene.model == "default" and scene.initial is None and not scene.equilibrates and not scene.carries_unbalanced
+    )
+    if count < 2 or not asked:
+        return none, UnloadedBlocks(count, count)
+    loaded = np.zeros(count, dtype=bool)
+    for name in loaded_names(scene):
+        loaded[part[named_nodes(model, mesh, name)]] = True
+    flow = np.array([*placed.wells.values()], dtype=np.int64)
+    driven = (name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures)
+    held = [scene.has_flow and each for each in driven]
+    drives = np.isin(mesh.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[mesh.joint_fracture]
+    loaded[part[mesh.joint_bottom[drives].ravel()]] = True
+    if not loaded.any():  # the purpose of a run without loads is unknown
+        return none, UnloadedBlocks(count, count)
+    idle = ~loaded[part]
+    return idle, UnloadedBlocks(count, int(loaded.sum()), int(idle.sum()) * mesh.points.shape[1])
+
+
+def named_nodes(model: Model, mesh: SplitMesh, name: str) -> np.ndarray:
+    """Nodes (n,) of a side, a rock or a point; a name may be of several."""
+    chosen = [np.zeros(0, dtype=np.int64)]
+    if name in mesh.sides:
+        chosen.append(mesh.side_facets[mesh.side_of == mesh.sides.index(name)].ravel())
+    if name in mesh.rocks:
+        cells = mesh.cells[mesh.cell_rock == mesh.rocks.index(name)]
+        chosen.append(cells[cells >= 0])
+    if name in model.placed.points:
+        chosen.append(model.placed.points[name])
+    return np.concatenate(chosen)
+
+
+def without_idle(model: Model) -> tuple[Model, UnloadedBlocks]:
+    """The model with the parts held that nothing loads. Collective."""
+    comm, block = model.operators.layout.comm, model.operators.blocks.solid
+    idle, found = comm.bcast(on_root(comm, lambda: idle_nodes(model)), root=0)
+    if found.loaded == found.count:
+        return model, found
+    here = idle[block.node_ids]
+    bodies = np.unique(block.body[here & (block.body >= 0)])
+    unknowns = np.concatenate([block.unknown[here].ravel(), block.body_unknown[bodies].ravel()])
+    everywhere = np.unique(np.concatenate(comm.allgather(unknowns[unknowns >= 0])))
+    loads, layout = model.loads, model.operators.layout
+    joined = layout.solid_numbers(everywhere.astype(np.int64))
+    mine = own(block.unknown_starts, comm.rank, everywhere)
+    free = np.setdiff1d(mine, np.concatenate([part.numbers for part in loads.supports]))
+    held = replace(
+        loads,
+        supports=(*loads.supports, PrescribedValues(free, TimeTable.constant(0.0))),
+        fixed_solid=np.union1d(loads.fixed_solid, joined),
+        fixed_resting=np.setdiff1d(loads.fixed_resting, joined),
+        resting=np.setdiff1d(loads.resting, mine),
+    )
+    return replace(model, loads=held), replace(found, unknowns=int(comm.allreduce(len(free), op=MPI.SUM)))
+
+
+def decide_parts(facts: ReductionInput) -> list[Decision]:
+    """How many of them there are, and how many are held."""
+    parts = facts.parts
+    idle = parts.count - parts.loaded
+    value = f"{parts.loaded} of {parts.count}" if parts.count > 1 else "all of it is one"
+    saves = f"{parts.unknowns} unknowns, which are held" if idle else "nothing: each part is loaded"
+    criterion = "parts of the rock that hang together, and carry a load, a support that moves, a wave or a well"
+    return [
+        Decision("parts of the rock that nothing loads", idle > 0, criterion, value, "all parts", "none: exact", saves)
+    ]

@@ -1,0 +1,36 @@
+"""`scripts/bench sliding_multigrid` and `explicit_kernels` in small: they reach into the program, and must move with it."""
+
+from __future__ import annotations
+
+import shutil
+
+import explicit_kernels
+import pytest
+import sliding_multigrid
+
+pytestmark = pytest.mark.serial
+
+
+def test_one_step_with_soft_joints_by_all_ways():
+    found = {row["way"]: row for row in sliding_multigrid.one_step(1500, 1e11, 1e6, list(sliding_multigrid.WAYS))}
+    assert found.keys() == sliding_multigrid.WAYS.keys()
+    assert all(not row["failure"] and row["newton"] > 0 for row in found.values())
+    assert found["lu"]["krylov"] == 1 < found["strip"]["krylov"] < found["multigrid"]["krylov"] < 100
+
+
+@pytest.mark.starts_ranks
+def test_sliding_network(tmp_path):
+    (found,) = sliding_multigrid.run_network(600, 1, ["lu", "strip"], tmp_path, patience=200.0)
+    assert found["way"] == "lu" and not found["failure"] and found["reached"] == 1.0
+    assert max(found["slipping"]) > 0 and len(found["newton"]) == len(found["krylov"])
+
+
+def test_explicit_steps_and_kernels(tmp_path):
+    """The kernels of C are held against each other where there is a compiler."""
+    found = explicit_kernels.kernels(2500.0)
+    in_c = [name for name in found["ms"] if name.startswith("C, ")]
+    assert len(in_c) == (3 if shutil.which("cc") or shutil.which("gcc") else 0)
+    assert len(found["ms"]) == 6 + len(in_c) and all(each >= 0.0 for each in found["ms"].values())
+    steps = explicit_kernels.run_steps(2500.0, 6, tmp_path / "run")
+    assert steps["steps"] == 3 and steps["parts_ms"].keys() == {"K u and joint forces", "joints", "coupling"}
+    assert sum(steps["parts_ms"].values()) < 2.0 * steps["parts_ms"]["coupling"] < 2.0 * steps["step_ms"]
