@@ -1,4 +1,4 @@
-"""Small scenes and meshes that tests change in one place, and how a command answers to them."""
+"""Small scenes and meshes that tests change in one place, the answer of a command, and the content of a folder."""
 
 from __future__ import annotations
 
@@ -167,8 +167,12 @@ def lay(folder, files):
 
 
 def contents(folder):
-    """The content of a folder, to the last byte and to its time of writing."""
-    return {path: path.is_file() and (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.rglob("*")}
+    """All that lies in a folder: links as they are, files to the last byte, and times of writing."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        is_plain = path.is_file() and not path.is_symlink()
+        found[path] = (path.lstat().st_mtime_ns, path.read_bytes() if is_plain else None)
+    return found
 
 
 def spoken(words, monkeypatch, capfd):
@@ -184,9 +188,20 @@ def spoken(words, monkeypatch, capfd):
     return ended.value.code or 0, capfd.readouterr().err
 
 
-def check_line(said, expected):
+def said(words, monkeypatch, capfd):
+    """Exit code of a command in this process, and its one line."""
+    code, line = spoken([str(word) for word in words], monkeypatch, capfd)
+    check_one_line(line)
+    return code, line
+
+
+def check_one_line(said):
     assert said.startswith("fracflow: ") and said.endswith("\n") and said.count("\n") == 1, said
     assert said[:-1].isprintable() and "Traceback" not in said, said
+
+
+def check_line(said, expected):
+    check_one_line(said)
     rest = said
     for part in expected.split("…"):
         assert part.strip() in rest, f"{part.strip()!r} is not (or not there) in {said!r}"

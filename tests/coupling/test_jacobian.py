@@ -36,19 +36,7 @@ def test_jacobian_is_the_derivative(stepper, model):
         StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
         StepRule(stepper.alphas(1e-3)),
     )
-    matrix = JoinedMatrix(prepared.operators, prepared.loads)
-    newton = Newton(scene, matrix, "monolithic")
-    newton.problem = problem
-    layout, unknowns = matrix.layout, matrix.layout.joined_vector()
-    random = np.random.default_rng(7 + layout.comm.rank)
-    # displacements around a tenth of f_n0/k_n0 and pressures around a tenth of f_n0; what is held stays
-    newton._pack(problem)
-    newton.unknowns.copy(unknowns)
-    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
-    newton._unpack(unknowns)
-    check_derivative(newton, random)
-    newton.destroy()
-    matrix.destroy()
+    check_around(scene, problem, np.random.default_rng(7 + MPI.COMM_WORLD.rank))
     problem.destroy()
 
 
@@ -68,16 +56,8 @@ def test_jacobian_of_a_compressible_fluid(stepper):
     problem = StepProblem(
         prepared.operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads), StepRule(alphas)
     )
-    matrix = JoinedMatrix(prepared.operators, prepared.loads)
-    newton = Newton(scene, matrix, "monolithic")
-    newton.problem = problem
-    newton._pack(problem)
-    unknowns = newton.unknowns.copy()
-    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
-    newton._unpack(unknowns)
-    check_derivative(newton, random)
-    for thing in (newton, matrix, problem):
-        thing.destroy()
+    check_around(scene, problem, random)
+    problem.destroy()
 
 
 def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
@@ -92,17 +72,9 @@ def test_jacobian_of_a_conductance_that_knows_slip(monkeypatch):
         StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
         StepRule(Newmark().alphas(1e-3)),
     )
-    matrix = JoinedMatrix(prepared.operators, prepared.loads)
-    newton = Newton(scene, matrix, "monolithic")
-    newton.problem = problem
-    newton._pack(problem)
-    unknowns = newton.unknowns.copy()
-    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
-    newton._unpack(unknowns)
-    check_derivative(newton, random)
+    check_around(scene, problem, random)
     assert problem.conduction.by_slip is not None
-    for thing in (newton, matrix, problem):
-        thing.destroy()
+    problem.destroy()
 
 
 class Seeps(Term):
@@ -135,22 +107,14 @@ def test_jacobian_of_what_leaves_by_pressure_and_aperture():
         StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, prepared.loads),
         StepRule(BackwardEuler().alphas(1e-3)),
     )
-    matrix = JoinedMatrix(operators, prepared.loads)
-    newton = Newton(scene, matrix, "monolithic")
-    newton.problem = problem
-    newton._pack(problem)
-    unknowns = newton.unknowns.copy()
-    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
-    newton._unpack(unknowns)
-    check_derivative(newton, random)
+    check_around(scene, problem, random)
     rate, same = rate_by(operators, seeps, state), operators.layout.flow_vector()
     aperture = flow.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
     flow.taken_up(flow.leaving(flow.driving(state.pressure), aperture).rate, same)
     assert rate.norm() > 0.0 and (rate - same).norm() <= 1e-14 * rate.norm(), "counted as it is solved for"
     sizes = [np.abs(values).max(initial=0.0) for values in problem.conduction.leaving]
     assert all(MPI.COMM_WORLD.allreduce(float(size), op=MPI.MAX) > 0.0 for size in sizes)
-    for thing in (newton, matrix, problem):
-        thing.destroy()
+    problem.destroy()
 
 
 def test_jacobian_where_a_part_keeps_its_fluid():
@@ -173,16 +137,9 @@ def test_jacobian_where_a_part_keeps_its_fluid():
     problem = StepProblem(
         operators, state, StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, closed), StepRule(Steady().alphas(1e-3))
     )
-    matrix = JoinedMatrix(operators, closed)
-    newton = Newton(scene, matrix, "monolithic")
-    newton.problem = problem
-    newton._pack(problem)
-    unknowns = newton.unknowns.copy()
-    unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
-    newton._unpack(unknowns)
-    check_derivative(newton, random)
-    for thing in (newton, matrix, problem, network):
-        thing.destroy()
+    check_around(scene, problem, random)
+    problem.destroy()
+    network.destroy()
 
 
 @pytest.mark.parametrize(
@@ -200,7 +157,15 @@ def test_jacobian_of_weighed_balances_between_absorbing_sides(stepper):
     problem = StepProblem(
         prepared.operators, state, StepRequest(5e-4, 5e-4, {"pumping": 1e-5}, loads), StepRule(alphas, (5e-4, 5e-4))
     )
-    matrix = JoinedMatrix(prepared.operators, loads)
+    check_around(scene, problem, random)
+    damps, weighs = (alphas.a1 * prepared.operators.damping.norm(), alphas.mass * prepared.operators.mass.norm())
+    assert 1e-2 < damps / weighs < 1e2
+    problem.destroy()
+
+
+def check_around(scene, problem, random):
+    """Displacements around a tenth of f_n0/k_n0 and pressures around a tenth of f_n0; the prescribed stays."""
+    matrix = JoinedMatrix(problem.operators, problem.loads)
     newton = Newton(scene, matrix, "monolithic")
     newton.problem = problem
     newton._pack(problem)
@@ -208,10 +173,8 @@ def test_jacobian_of_weighed_balances_between_absorbing_sides(stepper):
     unknowns.setArray(unknowns.getArray() + 1e-1 * random.standard_normal(unknowns.getLocalSize()))
     newton._unpack(unknowns)
     check_derivative(newton, random)
-    damps, weighs = (alphas.a1 * prepared.operators.damping.norm(), alphas.mass * prepared.operators.mass.norm())
-    assert 1e-2 < damps / weighs < 1e2
-    for thing in (newton, matrix, problem):
-        thing.destroy()
+    newton.destroy()
+    matrix.destroy()
 
 
 def check_derivative(newton, random):

@@ -82,7 +82,7 @@ def test_shape_functions_of_the_nodes(nodes):
 
 @NODES
 def test_values_of_the_nodes_from_sections(nodes):
-    """What is interpolated to the sections comes back; one point does not tell."""
+    """Values at nodes, taken to the sections, come back; one point does not tell."""
     natural, values = facet.RULES["gauss2"][nodes].natural, np.random.default_rng(1).normal(size=nodes)
     assert np.allclose(facet.to_nodes(natural) @ (facet.shapes(natural, nodes) @ values), values)
     assert facet.to_nodes(facet.RULES["one-point"][nodes].natural) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from entry import SCENE
+from malformed import SCENE
 from stopped_run import stop_half_way
 
 from fracflow.scene.scene import load

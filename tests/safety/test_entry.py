@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from entry import SCENE, contents, said
+from malformed import SCENE, contents, said
 
 from fracflow.errors import InputError
 from fracflow.scene.petsc import EXPECTED, SOLVERS, refusal

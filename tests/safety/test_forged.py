@@ -303,7 +303,7 @@ def test_what_a_history_has_of_many_probes_is_read(tmp_path, monkeypatch):
 
 
 def test_as_many_names_are_read_as_the_file_has_room_for(tmp_path):
-    """What 4000 probes on fractures write; the limit grows with the file."""
+    """The datasets of 4000 probes on fractures are read; the limit grows with the file."""
     with h5py.File(tmp_path / "many.h5", "w") as file:
         file["time"] = 1.0
         for probe in range(4000):

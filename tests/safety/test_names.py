@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from entry import SCENE, said
+from malformed import SCENE, said
 from resealed import resealed
 
 from fracflow.cli.app import main
@@ -50,7 +50,8 @@ def test_names_in_pictures_are_no_formulas(tmp_path, monkeypatch):
     from fracflow.output.pictures import draw
 
     text = SCENE.replace('"probe"', r"'$\foo{$'").replace('"fault"', r"'$\frac{$'").replace(".fault]", r".'$\frac{$']")
-    (tmp_path / "scene.toml").write_text(r"title = 'a $\foo$ b'" + "\n" + text)
+    text = text.replace('"A square with a fault"', r"'a $\foo$ b'")
+    (tmp_path / "scene.toml").write_text(text)
     run(load(tmp_path / "scene.toml"), tmp_path / "out")
     with matplotlib.rc_context({"text.usetex": True, "text.latex.preamble": r"\input{/etc/hostname}"}):
         assert len(draw(tmp_path / "out")) == 2
@@ -71,7 +72,8 @@ def test_names_in_a_run_folder_steer_no_terminal(ended, tmp_path):
 def test_names_are_no_markup(tmp_path, monkeypatch, capfd):
     """Rich would take [/x] for the end of a style, and end in a traceback."""
     text = SCENE.replace('"probe"', '"p[/x]"').replace('"fault"', '"f[/x]"').replace(".fault]", '."f[/x]"]')
-    (tmp_path / "scene.toml").write_text('title = "t[/x]"\n' + text.replace("flow_rate = 1e-9", "flow_rate = 1e-5"))
+    text = text.replace('"A square with a fault"', '"t[/x]"').replace("flow_rate = 1e-9", "flow_rate = 1e-5")
+    (tmp_path / "scene.toml").write_text(text)
     monkeypatch.setattr(sys, "argv", ["fracflow", "run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")])
     with pytest.raises(SystemExit) as ended:
         main()

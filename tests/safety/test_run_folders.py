@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from entry import SCENE, contents, said
+from malformed import SCENE, contents, said
 
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh

@@ -1,4 +1,4 @@
-"""What a step of a stage asks of its parts, and what the wrappers of a way to advance make of it."""
+"""Requests of a load step for its parts, and outcomes of the wrappers of a way to advance."""
 
 from types import SimpleNamespace
 
