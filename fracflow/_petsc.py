@@ -64,6 +64,8 @@ try:
     from petsc4py import PETSc
 
     PETSc.Options().delValue("skip_petscrc")
+    # PETSc frees its own communicator with the last object on it. Kept, ranks never disagree on whether it is there.
+    _WORLD = PETSc.COMM_WORLD.duplicate()
 
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGPIPE, _on_broken_pipe)  # PETSc takes `| head` for a crash
