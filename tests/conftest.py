@@ -123,8 +123,7 @@ def pytest_runtest_setup(item):
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item):
-    if SIZE > 1:
-        gc.collect()  # all ranks at once destroy what is PETSc's
+    gc.collect()
 
 
 def pytest_sessionfinish(session, exitstatus):
