@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from fracflow.scene.boundary import Names
 from fracflow.scene.method import Table
@@ -16,18 +16,14 @@ from fracflow.scene.values import Tabled, TimeTable
 class Wave(Table):
     """[absorbing.wave] A plane wave that comes in through absorbing sides."""
 
-    kind: Literal["p", "s"] = Field(
-        default="p", description="p: the rock moves along the way of the wave; s: across it"
-    )
-    velocity: Annotated[TimeTable, Tabled(VELOCITY)] = Field(
-        description="velocity that it gives the rock where it arrives first: along its way, or of an s wave to the left of"
-        " it [length/time]"
-    )
-    direction: tuple[Annotated[float, Quantity()], Annotated[float, Quantity()]] | None = Field(
-        default=None,
-        description="[x, y], the way the wave goes, of any length: it arrives along the sides as it passes them; straight into"
-        " the side if not given [1]",
-    )
+    kind: Literal["p", "s"] = "p"
+    """p: the rock moves along the way of the wave; s: across it"""
+    velocity: Annotated[TimeTable, Tabled(VELOCITY)]
+    """velocity that it gives the rock where it arrives first: along its way, or of an s wave to the left of it
+    [length/time]"""
+    direction: tuple[Annotated[float, Quantity()], Annotated[float, Quantity()]] | None = None
+    """[x, y], the way the wave goes, of any length: it arrives along the sides as it passes them; straight into the
+    side if not given [1]"""
 
     @model_validator(mode="after")
     def _consistent(self) -> Wave:
@@ -39,13 +35,13 @@ class Wave(Table):
 class Absorbing(TermTable):
     """[[absorbing]] Sides that waves leave through: dashpots rho c_p across and rho c_s along the side, of its own rock."""
 
-    on: Names = Field(description="names of sides: one or a list")
-    wave: Wave | None = Field(default=None, description="a wave that comes in")
-    without_inertia: Literal["held", "free"] = Field(
-        default="held",
-        description="in stages without inertia: held where they are, their reactions becoming loads when inertia comes in,"
-        " or free, where loads and supports must hold the rock",
-    )
+    on: Names
+    """names of sides: one or a list"""
+    wave: Wave | None = None
+    """a wave that comes in"""
+    without_inertia: Literal["held", "free"] = "held"
+    """in stages without inertia: held where they are, their reactions becoming loads when inertia comes in, or free,
+    where loads and supports must hold the rock"""
 
     holds: ClassVar[bool] = True
     absorbs: ClassVar[bool] = True

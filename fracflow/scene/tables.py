@@ -40,43 +40,55 @@ from fracflow.scene.units import UnitSystem
 class Tables(TablesOfLaws):
     """All tables of a scene, each by itself valid."""
 
-    version: str = Field(default=__version__, description="version of fracflow that wrote the file")
-    title: Line = Field(default="", description="one line for reports")
-    units: str = Field(
-        default="SI",
-        description='units of plain numbers: "SI", LENGTH-FORCE-TIME such as "ft-lbf-s", or "none"',
-    )
-    model: Literal["default", "report", "full"] = Field(
-        default="default",
-        description="report: the choices of the 1976 report; full: the plan leaves nothing out",
-    )
-    method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
-    petsc: dict[str, Option] = Field(
-        default_factory=dict,
-        description="PETSc options, without the leading dash: methods, tolerances, limits; others at the command line after --",
-    )
-    accuracy: Accuracy = Field(
-        default_factory=Accuracy, description="how accurate results are to be; when iterations have converged"
-    )
-    output: Output = Field(default_factory=Output, description="what a run writes")
-    geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
-    mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")
-    rock: dict[str, Rock] = Field(default_factory=dict, description="rocks by name")
-    initial_stress: InitialStress | None = Field(default=None, description="stress before the first step")
-    body_force: BodyForce | None = Field(default=None, description="forces on the volume of the rock")
-    initial: Initial | None = Field(default=None, description="a start away from the initial equilibrium")
-    fracture: dict[str, Fracture] = Field(
-        default_factory=dict, description='fractures by name; "default" serves those without a table'
-    )
-    fluid: Fluid | None = Field(default=None, description="the fluid in the fractures; without it no flow is modelled")
-    support: tuple[Support, ...] = Field(default=(), description="what is held or moved")
-    load: tuple[Load, ...] = Field(default=(), description="tractions on sides")
-    tie: tuple[Tie, ...] = Field(default=(), description="sides that move as one, or as each other")
-    absorbing: tuple[Absorbing, ...] = Field(default=(), description="sides that waves leave through")
-    well: tuple[Well, ...] = Field(default=(), description="where fluid is pumped, or its pressure kept")
-    control: dict[str, Control] = Field(default_factory=dict, description="factors that wells and loads share")
-    probe: tuple[Probe, ...] = Field(default=(), description="places whose history is written")
-    stage: tuple[Stage, ...] = Field(default=(), description="the parts of the run, one after another")
+    version: str = __version__
+    """version of fracflow that wrote the file"""
+    title: Line = ""
+    """one line for reports"""
+    units: str = "SI"
+    """units of plain numbers: "SI", LENGTH-FORCE-TIME such as "ft-lbf-s", or "none"
+    """
+    model: Literal["default", "report", "full"] = "default"
+    """report: the choices of the 1976 report; full: the plan leaves nothing out"""
+    method: Method = Field(default_factory=Method)
+    """how the equations are discretised and solved"""
+    petsc: dict[str, Option] = Field(default_factory=dict)
+    """PETSc options, without the leading dash: methods, tolerances, limits; others at the command line after --"""
+    accuracy: Accuracy = Field(default_factory=Accuracy)
+    """how accurate results are to be; when iterations have converged"""
+    output: Output = Field(default_factory=Output)
+    """what a run writes"""
+    geometry: Geometry | None = None
+    """domain and fracture traces; or give mesh"""
+    mesh: Mesh | None = None
+    """Gmsh geometry or mesh; or give geometry"""
+    rock: dict[str, Rock] = Field(default_factory=dict)
+    """rocks by name"""
+    initial_stress: InitialStress | None = None
+    """stress before the first step"""
+    body_force: BodyForce | None = None
+    """forces on the volume of the rock"""
+    initial: Initial | None = None
+    """a start away from the initial equilibrium"""
+    fracture: dict[str, Fracture] = Field(default_factory=dict)
+    """fractures by name; "default" serves those without a table"""
+    fluid: Fluid | None = None
+    """the fluid in the fractures; without it no flow is modelled"""
+    support: tuple[Support, ...] = ()
+    """what is held or moved"""
+    load: tuple[Load, ...] = ()
+    """tractions on sides"""
+    tie: tuple[Tie, ...] = ()
+    """sides that move as one, or as each other"""
+    absorbing: tuple[Absorbing, ...] = ()
+    """sides that waves leave through"""
+    well: tuple[Well, ...] = ()
+    """where fluid is pumped, or its pressure kept"""
+    control: dict[str, Control] = Field(default_factory=dict)
+    """factors that wells and loads share"""
+    probe: tuple[Probe, ...] = ()
+    """places whose history is written"""
+    stage: tuple[Stage, ...] = ()
+    """the parts of the run, one after another"""
 
     _file: Path = PrivateAttr(default=Path("scene.toml"))
     _notes: tuple[str, ...] = PrivateAttr(default=())

@@ -30,7 +30,8 @@ class TermTable(Table):
     absorbs: ClassVar[bool] = False
     moving: ClassVar[str] = ""
 
-    on: Names = Field(description="names of sides: one or a list")
+    on: Names
+    """names of sides: one or a list"""
 
     @property
     def waves(self) -> tuple[TimeTable, ...]:
