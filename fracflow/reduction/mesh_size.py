@@ -257,10 +257,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
             return snap | ({"growth": USUAL} if len(traces) else {}), why
         fine = geometry.size_at_fractures or geometry.size
         if cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
-            return snap, [
-                *why,
-                f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}",
-            ]
+            return snap, [*why, f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}"]
         return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
     width = Need(f"width of the domain / {ACROSS}", size, size, False, is_told=False)

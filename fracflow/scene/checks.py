@@ -121,10 +121,7 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
     geometry = scene.geometry
     if (geometry is None) == (scene.mesh is None):
         both = geometry is not None
-        yield (
-            ("geometry",),
-            "contradicts [mesh]; give one of them" if both else "missing; give [geometry] or [mesh]",
-        )
+        yield ("geometry",), "contradicts [mesh]; give one of them" if both else "missing; give [geometry] or [mesh]"
     if geometry is None:
         return
     traces = [trace.name for trace in geometry.fracture]
@@ -132,10 +129,7 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
         yield ("geometry", "fracture", index, "name"), "stands twice; names must differ"
     for index, name in enumerate(traces):
         if name == "default":
-            yield (
-                ("geometry", "fracture", index, "name"),
-                "is kept for [fracture.default]; choose another name",
-            )
+            yield ("geometry", "fracture", index, "name"), "is kept for [fracture.default]; choose another name"
         if name not in scene.fracture and "default" not in scene.fracture:
             yield ("fracture", name), f'missing; the fracture "{name}" needs a table, or [fracture.default]'
     fine = geometry.size_at_fractures or geometry.size or math.inf  # what is not given follows later, from what is
@@ -184,10 +178,7 @@ def _controls(scene: Tables) -> Iterator[Fault]:
     for key in ("well", "load", "stage"):
         for index, entry in enumerate(getattr(scene, key)):
             if entry.control is not None and entry.control not in scene.control:
-                yield (
-                    (key, index, "control"),
-                    f"no [control] of that name; {nearest(entry.control, scene.control)}",
-                )
+                yield (key, index, "control"), f"no [control] of that name; {nearest(entry.control, scene.control)}"
             elif entry.control is not None and entry.control not in followers:
                 yield (key, index, "control"), "no well or load has this control: give one control = ..."
 
@@ -222,11 +213,7 @@ def _actions(scene: Tables) -> Iterator[Fault]:
 
 
 def check_mesh_names(
-    scene: Tables,
-    rocks: Collection[str],
-    fractures: Collection[str],
-    sides: Collection[str],
-    points: Collection[str],
+    scene: Tables, rocks: Collection[str], fractures: Collection[str], sides: Collection[str], points: Collection[str]
 ) -> None:
     """Compare the names a scene uses with those its mesh has; raises InputError for the first stranger."""
     for place, name, allowed in _used_names(scene, rocks, fractures, sides, points):
@@ -239,11 +226,7 @@ def check_mesh_names(
 
 
 def _used_names(
-    scene: Tables,
-    rocks: Collection[str],
-    fractures: Collection[str],
-    sides: Collection[str],
-    points: Collection[str],
+    scene: Tables, rocks: Collection[str], fractures: Collection[str], sides: Collection[str], points: Collection[str]
 ) -> Iterator[tuple[str, str, Collection[str]]]:
     """List (key, name, allowed names) of all names that the mesh must have."""
     for name in scene.rock:

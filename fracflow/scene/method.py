@@ -19,13 +19,7 @@ from pydantic import (
 from fracflow.integrators import flow_integrators, keys_of, with_inertia
 from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
-from fracflow.scene.units import (
-    LENGTH,
-    LINE_FORCE,
-    STRESS,
-    Quantity,
-    fault,
-)
+from fracflow.scene.units import LENGTH, LINE_FORCE, STRESS, Quantity, fault
 from fracflow.scene.values import Domain, Polyline
 from fracflow.storage.files import PLAIN_TEXT
 

@@ -7,10 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import (
-    ValidationError,
-    model_validator,
-)
+from pydantic import ValidationError, model_validator
 
 from fracflow._version import __version__
 from fracflow.errors import InputError
@@ -62,11 +59,7 @@ class Scene(Tables):
         return scene
 
     def check_mesh_names(
-        self,
-        rocks: Collection[str],
-        fractures: Collection[str],
-        sides: Collection[str],
-        points: Collection[str],
+        self, rocks: Collection[str], fractures: Collection[str], sides: Collection[str], points: Collection[str]
     ) -> None:
         """Compare the names the scene uses with those of its mesh; raises InputError."""
         check_mesh_names(self, rocks, fractures, sides, points)

@@ -102,11 +102,7 @@ class Tabled(_Annotation):
         return self._table(times, values, interpolation, info)
 
     def _table(
-        self,
-        times: list[Any],
-        values: list[Any],
-        interpolation: Literal["linear", "step"],
-        info: ValidationInfo,
+        self, times: list[Any], values: list[Any], interpolation: Literal["linear", "step"], info: ValidationInfo
     ) -> TimeTable:
         if not times:
             raise fault(f"a time table needs at least one row; {self._fits(info)}")
