@@ -124,14 +124,12 @@ class Well(Table):
             raise fault("missing; a well needs flow_rate or pressure", key="flow_rate")
         if self.flow_rate is not None and self.pressure is not None:
             raise fault("contradicts flow_rate; give one of them", key="pressure")
-        for key in ("maximum_pressure", "minimum_pressure"):
-            if getattr(self, key) is not None and self.pressure is not None:
-                raise fault("contradicts pressure; a limit belongs to a flow_rate", key=key)
+        if self.pressure is not None:
+            self._refuse("contradicts pressure; a limit belongs to a flow_rate", "maximum_pressure", "minimum_pressure")
+            self._refuse("contradicts pressure; a control multiplies a flow_rate", "control")
         if None not in (self.maximum_pressure, self.minimum_pressure):
             if self.maximum_pressure <= self.minimum_pressure:  # type: ignore[operator]
                 raise fault(f"must be above minimum_pressure = {self.minimum_pressure:g}", key="maximum_pressure")
-        if self.control is not None and self.pressure is not None:
-            raise fault("contradicts pressure; a control multiplies a flow_rate", key="control")
         return self
 
 
@@ -194,10 +192,9 @@ class Stage(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Stage:
-        if self.until is not None or self.increment_per_step is not None or self.then is not None:
-            key = next(key for key in ("until", "increment_per_step", "then") if getattr(self, key) is not None)
-            if self.control is None:
-                raise fault(f"missing; {key} needs the name of a [control]", key="control")
+        asking = [key for key in ("until", "increment_per_step", "then") if getattr(self, key) is not None]
+        if asking and self.control is None:
+            raise fault(f"missing; {asking[0]} needs the name of a [control]", key="control")
         if self.until is not None and self.increment_per_step is not None:
             raise fault("contradicts until, which finds its own increments; leave it out", key="increment_per_step")
         if self.then is not None and self.increment_per_step is None:
@@ -207,34 +204,25 @@ class Stage(Table):
 
     def _check_time(self) -> None:
         if self.kind == "equilibrate":
-            for key in ("time_step", "end", "until", "control", "increment_per_step"):
-                if getattr(self, key) is not None:
-                    raise fault(
-                        'contradicts kind = "equilibrate", which takes no time and only steps; leave it out', key=key
-                    )
-            return
+            why = 'contradicts kind = "equilibrate", which takes no time and only steps; leave it out'
+            return self._refuse(why, "time_step", "end", "until", "control", "increment_per_step")
         if self.takes_no_time:
-            for key in ("time_step", "end", "steps"):
-                if getattr(self, key) is not None:
-                    raise fault(
-                        "contradicts a steady stage until incipient, which takes no time; leave it out", key=key
-                    )
-            return
+            why = "contradicts a steady stage until incipient, which takes no time; leave it out"
+            return self._refuse(why, "time_step", "end", "steps")
         if self.kind == "auto":
-            for key in ("steps", "until", "control", "increment_per_step"):
-                if getattr(self, key) is not None:
-                    raise fault('contradicts kind = "auto", which chooses its steps until end; leave it out', key=key)
-        elif self.dynamic_time_step is not None:
-            raise fault(f'contradicts kind = "{self.kind}"; it belongs to kind = "auto"', key="dynamic_time_step")
-        if self.kind == "dynamic" and self.until is not None:
-            raise fault('contradicts kind = "dynamic"; allowed kinds: "steady", "quasi-static"', key="until")
+            why = 'contradicts kind = "auto", which chooses its steps until end; leave it out'
+            self._refuse(why, "steps", "until", "control", "increment_per_step")
+        else:
+            self._refuse(f'contradicts kind = "{self.kind}"; it belongs to kind = "auto"', "dynamic_time_step")
+        if self.kind == "dynamic":
+            self._refuse('contradicts kind = "dynamic"; allowed kinds: "steady", "quasi-static"', "until")
         stands_still = self.kind == "steady" and self.steps is not None and self.end is None
         if self.time_step is None and not stands_still:
             raise fault(f"missing; a stage of kind {self.kind} needs it", key="time_step")
         if self.until is None and self.end is None and self.steps is None:
             raise fault(f"missing; a stage of kind {self.kind} needs end or steps", key="end")
-        if self.end is not None and self.steps is not None:
-            raise fault(f"contradicts end = {self.end:g}; give one of them", key="steps")
+        if self.end is not None:
+            self._refuse(f"contradicts end = {self.end:g}; give one of them", "steps")
 
     @property
     def title(self) -> str:

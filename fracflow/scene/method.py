@@ -60,6 +60,12 @@ class Table(BaseModel):
         extra="forbid", frozen=True, use_attribute_docstrings=True, json_schema_extra=_on_one_line
     )
 
+    def _refuse(self, why: str, *keys: str) -> None:
+        """Raise the fault of the first of some keys that is given."""
+        for key in keys:
+            if getattr(self, key) is not None:
+                raise fault(why, key=key)
+
 
 if TYPE_CHECKING:
     InertiaStepper: TypeAlias = str

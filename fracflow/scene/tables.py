@@ -12,7 +12,6 @@ from typing_extensions import Self
 
 from fracflow._version import __version__
 from fracflow.errors import InputError
-from fracflow.scene.absorbing import Absorbing
 from fracflow.scene.boundary import Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene.materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
 from fracflow.scene.messages import nearest
@@ -27,7 +26,7 @@ from fracflow.scene.method import (
     with_default_fracture,
     with_preset,
 )
-from fracflow.scene.terms import TablesOfLaws, TermTable
+from fracflow.scene.terms import Absorbing, TablesOfLaws, TermTable
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import UnitSystem
 

@@ -37,6 +37,12 @@ class TimeTable:
         """Make a table that has one value for ever."""
         return TimeTable((0.0,), (value,))
 
+    def plain(self) -> Any:
+        """The table as a scene file has it: one that is constant as a number."""
+        if self == TimeTable.constant(self.values[0]):
+            return self.values[0]
+        return {"time": list(self.times), "value": list(self.values), "interpolation": self.interpolation}
+
     def __call__(self, time: float, around: Around = AT_ONCE) -> float:
         """Sample the table; at a jump, within 1e-12 of its time, by default the mean of both sides."""
         return float(self.around(time, *around)[0])
