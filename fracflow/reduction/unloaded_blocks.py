@@ -20,10 +20,8 @@ from fracflow.scene.time_table import TimeTable
 
 def moves(support: Support) -> bool:
     """Whether a support ever prescribes another displacement than none."""
-    tables = [
-        *(support.displacement or {}).values(),
-        *(entry for row in support.displacement_gradient or () for entry in row),
-    ]
+    entries = (entry for row in support.displacement_gradient or () for entry in row)
+    tables = (*(support.displacement or {}).values(), *entries)
     return any(value != 0.0 for table in tables for value in table.values)
 
 
@@ -103,13 +101,13 @@ def without_idle(model: Model) -> tuple[Model, UnloadedBlocks]:
     return replace(model, loads=held), replace(found, unknowns=int(comm.allreduce(len(free), op=MPI.SUM)))
 
 
-def decide_parts(facts: ReductionInput) -> list[Decision]:
+def decide_parts(facts: ReductionInput) -> Iterator[Decision]:
     """How many of them there are, and how many are held."""
     parts = facts.parts
     idle = parts.count - parts.loaded
     value = f"{parts.loaded} of {parts.count}" if parts.count > 1 else "all of it is one"
     saves = f"{parts.unknowns} unknowns, which are held" if idle else "nothing: each part is loaded"
     criterion = "parts of the rock that hang together, and carry a load, a support that moves, a wave or a well"
-    return [
-        Decision("parts of the rock that nothing loads", idle > 0, criterion, value, "all parts", "none: exact", saves)
-    ]
+    yield Decision(
+        "parts of the rock that nothing loads", idle > 0, criterion, value, "all parts", "none: exact", saves
+    )
