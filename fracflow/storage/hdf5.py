@@ -5,6 +5,7 @@ HDF5 cannot let go of a file that it could not write: it keeps what is left of i
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import struct
@@ -28,7 +29,7 @@ _SUPERBLOCK, _VERSION, _FLAGS, _END = 48, 8, 11, 28  # bytes of the head of a fi
 _WRITING, _SHARED = 1, 4  # flags of a file that is written, and may be read meanwhile
 
 
-class Backing:
+class Backing(io.RawIOBase):
     """A file in the form that HDF5 needs. ``error`` is the first that there was; what comes after it is left out."""
 
     def __init__(self, path: Path) -> None:
@@ -37,23 +38,17 @@ class Backing:
         self.file = open_fresh(path)
 
     def _begin(self, path: Path, writes: Writes) -> None:
-        self.path, self.size, self._at, self._writes = path, 0, 0, writes
+        self.path, self.size, self.file, self._at, self._writes = path, 0, -1, 0, writes
         self.error: OSError | None = None
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Where the next bytes are read or written; from the start or the end."""
-        self._at = offset + (self.size if whence == os.SEEK_END else 0)
-        return self._at
-
-    def tell(self) -> int:
-        """Where that is."""
+        """Where the next bytes are read or written; from the start, from there, or from the end."""
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.size}[whence]
         return self._at
 
     def read(self, size: int = -1) -> bytes:
         """Bytes from there on; h5py asks for ``readinto``."""
-        into = bytearray(max(0, self.size - self._at) if size < 0 else size)
-        self.readinto(memoryview(into))
-        return bytes(into)
+        return super().read(max(0, self.size - self._at) if size < 0 else size)
 
     def readinto(self, into: memoryview) -> int:
         """Fill a buffer; zeros where nothing has been written."""
@@ -82,9 +77,6 @@ class Backing:
         self.size = self._at if size is None else size
         self._try(lambda: os.ftruncate(self.file, self.size))
         return self.size
-
-    def flush(self) -> None:
-        """All is written at once."""
 
     def sync(self) -> None:
         """Bring it to disk."""
