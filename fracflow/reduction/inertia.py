@@ -121,7 +121,7 @@ def decide_stage(facts: ReductionInput, number: int, stage: Stage, start: float,
 
 def decide_inertia(facts: ReductionInput) -> Iterator[Decision]:
     """One decision for each dynamic stage, or one for a scene that has none."""
-    found = [(number, stage, *times) for number, stage, *times in spans(facts.scene) if stage.kind == "dynamic"]
+    found = [span for span in spans(facts.scene) if span[1].kind == "dynamic"]
     for number, stage, start, end in found:
         yield decide_stage(facts, number, stage, start, end)
     if not found:

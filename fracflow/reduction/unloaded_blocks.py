@@ -45,10 +45,8 @@ def idle_nodes(model: Model) -> tuple[Bools, UnloadedBlocks]:
     part = np.unique(parts(mesh, placed.ties), return_inverse=True)[1].ravel()
     count = int(part.max(initial=-1)) + 1
     none = np.zeros(len(part), dtype=bool)
-    asked = (
-        scene.model == "default" and scene.initial is None and not scene.equilibrates and not scene.carries_unbalanced
-    )
-    if count < 2 or not asked:
+    at_rest = scene.initial is None and not scene.equilibrates and not scene.carries_unbalanced
+    if count < 2 or scene.model != "default" or not at_rest:
         return none, UnloadedBlocks(count, count)
     loaded = np.zeros(count, dtype=bool)
     for name in loaded_names(scene):

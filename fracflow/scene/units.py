@@ -193,7 +193,7 @@ class Annotation:
         raise NotImplementedError
 
     def schema(self) -> dict[str, Any]:
-        """Describe the value for ``fracflow schema``."""
+        """Describe the value for ``fracflow schema``; the base itself raises NotImplementedError."""
         raise NotImplementedError
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

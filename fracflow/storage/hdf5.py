@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
+from typing_extensions import Buffer
 
 from fracflow.storage.files import open_fresh, open_own, replacing
 
@@ -50,7 +51,7 @@ class Backing(io.RawIOBase):
         """Bytes from there on; h5py asks for ``readinto``."""
         return super().read(max(0, self.size - self._at) if size < 0 else size)
 
-    def readinto(self, into: memoryview) -> int:
+    def readinto(self, into: Buffer) -> int:
         """Fill a buffer; zeros where nothing has been written."""
         view = memoryview(into).cast("B")
         view[:] = bytes(len(view))
@@ -66,11 +67,12 @@ class Backing(io.RawIOBase):
         """Writes that are not in the file yet, and may have bytes of a stretch of it, in their order."""
         return self._writes
 
-    def write(self, data: memoryview) -> int:
+    def write(self, data: Buffer) -> int:
         """Put bytes there."""
-        self._put(self._at, bytes(data))
-        self.size = max(self.size, self._at + len(data))
-        return len(data)
+        given = bytes(data)
+        self._put(self._at, given)
+        self.size = max(self.size, self._at + len(given))
+        return len(given)
 
     def truncate(self, size: int | None = None) -> int:
         """Cut or lengthen the file."""
@@ -233,7 +235,7 @@ class Completed(Backing):
         self._writes = without_overlap([*self._writes, last])
         self._ends = [offset + len(data) for offset, data in self._writes]
 
-    def readinto(self, into: memoryview) -> int:
+    def readinto(self, into: Buffer) -> int:
         """Fill a buffer; zeros where nothing has been written. Raises OSError."""
         found = super().readinto(into)
         self.check()
