@@ -169,7 +169,7 @@ class Tables(TablesOfLaws):
     def term_tables(self) -> Mapping[str, tuple[TermTable, ...]]:
         """The same by their keys."""
         given = {key: getattr(self, key) for key in type(self).model_fields}
-        return {key: value for key, value in given.items() if value and _are_terms(value)}
+        return {key: v for key, v in given.items() if isinstance(v, tuple) and v and isinstance(v[0], TermTable)}
 
     @property
     def drained(self) -> frozenset[str]:
@@ -220,10 +220,6 @@ class Tables(TablesOfLaws):
     def is_of(self, fracture: str, table: str) -> bool:
         """Whether [fracture.TABLE] is the table of a fracture: by its name, or as the default one."""
         return table == fracture or (table == "default" and fracture not in self.fracture)
-
-
-def _are_terms(value: Any) -> bool:
-    return isinstance(value, tuple) and isinstance(value[0], TermTable)
 
 
 def _tables(thing: Any) -> Iterator[TimeTable]:
