@@ -66,9 +66,8 @@ class Tie(Table):
     @model_validator(mode="after")
     def _consistent(self) -> Tie:
         if len(set(self.on)) < len(self.on):
-            raise fault(
-                "names one side twice; give it once to let it move as one, or two that face each other", key="on"
-            )
+            why = "names one side twice; give it once to let it move as one, or two that face each other"
+            raise fault(why, key="on")
         return self
 
 

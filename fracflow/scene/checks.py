@@ -67,10 +67,8 @@ def _method(scene: Tables) -> Iterator[Fault]:
         needs["contact"] = "lumped"
     for key, value in needs.items() if method.stepper == "explicit" else ():
         if getattr(method, key) != value:
-            yield (
-                ("method", key),
-                f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"',
-            )
+            why = f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"'
+            yield ("method", key), why
     for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
         names = " or ".join(f'"{value}"' for value in allowed)
         yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
@@ -84,10 +82,8 @@ def _method(scene: Tables) -> Iterator[Fault]:
     for key, (default, _, _) in keys_of(with_inertia()).items():
         if key not in keys[method.stepper] and getattr(method, key) != default:  # a scene written back has all defaults
             users = ", ".join(name for name, own in keys.items() if key in own)
-            yield (
-                ("method", key),
-                f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper',
-            )
+            why = f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper'
+            yield ("method", key), why
 
 
 def against_condensing(scene: Tables) -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -105,10 +101,8 @@ def _absorbing(scene: Tables) -> Iterator[Fault]:
     for index, absorbing in enumerate(scene.absorbing):
         for name in absorbing.on if absorbing.wave is not None else ():
             if name in held:
-                yield (
-                    ("absorbing", index, "on"),
-                    f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one',
-                )
+                why = f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one'
+                yield ("absorbing", index, "on"), why
 
 
 def _terms(scene: Tables) -> Iterator[Fault]:
@@ -165,10 +159,10 @@ def _materials(scene: Tables) -> Iterator[Fault]:
     if scene.fluid is not None and scene.fluid.compressibility and scene.units != "none":
         in_si = scene.fluid.compressibility * scene.unit_system.to_si(COMPRESSIBILITY)
         if in_si > MOST_COMPRESSIBLE:
-            yield (
-                ("fluid", "compressibility"),
-                f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water",
+            why = (
+                f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water"
             )
+            yield ("fluid", "compressibility"), why
     if scene.fluid is None and scene.well:
         yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
 

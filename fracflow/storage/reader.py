@@ -190,8 +190,7 @@ def read_h5(path: str | Path, what: str, remedy: str, names: Sequence[str] | Non
     try:
         return _reader.read(path, names, live)
     except _NotStarted as error:
-        raise InputError(
-            f"{path}: cannot be read: the process that reads HDF5 files {error}; try again later"
-        ) from None
+        why = f"the process that reads HDF5 files {error}; try again later"
+        raise InputError(f"{path}: cannot be read: {why}") from None
     except (ValueError, KeyError, TypeError, OSError, MemoryError) as error:
         raise InputError(f"{path}: {what} ({error}); {remedy}") from None
