@@ -12,7 +12,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.mesh.plane.quality import cell_areas
 from fracflow.model.properties import initial_pressure, initial_stress
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
@@ -186,8 +185,10 @@ def _wall_masses(mesh: SplitMesh, density: Floats, rigid: Floats, length: Floats
 
 
 def _areas(mesh: SplitMesh) -> Floats:
-    """Areas (m,) of the cells."""
-    return np.abs(cell_areas(mesh.points, mesh.cells))
+    """Areas (m,) of the cells; a pad is the first node again: its edges add nothing."""
+    x, y = np.moveaxis(mesh.points[np.where(mesh.cells >= 0, mesh.cells, mesh.cells[:, :1])], -1, 0)
+    after = np.roll(np.arange(x.shape[1]), -1)
+    return 0.5 * np.abs((x * y[:, after] - x[:, after] * y).sum(axis=1))
 
 
 def _depths(mesh: SplitMesh, length: Floats) -> Floats:

@@ -197,9 +197,8 @@ def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float], u
     tied = ~kept[rock.group]
     share = float(rock.jumps[tied].sum() / rock.jumps.sum())
     softest = max(float(soft[tied].max()), float(adds[:, ~kept].sum(axis=1).max()))
-    record = LockedFractures(
-        (), share, int(rock.jumps[tied].sum()), softest, float(found[tied].max()), float(stress[tied].max()), ""
-    )
+    jumps, used = int(rock.jumps[tied].sum()), float(found[tied].max())
+    record = LockedFractures((), share, jumps, softest, used, float(stress[tied].max()), "")
     if share < SHARE:
         return replace(record, why=f"they would be {share:.2g} of all jumps, below {SHARE:g}")
     if tied.all() and scene.has_flow:

@@ -106,6 +106,5 @@ def decide_parts(facts: ReductionInput) -> Iterator[Decision]:
     value = f"{parts.loaded} of {parts.count}" if parts.count > 1 else "all of it is one"
     saves = f"{parts.unknowns} unknowns, which are held" if idle else "nothing: each part is loaded"
     criterion = "parts of the rock that hang together, and carry a load, a support that moves, a wave or a well"
-    yield Decision(
-        "parts of the rock that nothing loads", idle > 0, criterion, value, "all parts", "none: exact", saves
-    )
+    part = "parts of the rock that nothing loads"
+    yield Decision(part, idle > 0, criterion, value, "all parts", "none: exact", saves)

@@ -8,30 +8,16 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, StrictBool, create_model, model_validator
 
 from fracflow.laws import JOINT_LAWS
+from fracflow.scene import units
 from fracflow.scene.laws import Property, check, check_order, defaults, describe_laws, known_law, law_fields
 from fracflow.scene.method import Size, Stress, Table
 from fracflow.scene.profiles import Along, AlongInTime, Pressures, Profile
-from fracflow.scene.units import (
-    ACCELERATION,
-    ANGLE,
-    COMPRESSIBILITY,
-    CONDUCTANCE,
-    DENSITY,
-    LENGTH,
-    RATE,
-    STIFFNESS,
-    STRESS,
-    VELOCITY,
-    VISCOSITY,
-    WEIGHT,
-    Quantity,
-    fault,
-)
+from fracflow.scene.units import Quantity, fault
 
-Position = Annotated[float, Quantity(LENGTH)]
+Position = Annotated[float, Quantity(units.LENGTH)]
 Number = Annotated[float, Quantity()]
-Speed = Annotated[float, Quantity(VELOCITY)]
-Rate = Annotated[float, Quantity(RATE)]
+Speed = Annotated[float, Quantity(units.VELOCITY)]
+Rate = Annotated[float, Quantity(units.RATE)]
 
 
 def _along(dimension: str = "1", **limits: float) -> Along:
@@ -41,11 +27,11 @@ def _along(dimension: str = "1", **limits: float) -> Along:
 class Rock(Table):
     """[rock.NAME] An elastic rock in plane strain, or a rigid body."""
 
-    youngs_modulus: Annotated[float, Quantity(STRESS, above=0.0)] | None = None
+    youngs_modulus: Annotated[float, Quantity(units.STRESS, above=0.0)] | None = None
     """E [force/length**2]; required unless rigid"""
     poissons_ratio: Annotated[float, Quantity(above=-1.0, below=0.5)] | None = None
     """nu [1]; required unless rigid"""
-    density: Annotated[float, Quantity(DENSITY, above=0.0)] | None = None
+    density: Annotated[float, Quantity(units.DENSITY, above=0.0)] | None = None
     """rho [force*time**2/length**4]; required by dynamic stages"""
     rigid: StrictBool = False
     """true: each connected part moves as a rigid body"""
@@ -61,13 +47,13 @@ class Rock(Table):
 class StressGradient(Table):
     """[initial_stress.gradient] Change of the initial stress with depth, which grows towards -y."""
 
-    xx: Annotated[float, Quantity(WEIGHT)] = 0.0
+    xx: Annotated[float, Quantity(units.WEIGHT)] = 0.0
     """d sigma_xx / d depth [force/length**3]"""
-    yy: Annotated[float, Quantity(WEIGHT)] = 0.0
+    yy: Annotated[float, Quantity(units.WEIGHT)] = 0.0
     """d sigma_yy / d depth [force/length**3]"""
-    zz: Annotated[float, Quantity(WEIGHT)] = 0.0
+    zz: Annotated[float, Quantity(units.WEIGHT)] = 0.0
     """d sigma_zz / d depth [force/length**3]"""
-    xy: Annotated[float, Quantity(WEIGHT)] = 0.0
+    xy: Annotated[float, Quantity(units.WEIGHT)] = 0.0
     """d sigma_xy / d depth [force/length**3]"""
 
 
@@ -94,11 +80,11 @@ class InitialStress(Table):
 class BodyForce(Table):
     """[body_force] A force on the volume of the rock, from the first instant."""
 
-    x: Annotated[float, Quantity(WEIGHT)] = 0.0
+    x: Annotated[float, Quantity(units.WEIGHT)] = 0.0
     """along x [force/length**3]"""
-    y: Annotated[float, Quantity(WEIGHT)] = 0.0
+    y: Annotated[float, Quantity(units.WEIGHT)] = 0.0
     """along y [force/length**3]"""
-    gravity: Annotated[float, Quantity(ACCELERATION)] = 0.0
+    gravity: Annotated[float, Quantity(units.ACCELERATION)] = 0.0
     """acceleration towards -y; acts on the density of each rock [length/time**2]"""
 
 
@@ -118,7 +104,7 @@ class InitialMotion(Table):
 class Initial(InitialMotion):
     """[initial] A start away from the state that initial_stress and fluid.initial_pressure describe."""
 
-    pressure: Annotated[float, Quantity(STRESS)] | None = None
+    pressure: Annotated[float, Quantity(units.STRESS)] | None = None
     """pressure in all fractures at the start [force/length**2]; else fluid.initial_pressure"""
     rock: dict[str, InitialMotion] = Field(default_factory=dict)
     """rocks that start otherwise, by name"""
@@ -130,28 +116,28 @@ class _Joint(Table):
         description=describe_laws(),
         json_schema_extra={"enum": [name for name in JOINT_LAWS]},
     )
-    normal_stiffness: Annotated[Property, _along(STIFFNESS, above=0.0)]
+    normal_stiffness: Annotated[Property, _along(units.STIFFNESS, above=0.0)]
     """k_n0, at the initial state [force/length**3]"""
-    shear_stiffness: Annotated[Property, _along(STIFFNESS, above=0.0)]
+    shear_stiffness: Annotated[Property, _along(units.STIFFNESS, above=0.0)]
     """k_s0 [force/length**3]"""
-    aperture: Annotated[Property | None, _along(LENGTH, above=0.0)] = None
+    aperture: Annotated[Property | None, _along(units.LENGTH, above=0.0)] = None
     """d0, at the initial state [length]; a linear joint without flow needs none"""
-    minimum_hydraulic_aperture: Annotated[Property, _along(LENGTH, at_least=0.0)] = 0.0
+    minimum_hydraulic_aperture: Annotated[Property, _along(units.LENGTH, at_least=0.0)] = 0.0
     """aperture below which the conductance falls no further [length]"""
-    friction_angle_deg: Annotated[Property | None, _along(ANGLE, at_least=0.0, below=90.0)] = None
+    friction_angle_deg: Annotated[Property | None, _along(units.ANGLE, at_least=0.0, below=90.0)] = None
     """arctan of friction_coefficient, in place of it [degree]"""
 
 
 class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # type: ignore[misc]
     """[fracture.NAME] Joint law and aperture of a fracture; "default" serves all, and fills what a table leaves open."""
 
-    initial_normal_traction: Annotated[Property | None, _along(STRESS)] = None
+    initial_normal_traction: Annotated[Property | None, _along(units.STRESS)] = None
     """f_n0, effective, compression negative [force/length**2]; else from initial_stress"""
-    initial_shear_traction: Annotated[Property | None, _along(STRESS)] = None
+    initial_shear_traction: Annotated[Property | None, _along(units.STRESS)] = None
     """f_s0 [force/length**2]; else from initial_stress (2.14)"""
-    conductance: Annotated[Property | None, _along(CONDUCTANCE, above=0.0)] = None
+    conductance: Annotated[Property | None, _along(units.CONDUCTANCE, above=0.0)] = None
     """flow per thickness and pressure gradient [length**5/(force*time)], in place of the cubic law"""
-    pressure: Annotated[Pressures | None, AlongInTime(STRESS)] = None
+    pressure: Annotated[Pressures | None, AlongInTime(units.STRESS)] = None
     """pressure prescribed in the whole fracture: a number, [[t, p], ...], {along, value} or {along, time, value}
     [force/length**2]"""
 
@@ -178,17 +164,17 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
 class Fluid(Table):
     """[fluid] The fluid in the fractures; viscosity, specific weight or density zero: no flow is modelled."""
 
-    viscosity: Annotated[float, Quantity(VISCOSITY, at_least=0.0)]
+    viscosity: Annotated[float, Quantity(units.VISCOSITY, at_least=0.0)]
     """mu [force*time/length**2]; 0 leaves the flow out"""
-    specific_weight: Annotated[float, Quantity(WEIGHT, at_least=0.0)] | None = None
+    specific_weight: Annotated[float, Quantity(units.WEIGHT, at_least=0.0)] | None = None
     """gamma [force/length**3]; used by head = p/gamma only; 0 leaves the flow out"""
-    density: Annotated[float, Quantity(DENSITY, at_least=0.0)] | None = None
+    density: Annotated[float, Quantity(units.DENSITY, at_least=0.0)] | None = None
     """density of the fluid [force*time**2/length**4]; 0 leaves the flow out"""
-    compressibility: Annotated[float, Quantity(COMPRESSIBILITY, at_least=0.0)] = 0.0
+    compressibility: Annotated[float, Quantity(units.COMPRESSIBILITY, at_least=0.0)] = 0.0
     """c_f, relative change of volume by pressure [length**2/force]; 0: incompressible"""
     initial_pressure: Stress = 0.0
     """p0 [force/length**2]"""
-    pressure_gradient: Annotated[float, Quantity(WEIGHT)] = 0.0
+    pressure_gradient: Annotated[float, Quantity(units.WEIGHT)] = 0.0
     """change of p0 with depth, at which the fluid is at rest: only what exceeds it makes it flow [force/length**3]"""
     datum: Position = 0.0
     """y at which p0 holds; the depth is datum - y [length]"""

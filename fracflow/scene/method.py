@@ -261,10 +261,9 @@ def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
 def _is_spare(data: dict[str, Any], tables: dict[str, Any], default: dict[str, Any]) -> bool:
     """Whether [fracture.default] only fills: every trace has a table of its own with a key that it has not."""
     geometry = data.get("geometry")
-    traces = geometry.get("fracture", ()) if isinstance(geometry, dict) else ()
-    names = (
-        [trace.get("name") for trace in traces if isinstance(trace, dict)] if isinstance(traces, list | tuple) else []
-    )
+    traces = geometry.get("fracture") if isinstance(geometry, dict) else None
+    drawn = traces if isinstance(traces, list | tuple) else ()
+    names = [trace.get("name") for trace in drawn if isinstance(trace, dict)]
     own = [tables.get(name) for name in names if isinstance(name, str)]
     more = [set(table) - set(default) for table in own if isinstance(table, dict)]
     return bool(names) and len(more) == len(names) and bool(set.intersection(*more))

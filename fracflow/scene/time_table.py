@@ -133,9 +133,7 @@ class TimeTable:
         """Its integral between two times over the time between them, to round-off; ``begin`` < ``end``."""
         times = np.array(self.times)
         knots = np.concatenate([[begin], np.unique(times[(times > begin) & (times < end)]), [end]])
-        first, last = (
-            self.around(knots[part], *side) for part, side in ((slice(-1), JUST_AFTER), (slice(1, None), JUST_BEFORE))
-        )
+        first, last = self.around(knots[:-1], *JUST_AFTER), self.around(knots[1:], *JUST_BEFORE)
         return float(np.diff(knots) @ (0.5 * (first + last))) / (end - begin)
 
     def bent(self, time: float, before: float, after: float) -> float:
