@@ -5,7 +5,6 @@ HDF5 cannot let go of a file that it could not write: it keeps what is left of i
 
 from __future__ import annotations
 
-import io
 import os
 import signal
 import struct
@@ -16,7 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
-from typing_extensions import Buffer
 
 from fracflow.storage.files import open_fresh, open_own, replacing
 
@@ -30,7 +28,7 @@ _SUPERBLOCK, _VERSION, _FLAGS, _END = 48, 8, 11, 28  # bytes of the head of a fi
 _WRITING, _SHARED = 1, 4  # flags of a file that is written, and may be read meanwhile
 
 
-class Backing(io.RawIOBase):
+class Backing:
     """A file in the form that HDF5 needs. ``error`` is the first that there was; what comes after it is left out."""
 
     def __init__(self, path: Path) -> None:
@@ -39,19 +37,25 @@ class Backing(io.RawIOBase):
         self.file = open_fresh(path)
 
     def _begin(self, path: Path, writes: Writes) -> None:
-        self.path, self.size, self.file, self._at, self._writes = path, 0, -1, 0, writes
+        self.path, self.size, self._at, self._writes = path, 0, 0, writes
         self.error: OSError | None = None
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Where the next bytes are read or written; from the start, from there, or from the end."""
-        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.size}[whence]
+        """Where the next bytes are read or written; from the start or the end."""
+        self._at = offset + (self.size if whence == os.SEEK_END else 0)
+        return self._at
+
+    def tell(self) -> int:
+        """Where that is."""
         return self._at
 
     def read(self, size: int = -1) -> bytes:
         """Bytes from there on; h5py asks for ``readinto``."""
-        return super().read(max(0, self.size - self._at) if size < 0 else size)
+        into = bytearray(max(0, self.size - self._at) if size < 0 else size)
+        self.readinto(memoryview(into))
+        return bytes(into)
 
-    def readinto(self, into: Buffer) -> int:
+    def readinto(self, into: memoryview) -> int:
         """Fill a buffer; zeros where nothing has been written."""
         view = memoryview(into).cast("B")
         view[:] = bytes(len(view))
@@ -67,18 +71,20 @@ class Backing(io.RawIOBase):
         """Writes that are not in the file yet, and may have bytes of a stretch of it, in their order."""
         return self._writes
 
-    def write(self, data: Buffer) -> int:
+    def write(self, data: memoryview) -> int:
         """Put bytes there."""
-        given = bytes(data)
-        self._put(self._at, given)
-        self.size = max(self.size, self._at + len(given))
-        return len(given)
+        self._put(self._at, bytes(data))
+        self.size = max(self.size, self._at + len(data))
+        return len(data)
 
     def truncate(self, size: int | None = None) -> int:
         """Cut or lengthen the file."""
         self.size = self._at if size is None else size
         self._try(lambda: os.ftruncate(self.file, self.size))
         return self.size
+
+    def flush(self) -> None:
+        """All is written at once."""
 
     def sync(self) -> None:
         """Bring it to disk."""
@@ -235,7 +241,7 @@ class Completed(Backing):
         self._writes = without_overlap([*self._writes, last])
         self._ends = [offset + len(data) for offset, data in self._writes]
 
-    def readinto(self, into: Buffer) -> int:
+    def readinto(self, into: memoryview) -> int:
         """Fill a buffer; zeros where nothing has been written. Raises OSError."""
         found = super().readinto(into)
         self.check()
