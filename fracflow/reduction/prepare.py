@@ -39,11 +39,7 @@ def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
 
 
 def prepare(
-    scene: Scene,
-    comm: MPI.Comm,
-    saved: SplitMesh | None = None,
-    cell_rank: Ints | None = None,
-    begins: bool = True,
+    scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None, begins: bool = True
 ) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 

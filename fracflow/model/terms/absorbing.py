@@ -17,7 +17,8 @@ from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import nodal_force, nodal_layout, node_unknowns, projected, rock_values
 from fracflow.model.terms.term import Term
-from fracflow.scene.scene import Absorbing, Scene
+from fracflow.scene.scene import Scene
+from fracflow.scene.terms import Absorbing
 from fracflow.scene.time_table import Around
 from fracflow.scene.values import TimeTable
 
