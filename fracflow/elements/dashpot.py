@@ -26,8 +26,7 @@ def impedance_blocks(size: Floats, normal: Floats, of_p: Floats, of_s: Floats) -
     along = np.einsum("ni,nj->nij", normal, normal)
     across = np.eye(normal.shape[1]) - along
     each = of_p[:, None, None] * along + of_s[:, None, None] * across
-    blocks: Floats = size[:, :, None, None] * each[:, None]
-    return blocks
+    return np.asarray(size[:, :, None, None] * each[:, None])
 
 
 def wave_traction(normal: Floats, direction: Any, motion: Any, lam: Any, shear: Any, speed: Any) -> Any:

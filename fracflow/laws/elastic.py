@@ -49,5 +49,4 @@ def _stiffness(lame: Floats, shear: Floats, dim: int) -> Floats:
 
 def out_of_plane_stress(stress: Floats, poissons_ratio: Parameter) -> Floats:
     """(2.13) sigma_zz (n,) = nu (sigma_xx + sigma_yy) of a stress change (n, 3) from the initial state."""
-    sigma_zz: Floats = np.multiply(poissons_ratio, stress[:, 0] + stress[:, 1])
-    return sigma_zz
+    return np.multiply(poissons_ratio, stress[:, 0] + stress[:, 1])

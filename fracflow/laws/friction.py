@@ -202,8 +202,7 @@ class FrictionLaw(JointLaw):
     def has_changed(self, old: History, new: History) -> Bools:
         """Whether sections (n,) began or ended to slide, or slide the other way; turning while sliding is no change."""
         same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
-        changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
-        return changed
+        return np.asarray((old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way)
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
         """Fraction (n,) of an increment (n, dim) to the boundary -d0 of the closure."""

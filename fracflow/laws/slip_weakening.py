@@ -123,15 +123,13 @@ class SlipWeakening(FrictionLaw):
 
     def steepness(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/(D_c k_s) (n,) at traction (n, dim) while friction falls; 0 once it has."""
-        result: Floats = self.softening(traction, history) / per_section(self.shear_stiffness, len(traction))
-        return result
+        return self.softening(traction, history) / per_section(self.shear_stiffness, len(traction))
 
     def softening(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/D_c (n,) at traction (n, dim) while friction falls; 0 once it has [stress/length]."""
         _, falls = self.friction(history["slip_path"])
         compression = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
-        result: Floats = compression * falls
-        return result
+        return compression * falls
 
     def strength_drop(self, compression: Floats) -> Floats:
         """Drop of strength (n,): the compression (n,) times mu_p - mu_d [stress]."""

@@ -95,8 +95,7 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
     old, mean = (
         0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.previous_step.uptake)
     )
-    rate: Floats = first_rate(alphas, taken, 0.0, old, mean)
-    return rate
+    return first_rate(alphas, taken, 0.0, old, mean)
 
 
 def uptake_at(

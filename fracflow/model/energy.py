@@ -21,19 +21,9 @@ from fracflow.model.state import State
 from fracflow.model.terms.term import Term
 
 STORED = (
-    "kinetic",
-    "rock_strain",
-    "joint_normal",
-    "joint_shear",
-    "fluid_storage",
-    "friction",
-    "viscous",
-    "radiated",
-    "damping",
-    "scheme",
-    "spurious",
-    "dropped",
-)
+    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated",
+    "damping", "scheme", "spurious", "dropped",
+)  # fmt: skip
 WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial")
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
@@ -157,8 +147,7 @@ def spurious_share(totals: Mapping[str, float]) -> float:
 def dissipated(old: State, new: State) -> Floats:
     """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area]."""
     work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
-    result: Floats = old.friction + 0.5 * work.sum(axis=1)
-    return result
+    return old.friction + 0.5 * work.sum(axis=1)
 
 
 def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:

@@ -63,11 +63,7 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
         gained = 0.5 * (before.velocity + after.velocity) * _times(ops.mass, after.velocity - before.velocity, new)
         left = change * mean - gained
         scheme_part, given_part = float(left[~is_held].sum()), -float(left[is_held].sum())
-        return {
-            "kinetic": kinetic,
-            "scheme": _total(ops, scheme_part),
-            "work_boundaries": _total(ops, given_part),
-        }
+        return {"kinetic": kinetic, "scheme": _total(ops, scheme_part), "work_boundaries": _total(ops, given_part)}
     # e = e_new a_new + e_old a of (4.2e,f)
     of_new, of_old = alphas.a1 / alphas.a0, alphas.a1 * alphas.a3 / alphas.a0 - alphas.a5
     e_new, e_old = 1.0 / alphas.a0 - 0.5 * dt * of_new, alphas.a3 / alphas.a0 - 0.5 * dt * of_old
@@ -124,8 +120,7 @@ def _times(matrix: PETSc.Mat, values: Floats, like: State) -> Floats:
 
 
 def _local(vector: PETSc.Vec) -> Floats:
-    values: Floats = vector.getArray(readonly=True)
-    return values
+    return vector.getArray(readonly=True)
 
 
 def _total(ops: Operators, here: Any) -> float:

@@ -167,8 +167,7 @@ class Flow:
         if self.compressibility == 0.0:
             return driving
         lighter = np.expm1(self.compressibility * (self.counted - driving))
-        result: Floats = self.counted - lighter / self.compressibility
-        return result
+        return self.counted - lighter / self.compressibility
 
     def taken_up(self, at_ends: Floats, result: PETSc.Vec) -> None:
         """``result`` += volume rates (j, 2) at the joint ends, brought to the flow nodes. Collective."""

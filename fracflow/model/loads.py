@@ -104,12 +104,7 @@ class Loads:
         )
 
     def demanded(
-        self,
-        well: str,
-        time: float,
-        controls: Controls,
-        around: Around = AT_ONCE,
-        rates: Rates | None = None,
+        self, well: str, time: float, controls: Controls, around: Around = AT_ONCE, rates: Rates | None = None
     ) -> float:
         """Flow rate that a well demands, over the whole depth, as ``source`` samples it."""
         return _factor(next(each for each in self.wells if each.well == well), time, controls, around, rates)
@@ -234,11 +229,7 @@ def _well_pressure(
 
 
 def assemble_loads(
-    blocks: Blocks,
-    scene: Scene,
-    operators: Operators,
-    points: Mapping[str, Ints],
-    well_nodes: Mapping[str, int],
+    blocks: Blocks, scene: Scene, operators: Operators, points: Mapping[str, Ints], well_nodes: Mapping[str, int]
 ) -> Loads:
     """Patterns of all loads.
 

@@ -234,11 +234,7 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
 
 
 def set_up(
-    scene: Scene,
-    comm: MPI.Comm,
-    mesh: SplitMesh | None,
-    placed: Placed,
-    cell_rank: Ints | None = None,
+    scene: Scene, comm: MPI.Comm, mesh: SplitMesh | None, placed: Placed, cell_rank: Ints | None = None
 ) -> Model:
     """Blocks, operators and loads of a scene whose sizes are known. Raises InputError, on every rank. Collective.
 

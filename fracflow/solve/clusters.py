@@ -118,10 +118,7 @@ def _batches(solved: Ints, label: Ints, row: Ints, col: Ints, value: Floats, dim
         inside = number[cluster[here]] >= 0
         matrix = np.zeros((len(members), size * dim, size * dim))
         one, other = here[inside], there[inside]
-        matrix[
-            number[cluster[one]],
-            place[one] * dim + row[inside] % dim,
-            place[other] * dim + col[inside] % dim,
-        ] = value[inside]
+        at = number[cluster[one]], place[one] * dim + row[inside] % dim, place[other] * dim + col[inside] % dim
+        matrix[at] = value[inside]
         batches.append(Batch(members, matrix))
     return batches

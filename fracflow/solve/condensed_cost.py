@@ -77,9 +77,7 @@ def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks:
 Key = tuple[float, float]
 """Shares of mass and damping, by which a time integrator enters the rock's matrix."""
 SMALLEST = 500  # displacements: of fewer a factorisation is the least of a step (report_5_5: 3.4 against 4.1 CPU s)
-CLEARLY = (
-    1.5  # times less work in a step: where the gain is small, each step that is solved again for all unknowns matters
-)
+CLEARLY = 1.5  # times less work in a step: a step that is solved again for all unknowns outweighs a small gain
 AT_LEAST = 2.0  # times the number of steps at which condensing the rock breaks even
 
 

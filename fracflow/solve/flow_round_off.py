@@ -63,8 +63,7 @@ def flow_power(
 def _powers(operators: Operators, conduction: Conduction) -> Floats:
     largest = max(operators.layout.comm.allgather(float(np.abs(conduction.pressure).max(initial=0.0))))
     drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
-    powers: Floats = conduction.conductance * np.where(drop > RESOLVED * largest, drop, 0.0) ** 2
-    return powers
+    return conduction.conductance * np.where(drop > RESOLVED * largest, drop, 0.0) ** 2
 
 
 def significant_digits_of_flow(

@@ -184,12 +184,7 @@ class JoinedMatrix:
         )
 
     def fill(
-        self,
-        alphas: Alphas,
-        moduli: Floats,
-        conduction: Conduction | None,
-        flow_scale: float,
-        only: str | None = None,
+        self, alphas: Alphas, moduli: Floats, conduction: Conduction | None, flow_scale: float, only: str | None = None
     ) -> bool:
         """Refill with moduli (s, dim, dim) where anything differs from the last time; whether it did. Collective."""
         now = (alphas, flow_scale, only)

@@ -65,8 +65,7 @@ def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> f
 def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
     """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
-    noise: Floats = NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
-    return noise
+    return NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
 
 
 def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:

@@ -266,14 +266,7 @@ class SectionSolver:
         )
 
     def _gather(
-        self,
-        free: Floats,
-        change: Floats,
-        push: Floats,
-        known: Floats,
-        moduli: Floats,
-        slopes: Floats,
-        share: float,
+        self, free: Floats, change: Floats, push: Floats, known: Floats, moduli: Floats, slopes: Floats, share: float
     ) -> _Rows:
         """Gather data of this rank's sections in the clusters, with the balance of motions there. Collective.
 

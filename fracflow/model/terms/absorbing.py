@@ -40,8 +40,7 @@ class Facets:
 
     def speed(self, kind: str) -> Floats:
         """c_p or c_s (f,) of facets [length/time]."""
-        speed: Floats = np.sqrt((self.lam + 2.0 * self.shear if kind == "p" else self.shear) / self.density)
-        return speed
+        return np.sqrt((self.lam + 2.0 * self.shear if kind == "p" else self.shear) / self.density)
 
     @property
     def impedance(self) -> Floats:

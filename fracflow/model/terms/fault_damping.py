@@ -51,15 +51,7 @@ from fracflow.model.joints import Joints
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.mass import cell_rates
 from fracflow.model.operators import Operators
-from fracflow.model.solid import (
-    by_shape,
-    deformable,
-    elasticity,
-    nodal_layout,
-    node_unknowns,
-    projected,
-    rock_values,
-)
+from fracflow.model.solid import by_shape, deformable, elasticity, nodal_layout, node_unknowns, projected, rock_values
 from fracflow.model.terms.term import MeanDamping, Term
 from fracflow.scene.scene import Scene
 
@@ -131,8 +123,7 @@ def can_slip(joints: Joints) -> Bools:
     slides = np.zeros(len(joints.weights), dtype=bool)
     for group in joints.laws:
         slides[group.sections] = group.law.slides
-    found: Bools = slides.reshape(-1, joints.points).any(axis=1)
-    return found
+    return slides.reshape(-1, joints.points).any(axis=1)
 
 
 def is_sudden(operators: Operators, scene: Scene, rates: Floats) -> Bools:
@@ -156,8 +147,7 @@ def is_sudden(operators: Operators, scene: Scene, rates: Floats) -> Bools:
     mean = total / np.maximum(count, 1.0)
     brief = np.maximum(mean[joints.bottom], mean[joints.top]).max(axis=1, initial=0.0)
     pressed = np.abs(operators.joints.initial[:, -1]).reshape(-1, operators.joints.points).max(axis=1, initial=0.0)
-    found: Bools = change * brief > QUICK * pressed
-    return found
+    return change * brief > QUICK * pressed
 
 
 def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
@@ -186,15 +176,13 @@ def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
     stiff = np.where(alone, _difference(own, mirror @ own @ mirror), _difference(below, mirror @ above @ mirror))
     mass = np.where(alone, 0.0, _difference(light[..., None, None], heavy[..., None, None]))
     is_split = joints.bottom != joints.top
-    worst: Floats = np.where(is_split, np.maximum(stiff, mass), 0.0).max(axis=1, initial=0.0)
-    return worst
+    return np.where(is_split, np.maximum(stiff, mass), 0.0).max(axis=1, initial=0.0)
 
 
 def _difference(one: Floats, other: Floats) -> Floats:
     """|a - b|/(|a| + |b|) of matrices (..., k, k); 0 where both are 0."""
     size = np.linalg.norm(one, axis=(-2, -1)) + np.linalg.norm(other, axis=(-2, -1))
-    result: Floats = np.linalg.norm(one - other, axis=(-2, -1)) / np.where(size > 0.0, size, 1.0)
-    return result
+    return np.linalg.norm(one - other, axis=(-2, -1)) / np.where(size > 0.0, size, 1.0)
 
 
 def cells_near(blocks: Blocks, chosen: Bools, layers: int) -> Bools:
