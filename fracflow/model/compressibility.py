@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas, first_rate
 from fracflow.mesh.data import Floats
 from fracflow.model.energy_motion import Scheme
@@ -29,8 +29,7 @@ def compression_of(operators: Operators, state: State) -> Compression | None:
 
 def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
     """Rates at which fluid leaves by a term at the flow nodes, in a new vector [volume rate per thickness]. Collective."""
-    network, result = operators.flow, operators.layout.flow_vector()
-    assert network is not None
+    network, result = operators.network, operators.layout.flow_vector()
     aperture = network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
     network.taken_up(term.leaving(network.at_ends(state.pressure), aperture).rate, result)
     return result
@@ -38,9 +37,8 @@ def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
 
 def taken_up(operators: Operators, before: Compression, after: Compression) -> PETSc.Vec:
     """Volumes taken up by compression between two instants at the flow nodes, new [volume per thickness]. Collective."""
-    assert operators.flow is not None
     result = operators.layout.flow_vector()
-    operators.flow.taken_up(after.held - before.held, result)
+    operators.network.taken_up(after.held - before.held, result)
     return result
 
 
@@ -73,8 +71,7 @@ def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
 
 def _left(operators: Operators, old: State, new: State) -> NDArray[np.float64]:
     """Ratio of new to old aperture (j, 2) of conducting elements; 1 where conductances are given. Collective."""
-    network = operators.flow
-    assert network is not None
+    network = operators.network
     before, after = (
         np.maximum(
             network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain)), least
@@ -181,8 +178,7 @@ def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, de
     for term in ops.flow.terms if ops.flow is not None else ():
         rates = [rate_by(ops, term, state) for state in instants]
         found[term.name] = depth * dt / len(instants) * sum(float(rate.sum()) for rate in rates)
-        for rate in rates:
-            rate.destroy()
+        destroy(*rates)
     return found
 
 
@@ -193,16 +189,14 @@ def stored(ops: Operators, old: State, new: State, depth: float) -> float:
 
 def _room(ops: Operators, old: State, new: State) -> Floats:
     """Volumes that walls and compression take up between two states, at this rank's flow nodes (n,) [volume per thickness]."""
-    assert ops.flow is not None
     room, moved = new.pressure.duplicate(), new.motion.displacement.duplicate()
     after, before = (state.motion.displacement.getArray(readonly=True) for state in (new, old))
     moved.setArray(after - before)
-    ops.flow.storage_coupling.multTranspose(moved, room)
+    ops.network.storage_coupling.multTranspose(moved, room)
     if new.uptake is not None:
         taken = taken_between(ops, old, new)
         room.axpy(1.0, taken)
         taken.destroy()
     result: Floats = room.getArray().copy()
-    room.destroy()
-    moved.destroy()
+    destroy(room, moved)
     return result

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.elements import solid
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.contact_nodes import ContactNodes, averaged, balanced, contact_nodes_of, tied_whole
@@ -57,8 +57,7 @@ def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | 
     kept.assemble()
     mass = ops.mass.PtAP(inward)
     mass.axpy(1.0, kept, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    kept.destroy()
-    ops.mass.destroy()
+    destroy(kept, ops.mass)
     joints = replace(ops.joints, massless=massless(ops.joints, inward))
     return replace(ops, mass=mass, inward=inward, joints=joints)
 

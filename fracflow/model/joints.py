@@ -19,7 +19,7 @@ from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, make_law, para
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.layout import add_blocks, add_transposed, create_matrix, product
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import nodal_layout, node_unknowns
 from fracflow.model.state import SectionHistory, Sections, State
@@ -58,9 +58,9 @@ def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PET
     matrix.assemble()
     if expand is None:
         return matrix
-    product = matrix.matMult(expand)
+    reduced = matrix.matMult(expand)
     matrix.destroy()
-    return product
+    return reduced
 
 
 def entry_sizes(matrix: PETSc.Mat) -> PETSc.Mat:
@@ -142,26 +142,20 @@ class Joints:
 
     def strain(self, displacement: PETSc.Vec) -> Floats:
         """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
-        return self._apply(self.jump, displacement)
+        return product(self.jump, displacement).reshape(-1, self.dim)
 
     def carried(self, displacement: PETSc.Vec) -> Floats:
         """Strains (s, dim) of walls without mass, if they moved as the nodes that carry their mass. Collective."""
-        return self._apply(self.jump if self.massless is None else self.massless.jump, displacement)
+        jump = self.jump if self.massless is None else self.massless.jump
+        return product(jump, displacement).reshape(-1, self.dim)
 
     def moved(self, displacement: PETSc.Vec) -> Floats:
         """Sums of sizes (s, dim) of the displacements whose differences are the strains [length]. Collective."""
         size = displacement.copy()
         size.abs()
-        result = self._apply(self.sizes, size)
+        result = product(self.sizes, size).reshape(-1, self.dim)
         size.destroy()
         return result
-
-    def _apply(self, matrix: PETSc.Mat, displacement: PETSc.Vec) -> Floats:
-        strains = matrix.createVecLeft()
-        matrix.mult(displacement, strains)
-        local = strains.getArray().reshape(-1, self.dim).copy()
-        strains.destroy()
-        return local
 
     def openings(self, strain: Floats) -> Floats | None:
         """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None for the one-point rule, which has none."""
@@ -259,10 +253,7 @@ class Joints:
 
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
         """(2.15)-(2.19), (2.31) ``result`` += G' W f, f (s, dim): forces that resist, tension's +n on top. Collective."""
-        tractions = self.jump.createVecLeft()
-        tractions.setArray((self.weights[:, None] * traction).ravel())
-        self.jump.multTransposeAdd(tractions, result, result)
-        tractions.destroy()
+        add_transposed(self.jump, (self.weights[:, None] * traction).ravel(), result)
 
     def tangent(self, moduli: Floats) -> list[tuple[Ints, Floats]]:
         """(2.32) Blocks W g' D g of each group: unknowns (n, k), values (n, k, k)."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.integrators.explicit import critical_step
@@ -147,6 +147,5 @@ def by_lanczos(operators: Operators, inverse: PETSc.Mat, stiffness: PETSc.Mat | 
         if count:
             found.axpy(-size, before)
         before, now, found = now, found, before
-    for vector in (now, before, moved, found):
-        vector.destroy()
+    destroy(now, before, moved, found)
     return largest + rest if rest > SHARP * largest else largest

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.facets import components
 from fracflow.model.flow import Compression
 from fracflow.model.layout import Layout, local_rows
 from fracflow.model.operators import Operators
@@ -19,13 +18,6 @@ CONDUCTS = 1e-15
 """Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.
 Elements elsewhere do not count: a thin fracture far from a wide one conducts."""
 FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less is round-off
-
-
-def label_components(links: Ints, conducts: np.ndarray, count: int) -> Ints:
-    """Number (count,) of the component of each node, by links (m, 2) of which those that conduct (m,) join."""
-    joined = links[conducts]
-    graph = sparse.coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -71,22 +63,16 @@ class Closure:
 
 def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
     """Which elements (j,) of this rank conduct. Collective."""
-    network = operators.flow
-    assert network is not None
-    nodes, ends = operators.layout.flow_vector(), network.pick.createVecLeft()
-    ends.setArray(np.repeat(conductance, 2))
-    network.pick.multTranspose(ends, nodes)
-    network.pick.mult(nodes, ends)
-    beside = ends.getArray().reshape(-1, 2).max(axis=1)
+    network, nodes = operators.network, operators.layout.flow_vector()
+    network.taken_up(np.repeat(conductance, 2), nodes)
+    beside = network.at_ends(nodes).max(axis=1)
     nodes.destroy()
-    ends.destroy()
     return np.asarray(conductance > CONDUCTS * beside)
 
 
 def holding(operators: Operators, compression: Compression | None) -> np.ndarray:
     """Which of all flow nodes (n,) hold fluid that is compressible: none where walls meet. Collective."""
-    network, layout = operators.flow, operators.layout
-    assert network is not None
+    network, layout = operators.network, operators.layout
     if compression is None:
         return np.zeros(int(layout.flow_starts[-1]), dtype=bool)
     found, here = [], 0.5 * network.compressibility * network.length[:, None] * np.abs(network.aperture)
@@ -111,7 +97,7 @@ def find_components(operators: Operators, conducts: np.ndarray) -> tuple[Network
     blocks = operators.blocks
     comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
     links = np.concatenate(comm.allgather(joints.flow))
-    label = label_components(links, np.concatenate(comm.allgather(conducts)), count)
+    label = components(*links[np.concatenate(comm.allgather(conducts))].T, count)
     points = np.concatenate(comm.allgather(blocks.flow.points))
     pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
     here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}
@@ -131,8 +117,7 @@ def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fix
 
     Nor does it change where walls open on one side as much as they close on another, as around a floating rigid block.
     """
-    layout, network = operators.layout, operators.flow
-    assert network is not None
+    layout, network = operators.layout, operators.network
     part_of = np.zeros(int(layout.flow_starts[-1]), dtype=np.int64)
     part_of[np.concatenate([part.nodes for part in parts])] = np.repeat(
         np.arange(len(parts)), [len(part.nodes) for part in parts]
@@ -157,8 +142,7 @@ def close(operators: Operators, part: NetworkComponent, gives: bool, holds: bool
 
     holds  whether it holds a fluid that is compressible, in a step that stores nothing
     """
-    layout, network, scales = operators.layout, operators.flow, operators.scales
-    assert network is not None
+    layout, network, scales = operators.layout, operators.network, operators.scales
     inside = layout.flow_vector()
     first = int(layout.flow_starts[layout.comm.rank])
     local = part.nodes[(part.nodes >= first) & (part.nodes < first + layout.flow_count)] - first

@@ -14,6 +14,7 @@ from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
+from fracflow.mesh.facets import components
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place, tied_nodes
 from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
@@ -21,7 +22,6 @@ from fracflow.mesh.split import split
 from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.loads import Loads, assemble_loads
-from fracflow.model.network_parts import label_components
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
@@ -214,7 +214,7 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
     count = len(mesh.flow_origin)
     if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
         return
-    label = label_components(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
+    label = components(*mesh.joint_flow.T, count)
     drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
     held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fracflow.mesh.data import Bools, Floats, SplitMesh
-from fracflow.model.network_parts import label_components
+from fracflow.mesh.facets import components
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH
 
@@ -50,7 +50,7 @@ def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart
     count = len(mesh.flow_origin)
     if not wells or not count:
         return []
-    label = label_components(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
+    label = components(*mesh.joint_flow.T, count)
     of_joint = label[mesh.joint_flow[:, 0]]
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=1)
     inside: dict[int, list[str]] = {}

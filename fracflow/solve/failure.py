@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
@@ -150,8 +150,7 @@ def place_of(problem: StepProblem, solid: Floats, flow: Floats) -> str:
     sizes.setArray(np.where(np.isinf(solid), 1e300, solid))
     nodal = ops.nodal(sizes)
     at_nodes = np.abs(nodal.getArray()).reshape(-1, ops.blocks.sizes.dim).max(axis=1, initial=0.0)
-    for vector in (sizes, nodal):
-        vector.destroy()
+    destroy(sizes, nodal)
     worst = int(at_nodes.argmax()) if len(at_nodes) else -1
     joints = ops.blocks.joints
     faces = np.any(np.concatenate([joints.bottom, joints.top], axis=1) == worst, axis=1)

@@ -73,8 +73,7 @@ def significant_digits_of_flow(
 
     Round-off of the pressures around such a node, times its conductances, is a flow that the node draws. Collective.
     """
-    network, block, comm = operators.flow, operators.blocks.joints, operators.layout.comm
-    assert network is not None
+    network, block, comm = operators.network, operators.blocks.joints, operators.layout.comm
     nodes, at_ends = operators.layout.flow_vector(), round_off_of_pressure(network, conduction)
     nodes.getArray()[given] = 1.0
     lost = network.at_ends(nodes) * at_ends * np.abs(conduction.pressure)

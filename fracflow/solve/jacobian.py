@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
@@ -70,8 +70,7 @@ class JoinedMatrix:
                 "feedback": self._place(local_rows(pattern), "flow", "solid"),
                 "network": self._place(local_rows(network), "flow", "flow"),
             }
-            for matrix in (squeeze, pattern, network):
-                matrix.destroy()
+            destroy(squeeze, pattern, network)
         self.rows_here = layout.solid_count + layout.flow_count
         diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
         keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
@@ -315,8 +314,7 @@ def near_null_space(operators: Operators) -> PETSc.NullSpace:
         vector.normalize()
         vectors.append(vector)
     space = PETSc.NullSpace().create(vectors=vectors, comm=layout.comm)
-    for vector in vectors:
-        vector.destroy()
+    destroy(*vectors)
     return space
 
 

@@ -7,7 +7,7 @@ factors of its own, so that it does not depend on which steps this process has m
 
 from __future__ import annotations
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
@@ -55,8 +55,7 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
         solid, flow = matrix.layout.index_sets()
         tell_rigid_motions(matrix.operators, solid)
         solver.getPC().setFieldSplitIS(*zip(PARTS, (solid, flow), strict=True))
-        solid.destroy()
-        flow.destroy()
+        destroy(solid, flow)
 
 
 def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:

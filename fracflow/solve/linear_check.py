@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 
 REFINED = 1e-8  # above it a direct solve is refined
@@ -30,8 +30,7 @@ def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, wha
         if better < relative:
             correction.copy(solution)
             relative = better
-        other.destroy()
-        correction.destroy()
+        destroy(other, correction)
     left.destroy()
     if not relative <= UNSOLVED:
         raise Unsolved(

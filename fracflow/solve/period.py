@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.laws.base import HELD
 from fracflow.model.joints import Joints
 from fracflow.model.loads import Loads
@@ -45,8 +45,7 @@ def longest_period(operators: Operators, loads: Loads, sections: Sections) -> fl
         force.axpy(force.norm() / max(pull.norm(), 1e-300), pull)
         pull.destroy()
     lowest = _lowest(stiff, mass, shape, force) if inertia > 0.0 else 0.0
-    for thing in (stiff, mass, shape, force):
-        thing.destroy()
+    destroy(stiff, mass, shape, force)
     return float(2.0 * np.pi / np.sqrt(lowest)) if lowest > 0.0 else float("inf")
 
 
@@ -64,8 +63,7 @@ def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
     product = springs.PtAP(joints.jump)
     stiff = with_diagonal(operators.stiffness)
     stiff.axpy(1.0, product, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    springs.destroy()
-    product.destroy()
+    destroy(springs, product)
     return stiff
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import NotConverged, is_alone
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.loads import Loads
@@ -162,8 +162,7 @@ class _Compliance:
 
     def destroy(self) -> None:
         """Free matrix and factors. Collective."""
-        for thing in (self.solver, self.stiff, self.force, self.shape):
-            thing.destroy()
+        destroy(self.solver, self.stiff, self.force, self.shape)
 
 
 def _arnoldi(compliance: _Compliance) -> Share:

@@ -116,7 +116,7 @@ def _check_domain(domain: Floats, snap: float) -> None:
     if gaps.min() <= snap:
         where = _spot(domain[np.argmin(gaps)])
         raise InputError(f"geometry.domain: the side that starts at {where} is no longer than snap = {snap:.3g}")
-    touching = near_edges(alone, np.arange(len(domain)), snap)[0]
+    touching = near_edges(alone.points, alone.edges, np.arange(len(domain)), snap)[0]
     if len(touching):
         where = _spot(domain[touching[0]])
         raise InputError(f"geometry.domain: the corner {where} is within snap = {snap:.3g} of another side")

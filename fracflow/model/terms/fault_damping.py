@@ -41,7 +41,7 @@ from functools import cache
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import facet, solid
 from fracflow.integrators import EXPLICIT
 from fracflow.integrators.explicit import damped_rate
@@ -211,6 +211,5 @@ def _summed(blocks: Blocks, nodes: Ints, values: Floats) -> Floats:
     scatter = PETSc.Scatter().create(whole, wanted, local, None)
     scatter.scatter(whole, local)
     found: Floats = local.getArray().reshape(-1, width).copy()
-    for each in (whole, wanted, local, scatter):
-        each.destroy()
+    destroy(whole, wanted, local, scatter)
     return found

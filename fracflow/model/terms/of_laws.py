@@ -71,8 +71,7 @@ class OnFractures(Term):
 
     def __init__(self, name: str, operators: Operators, tables: Sequence[LawTable]) -> None:
         """Find the joints of each table."""
-        flow = operators.flow
-        assert flow is not None
+        flow = operators.network
         self.name, self.entry, self._half = name, tables[0].law.entry, 0.5 * flow.length
         self._laws: list[tuple[np.ndarray, TermLaw]] = [
             (joints_of(operators.blocks, table.on), table.made()) for table in tables

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
@@ -42,8 +42,7 @@ class Cycle:
         self.solid = solver_of(self.blocks[0][0], "solid_")
         self.wall, self.force = self.blocks[0][0].createVecs()
         self.held = np.isin(matrix.layout.start + matrix.layout.solid_count + _here(self.blocks[1][1]), matrix.fixed)
-        for split in splits:
-            split.destroy()
+        destroy(*splits)
 
     def uptake(self, pressure: PETSc.Vec, result: PETSc.Vec) -> None:
         """``result`` = C p. Collective."""
@@ -59,8 +58,7 @@ class Cycle:
         ones.setArray(np.where(self.held, 0.0, 1.0))
         self.uptake(ones, result)
         values = np.abs(result.getArray())
-        ones.destroy()
-        result.destroy()
+        destroy(ones, result)
         return np.where(self.held, 0.0, values)
 
     def radius(self, storage: Floats | None = None) -> tuple[float, Floats]:
@@ -87,17 +85,12 @@ class Cycle:
             if not np.isfinite(estimates[-1]) or _is_settled(estimates):
                 break
         mode = pressure.getArray().copy()
-        flow.destroy()
-        pressure.destroy()
-        rate.destroy()
-        if storage is not None:
-            matrix.destroy()
+        destroy(flow, pressure, rate, None if storage is None else matrix)
         return estimates[-1], mode
 
     def destroy(self) -> None:
         """Free matrices and solver. Collective."""
-        for thing in (self.solid, self.wall, self.force, *self.blocks[0], *self.blocks[1]):
-            thing.destroy()
+        destroy(self.solid, self.wall, self.force, *self.blocks[0], *self.blocks[1])
 
 
 @dataclass(frozen=True)
@@ -156,14 +149,10 @@ def added_storage(cycle: Cycle) -> tuple[Floats, float]:
 
 def worst_fracture(operators: Operators, mode: Floats) -> str:
     """Name of the fracture in which a mode (n,) of the pressures is largest. Collective."""
-    assert operators.flow is not None
-    comm, block = operators.layout.comm, operators.blocks.joints
-    nodes, ends = operators.layout.flow_vector(), operators.flow.pick.createVecLeft()
+    comm, block, nodes = operators.layout.comm, operators.blocks.joints, operators.layout.flow_vector()
     nodes.setArray(np.abs(np.where(np.isfinite(mode), mode, 0.0)))
-    operators.flow.pick.mult(nodes, ends)
-    values = ends.getArray().copy()
+    values = operators.network.at_ends(nodes).ravel()
     nodes.destroy()
-    ends.destroy()
     here = int(values.argmax()) if len(values) else -1
     value = float(values[here]) if here >= 0 else -1.0
     name = block.fractures[block.fracture[here // 2]] if here >= 0 else ""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
@@ -173,16 +173,15 @@ class FixedPoint:
             self.flow.destroy()
             self.flow = solver_of(self.network, "flow_fieldsplit_flow_")
         solved, result = is_solved(self.network, added, balance), added.getArray() * unit
-        balance.destroy()
-        added.destroy()
+        destroy(balance, added)
         if not solved:
             raise SolveError("the flow has no solution while the walls are held")
         return result
 
     def _prediction(self, problem: StepProblem) -> Prediction:
         """That of an earlier step, as long as it holds: a factor moves about as much as what it is made of. Collective."""
-        conduction, network = problem.conduction, problem.operators.flow
-        assert conduction is not None and network is not None
+        conduction, network = problem.conduction, problem.operators.network
+        assert conduction is not None
         drop = conduction.pressure[:, 0] - conduction.pressure[:, 1]
         now = Linearised(
             Prediction(np.nan, ""),
@@ -227,7 +226,5 @@ class FixedPoint:
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""
-        things = [self.monolithic] if self.monolithic is not None else []
-        matrices = (self.whole_matrix, self.solid_matrix)
-        for thing in (*things, self.solid, self.flow, self.network, *self.splits, *matrices):
-            thing.destroy()
+        solvers, matrices = (self.monolithic, self.solid, self.flow), (self.whole_matrix, self.solid_matrix)
+        destroy(*solvers, self.network, *self.splits, *matrices)
