@@ -160,11 +160,6 @@ def error_by_jerk(share: float, time_step: float, old: HasMotion, new: HasMotion
     return max(abs(share), 1.0 / 12.0) * time_step**2 * (new.acceleration - old.acceleration)
 
 
-def error_by_rate(time_step: float, old: HasMotion, new: HasMotion) -> Any:
-    """The dt (v_new - v)/2 of backward Euler, without inertia: more than the rules of second order add."""
-    return 0.5 * time_step * (new.velocity - old.velocity)
-
-
 @dataclass(frozen=True)
 class Newmark(Stepper):
     """(4.1a) Newmark with beta, gamma: 1/4, 1/2 is the trapezoidal rule, without numerical dissipation.

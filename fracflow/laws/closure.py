@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,11 +81,9 @@ class NormalClosure:
         fraction = np.where(moves, gap / np.where(moves, opening, 1.0), np.inf)
         return np.where(fraction > 0.0, fraction, np.inf)
 
-    def _parameters(self, sections: int) -> tuple[Floats, Floats, Floats]:
-        k_n0, d0, f_n0 = (
-            per_section(v, sections) for v in (self.normal_stiffness, self.aperture, self.initial_traction)
-        )
-        return k_n0, d0, f_n0
+    def _parameters(self, sections: int) -> Iterator[Floats]:
+        """k_n0, d0 and f_n0 (n,)."""
+        return (per_section(v, sections) for v in (self.normal_stiffness, self.aperture, self.initial_traction))
 
 
 def _minus_log(x: Floats) -> Floats:

@@ -157,8 +157,7 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         unknown = unknown.ravel()[leader].reshape(unknown.shape)
 
     cut_joints = int(np.count_nonzero(joint_rank != cell_rank[mesh.joint_cells[:, 1]]))
-    counts = (len(each) for each in (mesh.points, mesh.cells, mesh.joint_bottom, mesh.flow_origin))
-    sizes = Sizes(dim, *counts, cut_joints)
+    sizes = Sizes(dim, len(mesh.points), len(mesh.cells), len(mesh.joint_bottom), len(mesh.flow_origin), cut_joints)
     pieces = []
     for rank in range(size):
         cells = np.flatnonzero(cell_rank == rank)

@@ -10,7 +10,7 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.model.dirichlet import AXES, motion
-from fracflow.scene.boundary import Support, Well
+from fracflow.scene.boundary import Support
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, TimeTable
 
@@ -42,15 +42,11 @@ def refuse_two_pressures(scene: Scene, wells: Mapping[str, int]) -> None:
     """Raise InputError where two wells prescribe pressures at one flow node, unless these are the same."""
     given = [well for well in scene.well if well.pressure is not None and well.name in wells]
     for one, other in combinations(given, 2):
-        if wells[one.name] == wells[other.name] and not _alike(one, other):
+        if wells[one.name] == wells[other.name] and one.pressure != other.pressure:
             raise InputError(
                 f"well.{other.name}: at: sits on the node of well.{one.name}, which prescribes another pressure there:"
                 " move one of them, or leave it out"
             )
-
-
-def _alike(one: Well, other: Well) -> bool:
-    return one.pressure == other.pressure
 
 
 def _nodes(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints], name: str) -> Ints:

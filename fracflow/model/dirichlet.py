@@ -74,11 +74,7 @@ def supported(
     turning = block.body[nodes] >= 0
     if blocks.comm.allreduce(int(turning.any())):
         raise InputError(f'support: on = "{name}": lies on a rigid rock; support the rock itself, by its name')
-    given = (
-        [part for part in support.components if part != "rotation"]
-        if "rotation" in support.components
-        else support.components
-    )
+    given = [part for part in support.components if part != "rotation"]
     if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
         raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
     return {part: (block.unknown[nodes, AXES.index(part)], block.points[nodes]) for part in given}

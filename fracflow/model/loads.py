@@ -172,18 +172,15 @@ def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Ma
     return nodal_force(blocks, nodes, solid.traction_force(blocks.solid.points[nodes], traction), expand)
 
 
-def _rock_area(blocks: Blocks, rock: int) -> float:
-    cells = blocks.solid.cells[blocks.solid.cell_rock == rock]
-    return float(blocks.comm.allreduce(sum(solid.area(blocks.solid.points[n]).sum() for _, n in by_shape(cells))))
-
-
 def _force_patterns(blocks: Blocks, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
     patterns = []
     for name in load.on:
-        rock = blocks.solid.rocks.index(name)
+        rock, points = blocks.solid.rocks.index(name), blocks.solid.points
+        cells = blocks.solid.cells[blocks.solid.cell_rock == rock]
+        area = float(blocks.comm.allreduce(sum(solid.area(points[nodes]).sum() for _, nodes in by_shape(cells))))
         for axis, value in enumerate(load.force or ()):
             each = np.zeros((len(blocks.solid.rocks), 2))
-            each[rock, axis] = 1.0 / _rock_area(blocks, rock)
+            each[rock, axis] = 1.0 / area
             patterns.append(Pattern(forces_in_rocks(blocks, each, expand), value, load.control))
     return patterns
 
@@ -205,12 +202,9 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
         traction = np.einsum("saij,sj->sai", at_nodes, normal)
         return [Pattern(_side_force(blocks, facets, traction, expand), lambda time: 1.0, load.control, True)]
     assert load.traction is not None and not isinstance(load.traction, str)
-    patterns = []
-    for axis, value in enumerate(load.traction):
-        unit = np.zeros((len(facets), 2))
-        unit[:, axis] = 1.0
-        patterns.append(Pattern(_side_force(blocks, facets, unit, expand), value, load.control))
-    return patterns
+    units = (np.tile(unit, (len(facets), 1)) for unit in np.eye(2))
+    forces = [_side_force(blocks, facets, unit, expand) for unit in units]
+    return [Pattern(force, value, load.control) for force, value in zip(forces, load.traction, strict=True)]
 
 
 def _swapped(pressure: Pressures) -> Callable[..., Any]:

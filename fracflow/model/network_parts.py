@@ -96,8 +96,8 @@ def find_components(operators: Operators, conducts: np.ndarray) -> tuple[Network
     """All components, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
     blocks = operators.blocks
     comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
-    links = np.concatenate(comm.allgather(joints.flow))
-    label = components(*links[np.concatenate(comm.allgather(conducts))].T, count)
+    links = np.concatenate(comm.allgather(joints.flow))[np.concatenate(comm.allgather(conducts))]
+    label = components(links[:, 0], links[:, 1], count)
     points = np.concatenate(comm.allgather(blocks.flow.points))
     pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
     here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}

@@ -89,8 +89,8 @@ class Forces:
         """The same in vectors of its own."""
         of_terms = {name: vector.copy() for name, vector in self.of_terms.items()}
         anchor = None if self.anchor is None else self.anchor.copy()
-        others = [vector.copy() for vector in (self.load, self.support, self.conduction, self.source)]
-        return Forces(*others, of_terms, self.powers, anchor)
+        others = {name: getattr(self, name).copy() for name in ("load", "support", "conduction", "source")}
+        return replace(self, of_terms=of_terms, anchor=anchor, **others)
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""

@@ -50,7 +50,7 @@ def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart
     count = len(mesh.flow_origin)
     if not wells or not count:
         return []
-    label = components(*mesh.joint_flow.T, count)
+    label = components(mesh.joint_flow[:, 0], mesh.joint_flow[:, 1], count)
     of_joint = label[mesh.joint_flow[:, 0]]
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=1)
     inside: dict[int, list[str]] = {}

@@ -120,14 +120,9 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
 
 def is_chosen(scene: Scene, unknowns: int, plan: Condensing) -> bool:
     """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays."""
-    return _may_choose(scene, unknowns) and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
-
-
-def _may_choose(scene: Scene, unknowns: int) -> bool:
-    method = scene.method
-    suits = method.newton == "newton" and not any(against_condensing(scene))
-    suits = suits and unknowns >= SMALLEST and not is_large(unknowns)
-    return scene.model == "default" and method.coupling == "auto" and suits
+    allowed = scene.model == "default" and scene.method.coupling == "auto" and scene.method.newton == "newton"
+    suits = allowed and SMALLEST <= unknowns and not is_large(unknowns) and not any(against_condensing(scene))
+    return suits and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
 
 
 def planned(scene: Scene) -> Iterator[tuple[Stage, Alphas, float]]:

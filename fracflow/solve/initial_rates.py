@@ -9,6 +9,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc, destroy
 from fracflow.errors import SolveError, is_alone
+from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.joints import entry_sizes
 from fracflow.model.layout import product
@@ -19,6 +20,7 @@ from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear_check import check_solution
 from fracflow.solve.newton import Newton
+from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 
 
@@ -129,15 +131,11 @@ def levels(
 
 def _mass(operators: Operators, loads: Loads) -> tuple[PETSc.Mat, PETSc.KSP]:
     """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
-    matrix, solver = with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
+    matrix = with_diagonal(operators.mass)
     if operators.inward is not None:
         _bind(matrix, operators.inward)
-    start = matrix.getOwnershipRange()[0]
-    matrix.zeroRowsColumns((start + loads.held).astype(PETSc.IntType), 1.0)
-    solver.setOperators(matrix)
-    solver.setOptionsPrefix("mass_")
-    solver.setFromOptions()
-    return matrix, solver
+    matrix.zeroRowsColumns(petsc_ints(matrix.getOwnershipRange()[0] + loads.held), 1.0)
+    return matrix, solver_of(matrix, "mass_")
 
 
 def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:

@@ -63,6 +63,15 @@ MULTIGRID: dict[str, dict[str, Value]] = {
 """Options that take the place of those above in large scenes."""
 
 
+def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
+    """A linear solver with the options of a prefix. The caller destroys it. Collective."""
+    solver = PETSc.KSP().create(comm=matrix.getComm())
+    solver.setOperators(matrix)
+    solver.setOptionsPrefix(prefix)
+    solver.setFromOptions()
+    return solver
+
+
 _ours: set[str] = set()
 _given: set[str] = set()
 

@@ -18,6 +18,7 @@ from fracflow.mesh.data import Bools, Floats
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import SectionHistory, Sections
+from fracflow.solve.options import solver_of
 from fracflow.solve.period import sprung
 
 MOST_VECTORS = 40
@@ -137,10 +138,7 @@ class _Compliance:
         self.stiff = sprung(operators, moduli)
         rows = (self.stiff.getOwnershipRange()[0] + self.held).astype(PETSc.IntType)
         self.stiff.zeroRowsColumns(rows, 1.0)
-        self.solver = PETSc.KSP().create(comm=self.comm)
-        self.solver.setOptionsPrefix("stability_")
-        self.solver.setOperators(self.stiff)
-        self.solver.setFromOptions()
+        self.solver = solver_of(self.stiff, "stability_")
         self.force, self.shape = operators.layout.solid_vector(), operators.layout.solid_vector()
 
     def times(self, slip: Floats) -> Floats:

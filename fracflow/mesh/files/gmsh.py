@@ -157,7 +157,9 @@ def _work(
                 line = line.replace(str(folder / each), str(source)).replace(f"'{each}'", f"'{source}'")
             raise InputError(f"{what}: {line}; {_remedy(what, line, allowed)}")
         if code or not (folder / "mesh.npz").exists():
-            raise Crashed(f"{what}: {_end_of(code, said)}; {_remedy(what, said, allowed)}", -(code or 0))
+            last = (said.strip().splitlines() or ["it ended without a mesh"])[-1]
+            how = f"Gmsh crashed (signal {-code})" if code < 0 else f"Gmsh failed: {last}"
+            raise Crashed(f"{what}: {how}; {_remedy(what, said, allowed)}", -code)
         with np.load(folder / "mesh.npz") as arrays:
             return Elements(
                 points=arrays["points"],
@@ -206,10 +208,3 @@ def _remedy(what: str, said: str, allowed: Limits) -> str:
     if what.endswith(".msh"):
         return "save it again from Gmsh"
     return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
-
-
-def _end_of(code: int | None, said: str) -> str:
-    if code is not None and code < 0:
-        return f"Gmsh crashed (signal {-code})"
-    lines = said.strip().splitlines()
-    return f"Gmsh failed: {lines[-1] if lines else 'it ended without a mesh'}"

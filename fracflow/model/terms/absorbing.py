@@ -12,10 +12,9 @@ from fracflow.elements import dashpot, facet
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
-from fracflow.model.solid import nodal_force, nodal_layout, node_unknowns, projected, rock_values
+from fracflow.model.solid import assembled_at_nodes, nodal_force, rock_values
 from fracflow.model.terms.term import Term
 from fracflow.scene.scene import Absorbing, Scene
 from fracflow.scene.time_table import Around
@@ -105,7 +104,8 @@ class AbsorbingSides(Term):
         self.blocks, self.waves, self._notes = blocks, tuple[IncidentWave, ...](), tuple[str, ...]()
         if not scene.has_dynamics:
             return
-        self.damping = self._impedance(expand)
+        given = ((facets.nodes, facets.impedance) for _, facets in self.sides)
+        self.damping = assembled_at_nodes(blocks, given, expand)
         waves = [(absorbing, facets) for absorbing, facets in self.sides if absorbing.wave is not None]
         self.waves = tuple(_wave(blocks, absorbing, facets, expand) for absorbing, facets in waves)
         self._notes = tuple(line for each in self.sides for line in _notes(blocks, *each))
@@ -114,18 +114,6 @@ class AbsorbingSides(Term):
     def notes(self) -> tuple[str, ...]:
         """How much of a wave the sides send back."""
         return self._notes
-
-    def _impedance(self, expand: PETSc.Mat | None) -> PETSc.Mat:
-        """C, lumped: a block of dim x dim at each node, diagonal where sides lie along the axes. Collective."""
-        layout = nodal_layout(self.blocks)
-        matrix = create_matrix((layout, layout), self.blocks.sizes.dim, self.blocks.comm)
-        for _, facets in self.sides:
-            values = facets.impedance
-            for corner in range(values.shape[1]):
-                numbers = node_unknowns(self.blocks, facets.nodes[:, corner])
-                add_blocks(matrix, numbers, numbers, values[:, corner])
-        matrix.assemble()
-        return projected(matrix, expand)
 
     def held(self) -> tuple[Ints, Floats]:
         """Unknowns (n,) of this rank's part of the sides that are held without inertia, and their places (n, dim)."""

@@ -48,10 +48,9 @@ from fracflow.integrators.explicit import damped_rate
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.joints import Joints
-from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.mass import cell_rates
 from fracflow.model.operators import Operators
-from fracflow.model.solid import by_shape, deformable, elasticity, nodal_layout, node_unknowns, projected, rock_values
+from fracflow.model.solid import assembled, by_shape, deformable, elasticity, projected, rock_values
 from fracflow.model.terms.term import MeanDamping, Term
 from fracflow.scene.scene import Scene
 
@@ -105,12 +104,11 @@ def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     chosen = np.flatnonzero(ratios)
     moduli, points, time = elasticity(blocks, scene), blocks.solid.points, np.zeros(len(rates))
     time[chosen] = 2.0 * ratios[chosen] / np.sqrt(rates[chosen])
-    matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), 20, blocks.comm)
-    for group, nodes in by_shape(blocks.solid.cells[chosen]):
-        cells, numbers = chosen[group], node_unknowns(blocks, nodes).reshape(len(nodes), -1)
-        each = time[cells, None, None] * solid.stiffness(points[nodes], moduli[cells])
-        add_blocks(matrix, numbers, numbers, each)
-    matrix.assemble()
+
+    def kernel(cells: Ints, nodes: Ints) -> Floats:
+        return time[cells, None, None] * solid.stiffness(points[nodes], moduli[cells])
+
+    matrix = assembled(blocks, chosen, kernel, 20)
     scale = np.ones(len(rates))
     for ratio in np.unique(ratios[chosen]).tolist():
         scale[ratios == ratio] = damped_rate(ratio)

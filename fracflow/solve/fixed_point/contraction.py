@@ -19,6 +19,7 @@ from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.linear_check import UNSOLVED, check_solution, true_residual
+from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 
 POWER_ITERATIONS = 60
@@ -82,7 +83,8 @@ class Cycle:
                 rate.setArray(rate.getArray() - storage * pressure.getArray(readonly=True))
             flow.solve(rate, pressure)
             estimates.append(pressure.norm() if is_solved(matrix, pressure, rate) else np.inf)
-            if not np.isfinite(estimates[-1]) or _is_settled(estimates):
+            is_settled = all(abs(b - a) <= SETTLED * b for a, b in pairwise(estimates[-3:]))
+            if not np.isfinite(estimates[-1]) or (len(estimates) > 3 and is_settled):
                 break
         mode = pressure.getArray().copy()
         destroy(flow, pressure, rate, None if storage is None else matrix)
@@ -187,15 +189,6 @@ def scaled(alphas: Alphas, ratio: float) -> Alphas:
     return replace(alphas, a0=a0, a1=a1, a2=a2, a5=alphas.a5 * ratio)
 
 
-def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
-    """A linear solver with the options of a prefix. The caller destroys it. Collective."""
-    solver = PETSc.KSP().create(comm=matrix.getComm())
-    solver.setOperators(matrix)
-    solver.setOptionsPrefix(prefix)
-    solver.setFromOptions()
-    return solver
-
-
 def is_solved(matrix: PETSc.Mat, solution: PETSc.Vec, source: PETSc.Vec) -> bool:
     """Whether A x = b holds at all: a direct solver calls garbage converged where A is singular. Collective."""
     relative, left = true_residual(matrix, solution, source)
@@ -220,8 +213,3 @@ def change_of(old: Floats, new: Floats, comm: MPI.Comm) -> float:
 
 def _here(matrix: PETSc.Mat) -> np.ndarray:
     return np.arange(*matrix.getOwnershipRange()) - matrix.getOwnershipRange()[0]
-
-
-def _is_settled(estimates: list[float]) -> bool:
-    last = estimates[-3:]
-    return len(estimates) > 3 and all(abs(b - a) <= SETTLED * b for a, b in pairwise(last))

@@ -22,11 +22,12 @@ from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import start_again, step_report
 from fracflow.solve.condensed_cost import Condensing
-from fracflow.solve.fixed_point.contraction import Prediction, add_diagonal, change_of, is_solved, predict, solver_of
+from fracflow.solve.fixed_point.contraction import Prediction, add_diagonal, change_of, is_solved, predict
 from fracflow.solve.fixed_point.failure import describe_divergence, measured_factor
 from fracflow.solve.fixed_point.relaxation import RELAXATIONS, Cycles
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
+from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY
 
