@@ -117,12 +117,13 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
         det = np.einsum("nqi,nqi->nq", matrix[..., 0, :], np.cross(matrix[..., 1, :], matrix[..., 2, :]))
     bad = np.flatnonzero(~(det > 0.0).all(axis=1))
     if bad.size:
-        is_plane = matrix.shape[-1] == 2
-        how = "run counter-clockwise around a convex cell of positive area"
-        how = how if is_plane else "be ordered as Gmsh's, in a convex cell of positive volume"
-        raise InputError(
-            f"{bad.size} cells with a Jacobian that is not positive (cells {listed(bad, numbers)}): nodes must {how}"
+        plane, space = (
+            "run counter-clockwise around a convex cell of positive area",
+            "be ordered as Gmsh's, in a convex cell",
         )
+        must = plane if matrix.shape[-1] == 2 else f"{space} of positive volume"
+        which = f"cells {listed(bad, numbers)}"
+        raise InputError(f"{bad.size} cells with a Jacobian that is not positive ({which}): nodes must {must}")
     return matrix, det
 
 

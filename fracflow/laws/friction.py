@@ -105,9 +105,8 @@ class Trial:
         way it slides, with -d ``carried`` / d f_n (n,) of what it carries. Contact [1]: opening past that at which f_n
         vanishes, over d0. A change by round-off is no event.
         """
-        slack = ONSET_ROUND_OFF * (
-            self.closure.stress_scale(len(change)) + self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
-        )
+        moved = self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
+        slack = ONSET_ROUND_OFF * (self.closure.stress_scale(len(change)) + moved)
         along = np.einsum("ni,ni->n", change[:, :-1], self.history["sliding"])
         with np.errstate(invalid="ignore"):
             slips = self.k_s * along + carried * self.k_n * change[:, -1]

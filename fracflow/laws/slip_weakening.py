@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -76,13 +77,15 @@ class SlipWeakening(FrictionLaw):
 
     def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:
         """Mu of slip paths D (n,), and by how much it falls with further slip [1/length], 0 from D_c on."""
-        peak, dynamic, distance = (
-            per_section(v, len(slip_path))
-            for v in (self.friction_coefficient, self.dynamic_friction_coefficient, self.slip_weakening_distance)
-        )
+        peak, dynamic, distance = self._parameters(len(slip_path))
         weakens = slip_path < distance
         falls = np.where(weakens, (peak - dynamic) / distance, 0.0)
         return np.where(weakens, peak - falls * slip_path, dynamic), falls
+
+    def _parameters(self, sections: int) -> Iterator[Floats]:
+        """mu_p, mu_d and D_c (n,)."""
+        given = (self.friction_coefficient, self.dynamic_friction_coefficient, self.slip_weakening_distance)
+        return (per_section(v, sections) for v in given)
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
         """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``history``, at most one change of status.
@@ -106,9 +109,8 @@ class SlipWeakening(FrictionLaw):
         softens = slides & (falls > 0.0) & ~crosses & (slip > 0.0)
         share = np.where(softens, k_s / np.where(softens, stiff, 1.0), 1.0)
         now, _ = self.friction(path + slip)
-        carried = np.where(
-            slip > 0.0, cohesion - f_n * now, strength if step.hold else np.minimum(strength, trial.size)
-        )
+        unmoved = strength if step.hold else np.minimum(strength, trial.size)
+        carried = np.where(slip > 0.0, cohesion - f_n * now, unmoved)
         slid = slides & ~trial.crushed
         response = trial.response(
             slides=slides,
@@ -133,9 +135,7 @@ class SlipWeakening(FrictionLaw):
 
     def strength_drop(self, compression: Floats) -> Floats:
         """Drop of strength (n,): the compression (n,) times mu_p - mu_d [stress]."""
-        peak, dynamic = (
-            per_section(v, len(compression)) for v in (self.friction_coefficient, self.dynamic_friction_coefficient)
-        )
+        peak, dynamic, _ = self._parameters(len(compression))
         return compression * (peak - dynamic)
 
     def slip_length(self, sections: int) -> Floats:

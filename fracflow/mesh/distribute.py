@@ -127,9 +127,8 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
     node_owner = _lowest_rank(cell_rank[cell], mesh.cells[cell, corner], len(mesh.points), size)
     node_global, node_starts = _renumber(node_owner, size)
     joint_rank = cell_rank[mesh.joint_cells[:, 0]]
-    flow_owner = _lowest_rank(
-        np.repeat(joint_rank, mesh.joint_flow.shape[1]), mesh.joint_flow.ravel(), len(mesh.flow_origin), size
-    )
+    rank_of_ends = np.repeat(joint_rank, mesh.joint_flow.shape[1])
+    flow_owner = _lowest_rank(rank_of_ends, mesh.joint_flow.ravel(), len(mesh.flow_origin), size)
     flow_global, flow_starts = _renumber(flow_owner, size)
 
     body, body_rock = rigid_bodies(mesh, rigid_rocks)
@@ -165,9 +164,8 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         sides = np.flatnonzero(cell_rank[mesh.side_cell] == rank)
         owned = np.flatnonzero(node_owner == rank)
         corners = mesh.cells[cells]
-        touched = np.unique(
-            np.concatenate([corners[corners >= 0], mesh.joint_bottom[joints].ravel(), mesh.joint_top[joints].ravel()])
-        )
+        bottom, top = mesh.joint_bottom[joints], mesh.joint_top[joints]
+        touched = np.unique(np.concatenate([corners[corners >= 0], bottom.ravel(), top.ravel()]))
         ghosts = touched[node_owner[touched] != rank]
         nodes = np.concatenate([owned, ghosts])
         local = np.full(len(mesh.points) + 1, -1, dtype=np.int64)  # the last entry keeps the padding at -1
@@ -201,8 +199,8 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         flow_nodes = np.flatnonzero(flow_owner == rank)
         joint = JointBlock(
             ids=joints,
-            bottom=local[mesh.joint_bottom[joints]],
-            top=local[mesh.joint_top[joints]],
+            bottom=local[bottom],
+            top=local[top],
             flow=flow_global[mesh.joint_flow[joints]],
             flow_ids=mesh.joint_flow[joints],
             fracture=mesh.joint_fracture[joints],

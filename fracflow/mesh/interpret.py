@@ -71,9 +71,8 @@ def _plane(points: Floats, what: str) -> Floats:
     if points.shape[1] == 3 and len(points):
         height = np.ptp(points[:, 2])
         if height > 1e-9 * np.ptp(points, axis=0).max():
-            raise InputError(
-                f"{what}: the mesh is not in a plane z = constant (z varies by {height:.3g}); give nodes one z"
-            )
+            fault = f"the mesh is not in a plane z = constant (z varies by {height:.3g})"
+            raise InputError(f"{what}: {fault}; give nodes one z")
     return points[:, :2]
 
 

@@ -179,10 +179,8 @@ def _below_and_above(raw: RawMesh, half: HalfFacets, matches: Matches) -> tuple[
     facets = raw.fracture_facets
     left, other = (_runs_alike(_places(half, chosen, facets)) for chosen in (matches.first, matches.second))
     if np.any(left == other):
-        worst = facets[np.argmax(left == other)]
-        raise InputError(
-            f"mesh: the cells at {spot(raw.points, worst)} overlap or turn clockwise; order them all alike"
-        )
+        place = spot(raw.points, facets[np.argmax(left == other)])
+        raise InputError(f"mesh: the cells at {place} overlap or turn clockwise; order them all alike")
     return np.where(left, matches.second, matches.first), np.where(left, matches.first, matches.second)
 
 

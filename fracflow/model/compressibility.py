@@ -22,16 +22,20 @@ def compression_of(operators: Operators, state: State) -> Compression | None:
     network = operators.flow
     if network is None or network.compressibility == 0.0:
         return None
+    return network.compress(_apertures(operators, state), network.driving(state.pressure))
+
+
+def _apertures(operators: Operators, state: State) -> Floats:
+    """Apertures (j, 2) of the joint ends at a state [length]. Collective."""
     opening = operators.joints.openings(state.sections.strain)
-    aperture = network.apertures(state.motion.displacement, opening)
-    return network.compress(aperture, network.driving(state.pressure))
+    return operators.network.apertures(state.motion.displacement, opening)
 
 
 def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
     """Rates at which fluid leaves by a term at the flow nodes, in a new vector [volume rate per thickness]. Collective."""
     network, result = operators.network, operators.layout.flow_vector()
-    aperture = network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
-    network.taken_up(term.leaving(network.at_ends(state.pressure), aperture).rate, result)
+    leaving = term.leaving(network.at_ends(state.pressure), _apertures(operators, state))
+    network.taken_up(leaving.rate, result)
     return result
 
 
@@ -72,12 +76,7 @@ def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
 def _left(operators: Operators, old: State, new: State) -> NDArray[np.float64]:
     """Ratio of new to old aperture (j, 2) of conducting elements; 1 where conductances are given. Collective."""
     network = operators.network
-    before, after = (
-        np.maximum(
-            network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain)), least
-        )
-        for state, least in ((old, network.least), (new, network.least))
-    )
+    before, after = (np.maximum(_apertures(operators, state), network.least) for state in (old, new))
     wide = (before > 0.0) & np.isnan(network.given)[:, None]
     return np.divide(after, before, out=np.ones_like(before), where=wide)
 
@@ -89,9 +88,8 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
     """Rates (n,) of what was ``taken`` (n,) since ``state``, by the rule of the walls; None in a step without storage."""
     if alphas.b1 == alphas.b4 == 0.0:
         return None
-    old, mean = (
-        0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.previous_step.uptake)
-    )
+    rates = (state.uptake, state.previous_step.uptake)
+    old, mean = (0.0 if rate is None else rate.getArray(readonly=True) for rate in rates)
     return first_rate(alphas, taken, 0.0, old, mean)
 
 

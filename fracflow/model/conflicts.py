@@ -65,9 +65,8 @@ def _apart(mesh: SplitMesh, one: Support, other: Support, part: str, nodes: Ints
         return is_apart
     place = mesh.points[nodes]
     for time in sorted({0.0, *_times(one), *_times(other)}):
-        first, second = (
-            np.broadcast_to(motion(support, part)(time, place, AT_ONCE), len(nodes)) for support in (one, other)
-        )
+        moved = (motion(support, part)(time, place, AT_ONCE) for support in (one, other))
+        first, second = (np.broadcast_to(each, len(nodes)) for each in moved)
         largest = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
         is_apart |= np.abs(first - second) > APART * largest
     return is_apart

@@ -54,13 +54,10 @@ def supported(
     Raises InputError, on every rank.
     """
     block, dim = blocks.solid, blocks.sizes.dim
-    rotation = {"rotation": dim}
     if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
         bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
-        column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
-        return {
-            part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components
-        }
+        column, centres = (*AXES[:dim], "rotation"), block.body_center[bodies]
+        return {part: (block.body_unknown[bodies, column.index(part)], centres) for part in support.components}
     if name in block.sides:
         nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
     elif name in block.rocks:
@@ -98,10 +95,8 @@ def prescribe(
     is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
     here = is_new & (owner_of(starts, everywhere) == comm.rank)
     with_it = data[first[here]]
-    numbers = everywhere[here] - starts[comm.rank]
-    return PrescribedValues(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(
-        taken, everywhere
-    )
+    numbers, taken = everywhere[here] - starts[comm.rank], np.union1d(taken, everywhere)
+    return PrescribedValues(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), taken
 
 
 def motion(support: Support, part: str) -> Callable[..., Any]:

@@ -48,9 +48,8 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
-    parts["work_boundaries"] += 0.5 * sum(
-        vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
-    )
+    outer = [force for state in (old, new) for force in (state.forces.load, state.forces.support)]
+    parts["work_boundaries"] += 0.5 * sum(force.dot(change) for force in outer)
     if ops.flow is not None:
         instants = (new,) if scheme.balance == "end" else (old, new)
         parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme)

@@ -150,9 +150,8 @@ class Flow:
 
     def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
         """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
-        return np.asarray(
-            (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & np.isnan(self.given)[:, None]
-        )
+        by_law = np.isnan(self.given)[:, None]
+        return (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & by_law
 
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
         """Fluid beyond the room at apertures (j, 2) under pressures above rest (j, 2)."""
@@ -227,9 +226,8 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
     kinds = STORAGE[scene.method.storage]
     push = weighted(kinds[0])
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
-    aperture, least = (
-        along_fractures(blocks, scene, key, natural) for key in ("aperture", "minimum_hydraulic_aperture")
-    )
+    keys = ("aperture", "minimum_hydraulic_aperture")
+    aperture, least = (along_fractures(blocks, scene, key, natural) for key in keys)
     resting = PETSc.Vec().createMPI(node_layout, comm=comm)
     resting.setArray(resting_pressure(scene, blocks.flow.points))
     return Flow(

@@ -278,9 +278,8 @@ def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
 def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     """Initial effective tractions (s, dim): those implied (2.14), or what the fractures' tables give in their place."""
     traction = implied_tractions(blocks, scene, natural)
-    normal, shear = (
-        along_fractures(blocks, scene, f"initial_{part}_traction", natural).ravel() for part in ("normal", "shear")
-    )
+    keys = ("initial_normal_traction", "initial_shear_traction")
+    normal, shear = (along_fractures(blocks, scene, key, natural).ravel() for key in keys)
     traction[:, -1] = np.where(np.isnan(normal), traction[:, -1], normal)
     traction[:, :-1] = np.where(np.isnan(shear)[:, None], traction[:, :-1], shear[:, None])
     if scene.equilibrates:

@@ -119,9 +119,8 @@ def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fix
     """
     layout, network = operators.layout, operators.network
     part_of = np.zeros(int(layout.flow_starts[-1]), dtype=np.int64)
-    part_of[np.concatenate([part.nodes for part in parts])] = np.repeat(
-        np.arange(len(parts)), [len(part.nodes) for part in parts]
-    )
+    for number, part in enumerate(parts):
+        part_of[part.nodes] = number
     walls = local_rows(network.storage_coupling)
     joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
     free = ~np.isin(joined, fixed_solid)[walls.rows]

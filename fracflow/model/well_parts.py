@@ -61,9 +61,8 @@ def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart
         here = of_joint == part
         fractures = tuple(mesh.fractures[k] for k in np.unique(mesh.joint_fracture[here]))
         others = np.isin(label, [each for each in inside if each != part])
-        found.append(
-            WellPart(tuple(names), fractures, float(length[here].sum()), *_nearest(mesh, label == part, others))
-        )
+        nearest = _nearest(mesh, label == part, others)
+        found.append(WellPart(tuple(names), fractures, float(length[here].sum()), *nearest))
     return found
 
 

@@ -103,14 +103,12 @@ def describe_failure(
     where = "".join(cycling)
     where += f"nothing else holds {_block(loose, _loose(loose)[0])}; " if cycling and loose is not None else ""
     where += f"{weakness} (slipped before: {slipped}); " if slipped else ""
-    why = why if np.isfinite(problem.residual.solid) else WHY["DIVERGED_FNORM_NAN"]
-    residual = problem.residual
-    wanted = (
-        f"relative residual of the solid {residual.solid:.2e}, of the flow {max(residual.flow, residual.at_nodes):.2e}"
-    )
+    in_solid, in_flow = problem.residual.solid, max(problem.residual.flow, problem.residual.at_nodes)
+    why = why if np.isfinite(in_solid) else WHY["DIVERGED_FNORM_NAN"]
+    wanted = f"relative residual of the solid {in_solid:.2e}, of the flow {in_flow:.2e}"
     flow = np.abs(problem.flow_balance.getArray(readonly=True))
     solid = np.abs(problem.solid_balance.getArray(readonly=True))
-    worse = residual.solid > max(residual.flow, residual.at_nodes)
+    worse = in_solid > in_flow
     place = place_of(problem, np.where(worse, solid, 0.0), np.where(worse, 0.0, flow))
     wanted += f", wanted {accuracy.residual:.0e}, worst {place}"
     if why == CIRCLES:

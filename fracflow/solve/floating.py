@@ -211,9 +211,8 @@ def _terms_stiffness(operators: Operators, frames: Frames, group: Ints) -> spars
     terms = [term.stiffness for term in operators.terms if term.stiffness is not None]
     if not terms:
         return total
-    motions = PETSc.Mat().createAIJ(
-        (operators.layout.solid_vector().getSizes(), (None, count)), nnz=3, comm=blocks.comm
-    )
+    unknowns = (operators.layout.solid_count, int(operators.layout.solid_starts[-1]))
+    motions = PETSc.Mat().createAIJ((unknowns, (None, count)), nnz=3, comm=blocks.comm)
     for numbers, motion, value in _moved_unknowns(blocks, frames, group):
         add_blocks(motions, numbers[:, None], motion, value[:, None])
     motions.assemble()

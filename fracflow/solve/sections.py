@@ -243,10 +243,8 @@ class SectionSolver:
             moduli = moduli - weights[:, :, None] * self.elastic
             rows = self._gather(free, change, push, known + weights * np.abs(pull), moduli, slopes, share)
             beyond = np.abs(rows.left) - MOTION_ROUND_OFF * rows.size
-            here = [float(np.abs(change).max(initial=0.0)), float(beyond.max(initial=0.0))]
-            moved, beyond_all, worst, bad = over_ranks(
-                [*here, float(np.abs(rows.left).max(initial=0.0)), float(not np.isfinite(push).all())], comm
-            )
+            here = [float(each.max(initial=0.0)) for each in (np.abs(change), beyond, np.abs(rows.left))]
+            moved, beyond_all, worst, bad = over_ranks([*here, float(not np.isfinite(push).all())], comm)
             if bad:
                 break
             if beyond_all <= TIGHT * moved and flow <= self.scene.accuracy.residual and iteration >= least:

@@ -58,9 +58,8 @@ def of_step(operators: Operators, old: Sections, new: Sections) -> Weakening:
     """The largest possible in a step: each section that slid weakens as at its start or as at its end."""
     moved = (new.inelastic - old.inelastic)[:, :-1]
     size = np.linalg.norm(moved, axis=1)
-    way = np.where(
-        (size > 0.0)[:, None], moved / np.where(size > 0.0, size, 1.0)[:, None], _sliding_way(operators, new)
-    )
+    along = moved / np.where(size > 0.0, size, 1.0)[:, None]
+    way = np.where((size > 0.0)[:, None], along, _sliding_way(operators, new))
     begins, ends = _weakening(operators, new, old.history, way), _weakening(operators, new, new.history, way)
     before = _weakening(operators, old, old.history, way)
     most = [np.max([getattr(each, name) for each in (before, begins, ends)], axis=0) for name in ("rate", "fall")]

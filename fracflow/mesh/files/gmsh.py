@@ -127,15 +127,14 @@ def run_worker(
     for temporary files is full.
     """
     try:
-        return _work(job, what, texts or {}, sources or {}, limits(job.get("bytes")))
+        return _work(job, what, texts or {}, sources or {})
     except OSError as error:
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{what}: Gmsh cannot be run: {where}: {error.strerror}; make room, or set TMPDIR") from None
 
 
-def _work(
-    job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path], allowed: Limits
-) -> Elements:
+def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path]) -> Elements:
+    allowed = limits(job.get("bytes"))
     with tempfile.TemporaryDirectory(prefix="fracflow-gmsh-") as name:
         folder = Path(name)
         for each, text in texts.items():
@@ -147,9 +146,8 @@ def _work(
         code, said = _run(folder, allowed)
         if code is None or code == -signal.SIGXCPU:
             why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"
-            raise InputError(
-                f"{what}: Gmsh did not end within {why}; let it make fewer cells, or set {SECONDS[0]} to more seconds"
-            )
+            remedy = f"let it make fewer cells, or set {SECONDS[0]} to more seconds"
+            raise InputError(f"{what}: Gmsh did not end within {why}; {remedy}")
         report = folder / "error.txt"
         if report.exists():
             line = report.read_text(encoding="utf-8", errors="replace")[:LONGEST_REPORT]

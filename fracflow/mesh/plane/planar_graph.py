@@ -49,9 +49,7 @@ def planar_graph_of(domain: Floats, traces: list[Floats]) -> PlanarGraph:
     rank = np.repeat([CORNER, FREE], [count, len(points) - count])
     nothing = np.zeros(0, dtype=np.int64)
     bends = (nothing, nothing, np.zeros(0))
-    return PlanarGraph(
-        points, points.copy(), np.arange(len(points)), rank, edges, owner.astype(np.int64), bends, len(points)
-    )
+    return PlanarGraph(points, points.copy(), np.arange(len(points)), rank, edges, owner, bends, len(points))
 
 
 def settle(lines: PlanarGraph, snap: float, rounds: int) -> PlanarGraph | None:
@@ -143,9 +141,8 @@ def cross(lines: PlanarGraph, snap: float) -> PlanarGraph:
     one, other, along_one, along_other = (part[inside] for part in (one, other, along_one, along_other))
     # On the straighter of the two, a side: its points must stay on it.
     on_one = (lines.owner[one] < 0)[:, None]
-    new = np.where(
-        on_one, start[one] + along_one[:, None] * step[one], start[other] + along_other[:, None] * step[other]
-    )
+    at_one, at_other = start[one] + along_one[:, None] * step[one], start[other] + along_other[:, None] * step[other]
+    new = np.where(on_one, at_one, at_other)
     number = len(lines.points) + np.arange(len(new))
     rank = np.where((lines.owner[one] < 0) | (lines.owner[other] < 0), ON_SIDE, FREE)
     more = replace(

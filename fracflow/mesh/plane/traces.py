@@ -230,9 +230,8 @@ def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float
             onto = f" onto {labels.all_of(others)}" if len(others) else ""
         else:
             what, onto = f"{labels.all_of(others)}: crossing", ""
-        notes.append(
-            f"{what} {_spot(lines.first[point])} moved by {moved[point]:.3g} to {_spot(lines.points[here])}{onto}"
-        )
+        before, after = _spot(lines.first[point]), _spot(lines.points[here])
+        notes.append(f"{what} {before} moved by {moved[point]:.3g} to {after}{onto}")
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
         if distance > least and point in at:
             notes.append(f"{labels(trace)}: bent by {distance:.3g} to {_spot(lines.points[point])}")

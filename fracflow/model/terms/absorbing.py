@@ -59,11 +59,10 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
     if blocks.comm.allreduce(int((blocks.solid.body[nodes] >= 0).any())):
         raise InputError(f"absorbing: on = {list(absorbing.on)}: lies on a rigid rock, in which no wave travels")
     corners = blocks.solid.points[nodes]
-    lam, shear = dashpot.lame(
-        rock_values(blocks, scene, "youngs_modulus")[cells], rock_values(blocks, scene, "poissons_ratio")[cells]
-    )
+    keys = ("youngs_modulus", "poissons_ratio", "density")
+    modulus, ratio, density = (rock_values(blocks, scene, key)[cells] for key in keys)
     size, normal = facet.nodal_sizes(corners), outward(blocks, facets)
-    return Facets(nodes, size, normal, lam, shear, rock_values(blocks, scene, "density")[cells])
+    return Facets(nodes, size, normal, *dashpot.lame(modulus, ratio), density)
 
 
 def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
@@ -179,9 +178,8 @@ def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Ma
         inward = comm.allreduce(-(facets.normal * length[:, None]).sum(axis=0))
         total = comm.allreduce(float(length.sum()))
         if np.linalg.norm(inward) < (1.0 - SAME) * total:
-            raise InputError(
-                f"absorbing: on = {list(absorbing.on)}: is not one straight side: give wave.direction, the way the wave goes"
-            )
+            fault = f"absorbing: on = {list(absorbing.on)}: is not one straight side"
+            raise InputError(f"{fault}: give wave.direction, the way the wave goes")
     else:
         inward = np.array(wave.direction)
     direction = inward / np.linalg.norm(inward)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.laws import TERM_LAWS, TermLaw
+from fracflow.laws import TERM_LAWS
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
@@ -65,9 +65,7 @@ class OnFractures(Term):
         """Find the joints of each table."""
         flow = operators.network
         self.name, self.entry, self._half = name, tables[0].law.entry, 0.5 * flow.length
-        self._laws: list[tuple[np.ndarray, TermLaw]] = [
-            (joints_of(operators.blocks, table.on), table.made()) for table in tables
-        ]
+        self._laws = [(joints_of(operators.blocks, table.on), table.made()) for table in tables]
         sizes = (sign * operators.scales.pressure + flow.resting_end for sign in (-1.0, 1.0))
         slopes = [self.leaving(pressure, flow.aperture).by_pressure.any(axis=1) for pressure in sizes]
         self._settled = np.flatnonzero(slopes[0] | slopes[1])
