@@ -87,6 +87,10 @@ class Stepper(Protocol):
     memory: ClassVar[bool] = False
     explicit: ClassVar[bool] = False
 
+    def __post_init__(self) -> None:
+        """Raises InputError for parameters that are not stable, or that cannot be stepped implicitly."""
+        check_parameters(self)
+
     @property
     def order(self) -> int:
         """Order of accuracy."""
@@ -181,10 +185,6 @@ class Newmark(Stepper):
     def damps(self) -> bool:
         """Above gamma = 1/2."""
         return self.gamma > 0.5
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be stepped implicitly."""
-        check_parameters(self)
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """(4.3) alpha_0 ... alpha_5; time_step [time], positive."""

@@ -22,6 +22,7 @@ from fracflow.laws.closure import NormalClosure
 
 PLASTIC_SLIP = HistoryVariable("shear", "length", "plastic slip", published=False)  # output has it as plastic_slip
 SLIDING = HistoryVariable("shear", "1", "direction of the sliding traction, 0 while it sticks", published=False)
+SLIP_PATH = HistoryVariable("scalar", "length", "length of the path of plastic slip", published=False)
 ONSET_ROUND_OFF = 1e-12
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil
 

@@ -8,17 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import (
-    INSTANT,
-    Floats,
-    History,
-    HistoryVariable,
-    JointResponse,
-    LawStep,
-    Parameter,
-    key,
-    per_section,
-)
+from fracflow.laws.base import INSTANT, Floats, History, JointResponse, LawStep, Parameter, key, per_section
 from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
 
 
@@ -61,7 +51,7 @@ class HyperbolicCoulomb(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, HistoryVariable]] = {"plastic_slip": PLASTIC_SLIP, "sliding": SLIDING}
+    history: ClassVar = {"plastic_slip": PLASTIC_SLIP, "sliding": SLIDING}
     no_drop: ClassVar[str] = "stick_slip_ratio = 1"
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:

@@ -8,18 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import (
-    INSTANT,
-    Floats,
-    History,
-    HistoryVariable,
-    JointResponse,
-    LawStep,
-    Parameter,
-    key,
-    per_section,
-)
-from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
+from fracflow.laws.base import INSTANT, Floats, History, JointResponse, LawStep, Parameter, key, per_section
+from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, SLIP_PATH, FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +58,7 @@ class SlipWeakening(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, HistoryVariable]] = {
-        "plastic_slip": PLASTIC_SLIP,
-        "slip_path": HistoryVariable("scalar", "length", "length of the path of plastic slip", published=False),
-        "sliding": SLIDING,
-    }
+    history: ClassVar = {"plastic_slip": PLASTIC_SLIP, "slip_path": SLIP_PATH, "sliding": SLIDING}
     weakens_over: ClassVar[str] = "slip_weakening_distance"
 
     def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:

@@ -13,15 +13,14 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh
 from fracflow.mesh.files.geo_check import check_geo
-from fracflow.mesh.files.gmsh import open_checked, open_in_gmsh, open_msh, run_worker
+from fracflow.mesh.files.gmsh import open_checked, open_msh, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.plane.near import NearMiss, near_misses, told
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
-from fracflow.mesh.plane.snap import STRETCH, natural_snap
-from fracflow.mesh.plane.traces import Trace, TraceNetwork, polygon_area, tidy
+from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, natural_snap, polygon_area, tidy
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh")
@@ -81,7 +80,7 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
             raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
         is_inside = folder is not None and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
         if trust:
-            elements = open_in_gmsh(path)
+            elements = run_worker({"file": str(path.resolve())}, str(path))  # Gmsh runs the file itself
         else:
             checked = check_geo(path, folder if is_inside else None)
             elements, notes = open_checked(path, checked), checked.notes

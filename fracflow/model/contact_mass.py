@@ -13,13 +13,14 @@ import numpy as np
 from fracflow._petsc import PETSc, destroy
 from fracflow.elements import solid
 from fracflow.laws import JOINT_LAWS
-from fracflow.mesh.contact_nodes import ContactNodes, averaged, balanced, contact_nodes_of, tied_whole
+from fracflow.mesh.contact_nodes import averaged, balanced, contact_nodes_of, tied_whole
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import pieces_of_rock
 from fracflow.model.joints import Joints, Massless
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
+from fracflow.model.solid import by_shape
 from fracflow.scene.scene import Scene
 
 SOME = 1e-9  # of a mass: what counts as lost
@@ -119,24 +120,18 @@ def _entries(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Floats, damped:
     walls, added = balanced(mesh, walls, mass, piece, able)
     walls = averaged(walls, unknown)
     rows, normal = unknown[walls.nodes], walls.normal
-    own, links = (rows, rows, -normal), _links(walls, unknown)
+    given, taking = rows[walls.wall], normal[walls.wall] * walls.share[:, None, None]
+    own, links = (rows, rows, -normal), (given, unknown[walls.inner], taking)
     inward = tuple(np.concatenate(parts) for parts in zip(own, links, strict=True))
     chosen = np.flatnonzero(added.any(axis=(1, 2)))
     numbers = unknown[chosen]
     return (inward[0], inward[1], inward[2]), (numbers, numbers, added[chosen])
 
 
-def _links(walls: ContactNodes, unknown: Ints) -> Entries:
-    rows, cols = unknown[walls.nodes[walls.wall]], unknown[walls.inner]
-    return rows, cols, walls.normal[walls.wall] * walls.share[:, None, None]
-
-
 def _nodal_mass(mesh: SplitMesh, scene: Scene) -> Floats:
     """Row sums of the mass matrix (n,)."""
     density = np.array([scene.rock[name].density or 0.0 for name in mesh.rocks])[mesh.cell_rock]
-    result, corners = np.zeros(len(mesh.points)), (mesh.cells >= 0).sum(axis=1)
-    for width in np.unique(corners):
-        alike = np.flatnonzero(corners == width)
-        nodes = mesh.cells[alike, :width]
+    result = np.zeros(len(mesh.points))
+    for alike, nodes in by_shape(mesh.cells):
         np.add.at(result, nodes, solid.mass_lumped(mesh.points[nodes], density[alike]))
     return result

@@ -15,7 +15,7 @@ from fracflow.model.properties import on_joints
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import worst_fracture
 from fracflow.solve.floating import Floating
-from fracflow.solve.linear_check import check_solution, true_residual
+from fracflow.solve.linear import check_solution, true_residual
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import over_ranks
 from fracflow.solve.stiffness import NEWTON_METHODS

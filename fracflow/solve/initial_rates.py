@@ -18,7 +18,7 @@ from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear_check import check_solution
+from fracflow.solve.linear import check_solution
 from fracflow.solve.newton import Newton
 from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem

@@ -21,7 +21,7 @@ from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
-from fracflow.solve.linear_check import check_solution
+from fracflow.solve.linear import check_solution
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY, largest, over_ranks

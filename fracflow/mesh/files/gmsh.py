@@ -62,11 +62,6 @@ class Crashed(InputError):
         self.signal = signal
 
 
-def open_in_gmsh(path: Path) -> Elements:
-    """Mesh a .geo of an author who is trusted: Gmsh runs the file itself. Raises InputError with Gmsh's first error."""
-    return run_worker({"file": str(path.resolve())}, str(path))
-
-
 def open_checked(path: Path, checked: Checked) -> Elements:
     """Mesh a .geo that was checked, from what was made of it. Raises InputError with Gmsh's first error."""
     texts = {name: text.encode("utf-8", "surrogateescape") for name, text in checked.texts.items()}

@@ -15,6 +15,9 @@ ROUNDS = 30  # of merging, moving and cutting
 EXACT = 1e-9  # of the domain's extent: moves under this are round-off and go without saying
 LEAST_ANGLE = 0.1  # degrees between edges that meet
 SHALLOW = 10.0  # degrees: lines that cross at less may share a stretch
+FRACTION = 0.004  # a pencil's line, 0.4 mm, on a map on which the median trace is 10 cm long
+SPARE = 0.25  # of the shortest trace or side, which snapping must not swallow
+STRETCH = 20.0  # snaps that two traces may share
 
 Trace = tuple[str, Floats]
 """Name and points (m, 2) of a fracture, from its start to its end."""
@@ -108,6 +111,33 @@ def polygon_area(corners: Floats) -> float:
     """Area of a polygon (k, 2), whichever way round [length**2]."""
     x, y = (corners - corners.mean(axis=0)).T
     return float(abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) / 2)
+
+
+def natural_snap(domain: Floats, traces: Sequence[Trace]) -> tuple[float, str]:
+    """The snap of traces that state none [length], and why: 0.4 % of their median length.
+
+    The median stays where one trace more is drawn far away. It counts at most as the width of the domain, the root of
+    its area. No trace or side may be shorter than four snaps.
+
+    domain  (k, 2) corners of a polygon [length]
+    """
+    lengths = np.array([np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in traces])
+    sides = np.linalg.norm(np.roll(domain, -1, axis=0) - domain, axis=1)
+    width, percent = float(np.sqrt(polygon_area(domain))), f"{100.0 * FRACTION:g} % of"
+    found = [
+        (FRACTION * width, f"{percent} the domain's width"),
+        (SPARE * float(sides.min()), f"{SPARE:g} of the domain's shortest side"),
+    ]
+    if len(lengths):
+        shortest = int(np.argmin(lengths))
+        found += [
+            (FRACTION * float(np.median(lengths)), f"{percent} the median length of traces"),
+            (
+                SPARE * float(lengths[shortest]),
+                f'{SPARE:g} of the length of fracture "{traces[shortest][0]}", the shortest',
+            ),
+        ]
+    return min(each for each in found if each[0] > 0.0)  # a domain that is none is refused by name later
 
 
 def _check_domain(domain: Floats, snap: float) -> None:

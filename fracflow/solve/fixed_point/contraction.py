@@ -18,7 +18,7 @@ from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear_check import UNSOLVED, check_solution, true_residual
+from fracflow.solve.linear import UNSOLVED, check_solution, true_residual
 from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 
