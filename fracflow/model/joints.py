@@ -319,13 +319,11 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     initial (s, dim) tractions. With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
     """
     fracture = np.repeat(blocks.joints.fracture, points)
-    tension, failed = set(), set()
-    scale = float(np.abs(initial).max(initial=0.0))
-    tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
+    tension = set(fracture[initial[:, -1] > 1e-12 * np.abs(initial).max(initial=0.0)].tolist())
+    failed: set[int] = set()
     for group in () if carried or blocks.comm.allreduce(len(tension)) else groups:
-        dim = initial.shape[1]
-        count = len(group.sections)
-        response = group.law.evaluate(np.zeros((count, dim)), group.law.initial_history(count, dim))
+        unstrained = np.zeros((len(group.sections), initial.shape[1]))
+        response = group.law.evaluate(unstrained, group.law.initial_history(*unstrained.shape))
         failed.update(fracture[group.sections[response.is_sliding | (response.utilisation >= 1.0)]].tolist())
     names = blocks.joints.fractures
     bad_tension = sorted({names[i] for part in blocks.comm.allgather(tension) for i in part})

@@ -19,8 +19,8 @@ from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_pl
 from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.split import split
-from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
+from fracflow.model.dirichlet import meeting_supports, refuse_two_pressures
 from fracflow.model.loads import Loads, assemble_loads
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
@@ -118,10 +118,8 @@ def naming(scene: Scene) -> Iterator[None]:
 
 def read_sized(scene: Scene) -> SplitMesh:
     """Read or build the mesh of a scene whose sizes are known, and split it. Raises InputError."""
-    names = [name for name in scene.fracture if name != "default"]
     if scene.mesh_path is not None:
-        wanted = [*names, *(["default"] if "default" in scene.fracture else [])]
-        raw = read_mesh(scene.mesh_path, wanted, scene.trust, scene.folder)
+        raw = read_mesh(scene.mesh_path, scene.fracture, scene.trust, scene.folder)
     else:
         raw = build_mesh(geometry_of(scene))
     for _ in range(scene.refine):

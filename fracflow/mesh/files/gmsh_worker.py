@@ -98,16 +98,11 @@ def dump() -> dict[str, Any]:
     """
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     tags, first = np.unique(tags.astype(np.int64), return_index=True)
-    arrays: dict[str, Any] = {"points": coordinates.reshape(-1, 3)[first]}
     groups = gmsh.model.getPhysicalGroups()
-    arrays["group_dim"] = np.array([dim for dim, _ in groups], dtype=np.int64)
-    arrays["group_tag"] = np.array([tag for _, tag in groups], dtype=np.int64)
-    arrays["group_name"] = np.array([gmsh.model.getPhysicalName(*group) for group in groups], dtype=np.str_)
     number = {group: index for index, group in enumerate(groups)}
-
-    nodes: dict[str, list[Any]] = {kind: [] for kind in KINDS.values()}
-    members: dict[str, list[Any]] = {kind: [] for kind in KINDS.values()}
-    counts = dict.fromkeys(KINDS.values(), 0)
+    nodes: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
+    members: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
+    counts = dict.fromkeys(CORNERS, 0)
     others = set()
     for dim, entity in gmsh.model.getEntities():
         own = [number[dim, tag] for tag in gmsh.model.getPhysicalGroupsForEntity(dim, entity)]
@@ -121,11 +116,23 @@ def dump() -> dict[str, Any]:
             counts[name] += len(rows)
             nodes[name].append(rows)
             members[name] += [np.stack([at, np.full(len(at), group)], axis=1) for group in own]
-    for kind, width in zip(KINDS.values(), (1, 2, 3, 4), strict=True):
-        arrays[kind] = np.concatenate([np.zeros((0, width), dtype=np.int64), *nodes[kind]])
-        arrays[f"{kind}_member"] = np.concatenate([np.zeros((0, 2), dtype=np.int64), *members[kind]])
-    arrays["other"] = np.array(sorted(others), dtype=np.str_)
-    return arrays
+    named = [(tag, dim, gmsh.model.getPhysicalName(dim, tag)) for dim, tag in groups]
+    return _arrays(coordinates.reshape(-1, 3)[first], nodes, members, sorted(others), named)
+
+
+def _arrays(
+    points: Any, nodes: dict[str, list[Any]], members: dict[str, list[Any]], others: list[str], groups: list[Any]
+) -> dict[str, Any]:
+    """The arrays of ``dump``; ``groups`` are tag, dimension and name of each."""
+    return {
+        "points": points,
+        **{kind: np.concatenate([np.zeros((0, k), np.int64), *nodes[kind]]) for kind, k in CORNERS.items()},
+        **{f"{kind}_member": np.concatenate([np.zeros((0, 2), np.int64), *members[kind]]) for kind in CORNERS},
+        "other": np.array(others, dtype=np.str_),
+        "group_dim": np.array([dim for _, dim, _ in groups], dtype=np.int64),
+        "group_tag": np.array([tag for tag, _, _ in groups], dtype=np.int64),
+        "group_name": np.array([name for _, _, name in groups], dtype=np.str_),
+    }
 
 
 def read_msh2(path: Path) -> dict[str, Any]:
@@ -144,8 +151,8 @@ def read_msh2(path: Path) -> dict[str, Any]:
         raise ValueError(f"cannot be read as a Gmsh mesh: {reason}") from error
     groups = _groups(path)
     tags = mesh.cell_data.get("gmsh:physical", [np.zeros(len(block.data), np.int64) for block in mesh.cells])
-    nodes = {kind: [np.zeros((0, CORNERS[kind]), np.int64)] for kind in CORNERS}
-    members = {kind: [np.zeros((0, 2), np.int64)] for kind in CORNERS}
+    nodes: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
+    members: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
     number = {(dim, tag): index for index, (tag, dim, _) in enumerate(groups)}
     others = sorted({block.type for block in mesh.cells} - MESHIO_KINDS.keys())
     for block, tag in zip(mesh.cells, tags, strict=True):
@@ -163,15 +170,7 @@ def read_msh2(path: Path) -> dict[str, Any]:
                 groups.append((key[1], key[0], ""))
             rows = first + np.flatnonzero(tag == value)
             members[kind].append(np.stack([rows, np.full(len(rows), number[key])], axis=1))
-    return {
-        "points": np.asarray(mesh.points, dtype=float).reshape(-1, 3),
-        **{kind: np.concatenate(rows) for kind, rows in nodes.items()},
-        **{f"{kind}_member": np.concatenate(rows) for kind, rows in members.items()},
-        "other": np.array(others, dtype=np.str_),
-        "group_dim": np.array([dim for _, dim, _ in groups], dtype=np.int64),
-        "group_tag": np.array([tag for tag, _, _ in groups], dtype=np.int64),
-        "group_name": np.array([name for _, _, name in groups], dtype=np.str_),
-    }
+    return _arrays(np.asarray(mesh.points, dtype=float).reshape(-1, 3), nodes, members, others, groups)
 
 
 def _groups(path: Path) -> list[tuple[int, int, str]]:

@@ -108,9 +108,7 @@ class FixedPoint:
         hands_over = self.scene.method.on_divergence == "monolithic"
         is_hopeless = self.name == "plain" and prediction.factor >= self.limit
         try:
-            if not np.isfinite(prediction.own):
-                raise _Lost
-            if is_hopeless and hands_over:
+            if not np.isfinite(prediction.own) or (is_hopeless and hands_over):
                 raise _Lost
             report = self._cycle(problem, prediction, changes, MEASURED if is_hopeless else None)
         except _Lost as lost:
@@ -149,7 +147,8 @@ class FixedPoint:
                 factorisations=cycle.factorisations + 1,
                 out_of_balance=(),
             ).after(total)
-            still = max(accuracy.pressure * self._driven(problem), PRESSURE_ROUND_OFF * self._size(problem))
+            size = problem.pressure.norm(PETSc.NormType.INFINITY)
+            still = max(accuracy.pressure * self._driven(problem), PRESSURE_ROUND_OFF * size)
             if most is None and changes[-1] <= still and residual.flow <= accuracy.residual:
                 return total
             left = max(changes[-1] / max(still, TINY), residual.flow / accuracy.residual)
@@ -215,9 +214,6 @@ class FixedPoint:
     def _largest(self, values: Floats) -> float:
         here = float(np.abs(values).max(initial=0.0))
         return float(self.whole_matrix.layout.comm.allreduce(here if here == here else np.inf, op=MPI.MAX))
-
-    def _size(self, problem: StepProblem) -> float:
-        return float(problem.pressure.norm(PETSc.NormType.INFINITY))
 
     def _driven(self, problem: StepProblem) -> float:
         """The pressure that drives: differences, or the change in the step; a datum drives nothing. Collective."""
