@@ -57,8 +57,7 @@ def rule_at(nodes: int, places: Floats, weights: Floats) -> Rule:
 
 GAUSS2 = 1.0 / np.sqrt(3.0)  # abscissa of the two-point Gauss rule
 _MOST, _MISS = 20, 1e-14  # iterations to a place in a cell, and how far from it they may end, over the cell's size
-# of four points in a tetrahedron, exact to second order
-_A, _B = 0.25 + 0.15 * np.sqrt(5.0), 0.25 - 0.05 * np.sqrt(5.0)
+_A, _B = 0.25 + 0.15 * np.sqrt(5.0), 0.25 - 0.05 * np.sqrt(5.0)  # four points in a tetrahedron, of second order
 _MIDDLES = {
     (dim, dim + 1): rule_at(dim + 1, np.full((1, dim), 1.0 / (dim + 1)), np.array([size]))
     for dim, size in ((2, 0.5), (3, 1.0 / 6.0))
@@ -117,13 +116,10 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
         det = np.einsum("nqi,nqi->nq", matrix[..., 0, :], np.cross(matrix[..., 1, :], matrix[..., 2, :]))
     bad = np.flatnonzero(~(det > 0.0).all(axis=1))
     if bad.size:
-        plane, space = (
-            "run counter-clockwise around a convex cell of positive area",
-            "be ordered as Gmsh's, in a convex cell",
-        )
-        must = plane if matrix.shape[-1] == 2 else f"{space} of positive volume"
-        which = f"cells {listed(bad, numbers)}"
-        raise InputError(f"{bad.size} cells with a Jacobian that is not positive ({which}): nodes must {must}")
+        which, how = f"cells {listed(bad, numbers)}", "run counter-clockwise around a convex cell of positive area"
+        if matrix.shape[-1] == 3:
+            how = "be ordered as Gmsh's, in a convex cell of positive volume"
+        raise InputError(f"{bad.size} cells with a Jacobian that is not positive ({which}): nodes must {how}")
     return matrix, det
 
 

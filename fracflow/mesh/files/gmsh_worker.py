@@ -187,18 +187,15 @@ def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
     corner = points.min(axis=0)
     scale = 2.0 ** -math.ceil(math.log2(np.ptp(points, axis=0).max()))
     geo = gmsh.model.geo
-    tags = [geo.addPoint(x, y, 0.0) for x, y in ((points - corner) * scale).tolist()]
+
+    def added(places: Any) -> list[int]:
+        return [geo.addPoint(x, y, 0.0) for x, y in ((np.array(places) - corner) * scale).tolist()]
+
+    tags = added(points)
     round_it = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["sides"].values()]
     curves = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["traces"].values()]
     surface = geo.addPlaneSurface([geo.addCurveLoop([line for lines in round_it for line in lines])])
-    around = [
-        (
-            fine * scale,
-            reach * scale,
-            [geo.addPoint(*place, 0.0) for place in ((np.array(places) - corner) * scale).tolist()],
-        )
-        for fine, reach, places in job["sources"]
-    ]
+    around = [(fine * scale, reach * scale, added(places)) for fine, reach, places in job["sources"]]
     geo.synchronize()
     gmsh.model.mesh.embed(1, [line for lines in curves for line in lines], 2, surface)
     gmsh.model.addPhysicalGroup(2, [surface], name=job["rock"])

@@ -129,13 +129,10 @@ def natural_snap(domain: Floats, traces: Sequence[Trace]) -> tuple[float, str]:
         (SPARE * float(sides.min()), f"{SPARE:g} of the domain's shortest side"),
     ]
     if len(lengths):
-        shortest = int(np.argmin(lengths))
+        name = traces[int(np.argmin(lengths))][0]
         found += [
             (FRACTION * float(np.median(lengths)), f"{percent} the median length of traces"),
-            (
-                SPARE * float(lengths[shortest]),
-                f'{SPARE:g} of the length of fracture "{traces[shortest][0]}", the shortest',
-            ),
+            (SPARE * float(lengths.min()), f'{SPARE:g} of the length of fracture "{name}", the shortest'),
         ]
     return min(each for each in found if each[0] > 0.0)  # a domain that is none is refused by name later
 
