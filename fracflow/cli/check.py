@@ -13,8 +13,8 @@ from fracflow.advance.initial_state import refuse_imbalance
 from fracflow.diagnostics import Number, pre_run_checks
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
+from fracflow.model.network_parts import parts_with_wells
 from fracflow.model.setup import Model, geometry_of
-from fracflow.model.well_parts import parts_with_wells
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.reduction.prepare import prepare

@@ -14,8 +14,7 @@ from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.plane.quality import cell_areas
-from fracflow.mesh.plane.snap import natural_snap
-from fracflow.mesh.plane.traces import polygon_area
+from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry

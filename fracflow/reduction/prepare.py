@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.model.network_parts import told_apart
 from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
-from fracflow.model.well_parts import told_apart
 from fracflow.reduction.mesh_size import proposed, unresolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import set_defaults

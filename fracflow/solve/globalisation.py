@@ -80,7 +80,7 @@ class ActiveSetRounds:
     def __init__(self, problem: StepProblem) -> None:
         """Before the first."""
         self.seen, self.is_lost = StatusHistory(problem.operators.layout.comm), False
-        self._before, self._turned = problem.increment.getArray().copy(), 0
+        self._before, self._turns = problem.increment.getArray().copy(), 0
 
     def change(self, problem: StepProblem, searches: bool) -> Bools:
         """Give the next statuses; return which sections (s,) of this rank have changed. Collective.
@@ -91,10 +91,8 @@ class ActiveSetRounds:
         changed, here = problem.change_statuses(), problem.increment.getArray().copy()
         slides = self.seen.changed[:, 1] & (statuses(problem)[:, 1] != 0)
         if circles and comm.allreduce(bool(slides.any()), op=MPI.LOR):
-            self.is_lost = (
-                not searches or self._turned == MOST_TURNS or not reset_cycling(problem, self._before, slides)
-            )
-            self._turned += 1
+            self.is_lost = not searches or self._turns == MOST_TURNS or not reset_cycling(problem, self._before, slides)
+            self._turns += 1
             if not self.is_lost:
                 self.seen.begin()
         self._before = here

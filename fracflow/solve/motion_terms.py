@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
 from fracflow.model.balance import static_balance_of
@@ -91,15 +91,12 @@ class MovingTerms:
             each.damping.mult(displacement, term)
             sizes += [largest(force), CANCELLATION * alphas.a1 * largest(term)]
             force.destroy()
-        met.destroy()
-        term.destroy()
+        destroy(met, term)
         return sizes
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        self.terms.destroy()
-        if self.before is not None:
-            self.before.destroy()
+        destroy(self.terms, self.before)
 
 
 @dataclass(frozen=True)
@@ -149,8 +146,7 @@ class TermsOfStep:
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        for force in self.incoming.values():
-            force.destroy()
+        destroy(*self.incoming.values())
 
 
 def carried_on(operators: Operators, loads: Loads, state: State) -> PETSc.Vec | None:

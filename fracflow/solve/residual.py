@@ -56,17 +56,15 @@ def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> f
 
     ``moved`` (s, dim) as for ``round_off_of_jumps``, of this step. [force per thickness]
     """
-    force = (
-        np.einsum("sij,sj->si", np.abs(sections.tangent), UNIT_ROUND_OFF * moved) * operators.joints.weights[:, None]
-    )
+    traction = np.einsum("sij,sj->si", np.abs(sections.tangent), UNIT_ROUND_OFF * moved)
+    force = traction * operators.joints.weights[:, None]
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
 def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
     """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
-    noise: Floats = NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
-    return noise
+    return NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
 
 
 def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
@@ -137,14 +135,10 @@ def refuse_few(found: SignificantDigits, limit: int, time: float) -> None:
         return
     enough = 0.5 * found.stiffness * 10.0 ** (found.digits - limit)
     left = min(max(round(found.digits, 1), 0.0), limit - 0.1)  # rounded down, so that it is less than required
-    what, remedy = (
-        (
-            "the rock's stiffness E/h =",
-            "in the rock, cells as much larger, or displacements counted from where it is now",
-        )
-        if found.by_rock
-        else ("the larger of normal_stiffness and shear_stiffness,", "or the same motion in more steps")
-    )
+    what, remedy = "the larger of normal_stiffness and shear_stiffness,", "or the same motion in more steps"
+    if found.by_rock:
+        what = "the rock's stiffness E/h ="
+        remedy = "in the rock, cells as much larger, or displacements counted from where it is now"
     raise SolveError(
         f"time {time:.6g}: tractions of {found.fracture} (largest {found.traction:.3g}) keep {left:.1f}"
         f" digits, accuracy.digits asks for {limit}: {what} {found.stiffness:.3g} times the motion that both walls share"
