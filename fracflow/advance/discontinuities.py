@@ -9,7 +9,6 @@ import numpy as np
 
 from fracflow._petsc import MPI
 from fracflow.advance.network import FlowNetwork
-from fracflow.advance.sampling import sides_of
 from fracflow.integrators import Alphas, Stepper
 from fracflow.mesh.data import Bools
 from fracflow.model.energy import compressed, dissipated, jumped, pushed, switch, update_balance
@@ -20,7 +19,7 @@ from fracflow.model.state import Motion, PreviousStep, SectionHistory, State
 from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
 from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.request import StepRequest, StepRule
+from fracflow.solve.request import StepRequest, StepRule, sides_of
 
 KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off
 
@@ -149,7 +148,7 @@ def _first_instant(
         request = StepRequest(begun.time, 0.0, begun.controls, closed)
         problem = StepProblem(ops, begun, request, StepRule(now, begun.adjacent_steps, inertia=True))
         done.callback(problem.destroy)
-        problem.branch = branch
+        problem.trial_status = branch
         problem.evaluate()
         compressible = ops.flow is not None and ops.flow.compressibility > 0.0
         if compressible and dt is not None:

@@ -91,9 +91,9 @@ class ErrorEstimator:
         asked = model.scene.accuracy
         self.by_step, self.tolerance = asked.step_error, asked.tolerance
         by_sum = self.by_step is None and self.tolerance is not None
-        self.of_film = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
+        self.of_flow = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
         # where fracture flow begins anew, since earlier steps do not predict later ones
-        self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_film and self.tolerance else {}
+        self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_flow and self.tolerance else {}
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
         self.last = progress.get("last", 0.0)  # length of the last part [time]
@@ -104,14 +104,14 @@ class ErrorEstimator:
         self.tried: _Tried | None = None
         self.follows = Vibration.of(progress)
         # without inertia and fluid, time has no part in what a step ends with
-        judges = self.by_step is not None or self.of_film or (by_sum and stepper.inertia)
-        self.order = stepper.order if judges else 0
-        self.finest = FINEST if judges and by_sum else 0
+        estimates = self.by_step is not None or self.of_flow or (by_sum and stepper.inertia)
+        self.order = stepper.order if estimates else 0
+        self.finest = FINEST if estimates and by_sum else 0
 
     @property
-    def told(self) -> str:
+    def statement(self) -> str:
         """The tolerance and the size to which it is relative, for the log."""
-        of = "volume stored in fractures" if self.of_film else "displacements"
+        of = "volume stored in fractures" if self.of_flow else "displacements"
         return f"accuracy.tolerance = {self.tolerance:g} of {of}"
 
     @property
@@ -119,7 +119,7 @@ class ErrorEstimator:
         """The estimated error of the stage, for the log."""
         assert self.tolerance is not None
         reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
-        of = "volume stored in fractures" if self.of_film else "displacement"
+        of = "volume stored in fractures" if self.of_flow else "displacement"
         missed = (
             ""
             if reached <= self.tolerance
@@ -137,11 +137,11 @@ class ErrorEstimator:
         if self.by_step is not None:
             return step_error(self.operators, self.stepper, part, old, new, self.largest) / self.by_step
         assert self.tolerance is not None
-        self._refuse()
+        self._use_rejected()
         size = self._size(new)
         largest = max(self.largest, self.guess, size)
-        if self.of_film:
-            error, span = self._film_error(dt, old, new), self._span(old.time, new.time)
+        if self.of_flow:
+            error, span = self._flow_error(dt, old, new), self._span(old.time, new.time)
         else:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length
@@ -164,7 +164,7 @@ class ErrorEstimator:
         if not self._left(new.time, dt) > MOST_PARTS:
             return Vibration()
         return (
-            vibration(self.operators, self.stepper, dt, old, new) if part == dt and not self.of_film else Vibration(1)
+            vibration(self.operators, self.stepper, dt, old, new) if part == dt and not self.of_flow else Vibration(1)
         )
 
     def outlook(self, time: float) -> str:
@@ -178,7 +178,7 @@ class ErrorEstimator:
         amplitude, period = swing_of(self.follows.acceleration, self.follows.jerk)
         largest = max(self.largest, self.guess)
         asked = (
-            f"time {time:.6g}: {self.told} needs substeps as short as {self.last:.2g}, about"
+            f"time {time:.6g}: {self.statement} needs substeps as short as {self.last:.2g}, about"
             f" {self._left(time, self.last):.1g} more of them"
         )
         if not math.isfinite(amplitude):
@@ -194,21 +194,22 @@ class ErrorEstimator:
             f" {self.tolerance:g} or resume"
         )
 
-    def _refuse(self) -> None:
-        """Use the last rejected trial: of two substeps with the same end the later, shorter one is more accurate."""
+    def _use_rejected(self) -> None:
+        """Take the size of the motion from the last rejected trial.
+
+        Of two substeps with the same end the later, shorter one is more accurate.
+        """
         if self.tried is not None:
             ends_last = self.tried.time >= self.until
             self.guess = self.tried.size if ends_last else max(self.guess, self.tried.size)
             self.until = max(self.until, self.tried.time)
             self.tried = None
 
-    def follow(self, state: State, dt: float) -> None:
+    def accept(self, state: State, dt: float) -> None:
         """Accept the state at the end of a substep of length ``dt``. Collective."""
-        self.last = dt
-        if self.order:
-            self.largest = max(self.largest, self._size(state))
+        self.last, self.largest = dt, max(self.largest, self._size(state))
         if self.tried is not None:
-            left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_film else 1.0
+            left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_flow else 1.0
             self.error_now = left * self.error_now + self.tried.error
             self.error_most = max(self.error_most, self.error_now)
             seen = self.tried.follows
@@ -231,7 +232,7 @@ class ErrorEstimator:
 
     def _size(self, state: State) -> float:
         """Largest displacement, or the volume that fractures have taken up or released."""
-        if not self.of_film:
+        if not self.of_flow:
             return largest_displacement(self.operators, state)
         gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
         if compression is not None and self.operators.flow is not None:
@@ -241,7 +242,7 @@ class ErrorEstimator:
             held.destroy()
         return self._sum(gone)
 
-    def _film_error(self, dt: float, old: State, new: State) -> float:
+    def _flow_error(self, dt: float, old: State, new: State) -> float:
         """Volume that a substep puts in the wrong place [volume per thickness]. Collective."""
         before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
         last, passing, passed = self.last, after, before
@@ -280,13 +281,13 @@ class ErrorControlled:
     """Adds the estimated error of a substep, over the allowed one, to its outcome."""
 
     inner: Advance
-    judge: ErrorEstimator
+    estimator: ErrorEstimator
     explicit: ExplicitSteps
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The same with its error. Raises SolveError, on every rank. Collective."""
-        found, judge = self.inner.advance(state, request), self.judge
+        found, estimator = self.inner.advance(state, request), self.estimator
         assert request.step is not None
         length = request.step.length * (found.reached - request.begin)
-        error = judge.error(length, self.explicit.part(judge.stepper, length), state, found.state)
+        error = estimator.error(length, self.explicit.part(estimator.stepper, length), state, found.state)
         return replace(found, error=error)

@@ -10,7 +10,7 @@ from fracflow.advance.step import DONE, Progress, Step, Stepping
 from fracflow.errors import SolveError
 from fracflow.integrators import Steady
 from fracflow.model.setup import Model
-from fracflow.model.state import State, StepReport
+from fracflow.model.state import Sections, State, StepReport
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import StepRequest
 
@@ -18,11 +18,9 @@ DOUBLINGS = 60
 SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
 
 
-def utilisation(model: Model, state: State) -> float:
+def utilisation(model: Model, sections: Sections) -> float:
     """Largest |f_s| / f_sy over all sections; 1 where one slides. Collective."""
-    here = float(state.sections.utilisation.max(initial=0.0))
-    if state.sections.is_sliding.any():
-        here = max(here, 1.0)
+    here = max(float(sections.utilisation.max(initial=0.0)), float(sections.is_sliding.any()))
     return float(model.operators.layout.comm.allreduce(here, op=MPI.MAX))
 
 
@@ -47,7 +45,7 @@ class _Search:
                 self.failure = error
                 self.log(f"no state found at control.{self.control} = {value:.12g}, taken as past failure: {error}")
                 return self.stage.tolerance
-        return min(utilisation(self.stepping.model, self.tried[value][0]), 1.0) - (1.0 - self.stage.tolerance)
+        return min(utilisation(self.stepping.model, self.tried[value][0].sections), 1.0) - (1.0 - self.stage.tolerance)
 
     def between(self, low: float, high: float) -> float:
         """The last value in a bracket that was tried and slides nowhere. Collective."""
@@ -56,7 +54,7 @@ class _Search:
 
             brentq(self.excess, low, high, xtol=SEARCH_TOLERANCE * abs(high), rtol=1e-15)
         model = self.stepping.model
-        below = {v: u for v, (new, _) in self.tried.items() if (u := utilisation(model, new)) < 1.0}
+        below = {v: u for v, (new, _) in self.tried.items() if (u := utilisation(model, new.sections)) < 1.0}
         sought = 1.0 - self.stage.tolerance
         best = min(below, key=lambda value: abs(below[value] - sought), default=low)
         if not below or below[best] < 1.0 - 2.0 * self.stage.tolerance:
@@ -82,7 +80,7 @@ def search_incipient(stepping: Stepping, state: State, number: int, log: Log, pr
     control = stage.control
     assert control is not None
     low = state.controls[control]
-    if utilisation(model, state) >= 1.0 - stage.tolerance:
+    if utilisation(model, state.sections) >= 1.0 - stage.tolerance:
         log(f"stage {stage.title}: already at incipient failure")
         return
     increment = progress.get("increment", model.scene.control[control].increment)
@@ -103,5 +101,7 @@ def search_incipient(stepping: Stepping, state: State, number: int, log: Log, pr
         best = search.tried.pop(value)
     finally:
         search.destroy()
-    log(f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - utilisation(model, best[0]):.3e}")
+    log(
+        f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - utilisation(model, best[0].sections):.3e}"
+    )
     yield Step(best[0], number, 0.0, best[1], DONE)

@@ -56,7 +56,7 @@ class FlowNetwork:
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
 
-    def tell_digits(self, line: str) -> None:
+    def log_digits(self, line: str) -> None:
         """Write down that the flow has few digits, the first time only."""
         if not self._told_digits:
             self.log(line)
@@ -75,8 +75,7 @@ class FlowNetwork:
         The walls have their velocities then, and leave the level open. Raises SolveError, on every rank, naming a part
         into which wells pump from that instant what its walls do not take up. Collective.
         """
-        found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
-        depth = fluid.flow_depth if fluid is not None else 1.0
+        found, depth = self._found(loads, True, at_start=True), self.model.scene.flow_depth
         lost = self._lost_at(state) if found.parts else np.zeros(0)
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
@@ -110,8 +109,7 @@ class FlowNetwork:
         Collective.
         """
         layout = self.model.operators.layout
-        fluid = self.model.scene.fluid
-        depth = fluid.flow_depth if fluid is not None else 1.0
+        depth = self.model.scene.flow_depth
         first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[EnclosedComponent]()
         for part, wells, moves in self._found(loads, True, at_start=True).parts:
             if not moves or len(part.nodes) == 1:
@@ -133,8 +131,7 @@ class FlowNetwork:
         parts = self._found(loads, stores).parts if self.model.operators.flow is not None else ()
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
         lost = self._lost(problem.conduction) if parts else np.zeros(0)
-        numbers, fluid = self.model.operators.layout.flow_numbers, self.model.scene.fluid
-        depth = fluid.flow_depth if fluid is not None else 1.0
+        numbers, depth = self.model.operators.layout.flow_numbers, self.model.scene.flow_depth
         for part, wells, gives in parts:
             rates = [
                 loads.demanded(well, problem.time, problem.controls, problem.rule.adjacent, problem.rule.rates)
@@ -188,7 +185,7 @@ class FlowNetwork:
             self.version += 1
             self._conducts, self._parts, self._holds = now, find_components(operators, now), holds
 
-    def tell(self, time: float) -> None:
+    def log_changes(self, time: float) -> None:
         """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""
         before, now = self._told, self._conducts
         if now is None:

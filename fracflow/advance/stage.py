@@ -84,7 +84,7 @@ def composed(
     stepping: Stepping,
     stepper: Stepper,
     number: int,
-    judge: ErrorEstimator,
+    estimator: ErrorEstimator,
     given: PrescribedTimes,
     place: SubstepCursor,
     log: Log,
@@ -93,12 +93,12 @@ def composed(
     model, whole = stepping.model, stepping.model.scene.stage[number].time_step or 0.0
     hurries, most = weakens(model) and not stepper.inertia, most_halvings(model.scene)
     most = max(most, to_the_next(model.scene, number, whole)) if hurries else most
-    rules = Rules(most, judge.order, _events(stepping, stepper, whole), judge.finest, judge.of_film)
+    rules = Rules(most, estimator.order, _events(stepping, stepper, whole), estimator.finest, estimator.of_flow)
     step = stepping.by(stepper)
     step = EventLocated(step, stepping) if rules.events else step
     step = StableSlip(step, model, JUST_OVER * 0.5**most) if hurries else step
-    step = ErrorControlled(step, judge, stepping.explicit) if judge.order else step
-    step = SplitAtJumps(step, stepping, stepper, stepper.inertia or judge.finest > 0) if given.ends else step
+    step = ErrorControlled(step, estimator, stepping.explicit) if estimator.order else step
+    step = SplitAtJumps(step, stepping, stepper, stepper.inertia or estimator.finest > 0) if given.ends else step
     return Substepped(step, rules, log, place, given)
 
 
@@ -116,13 +116,13 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
     start, base = progress.get("start", state.time), progress.get("base", controls.get(control, 0.0))
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
     count, whole = stage.step_count(start), stage.time_step or 0.0
-    judge = ErrorEstimator(model, stage, stepper, start, progress)
+    estimator = ErrorEstimator(model, stage, stepper, start, progress)
     stepping.explicit.tell(stepper, whole)
-    if judge.finest and not progress:
-        log(f"stage {stage.title}: parts of steps by {judge.told}")
+    if estimator.finest and not progress:
+        log(f"stage {stage.title}: parts of steps by {estimator.statement}")
     splits = _splits(stepping, stepper, whole)
-    given = prescribed(model.scene, stepper.inertia, splits, judge.tolerance if judge.finest else None)
-    parts = composed(stepping, stepper, number, judge, given, SubstepCursor.of(progress), log)
+    given = prescribed(model.scene, stepper.inertia, splits, estimator.tolerance if estimator.finest else None)
+    parts = composed(stepping, stepper, number, estimator, given, SubstepCursor.of(progress), log)
     method: Advance = parts if stepper.inertia else UpToLimitPoint(parts, model, parts.rules.most)
     # a jump while a fracture fills is applied at once: spread over a halved step, it would come half a step late
     fills = stepper.inertia or (stepper.storage and model.operators.flow is not None)
@@ -134,16 +134,17 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
         step = LoadStep(start, n + 1, whole, dt, following, dict(controls), model.loads, given.ends, given.jumps, fills)
         found = method.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
         state, n = found.state, n + (found.reached == 1.0)
-        failed = utilisation(model, state) >= 1.0
+        failed = utilisation(model, state.sections) >= 1.0
         if failed and stage.then == "hold" and not held:
             held, controls[control] = True, state.controls[control]
             log(f"time {state.time:.6g}: first failure; {control} held at {controls[control]:.12g}")
-        judge.follow(state, found.length)
+        if estimator.order:
+            estimator.accept(state, found.length)
         ends = stage.until == "incipient" and failed
         there: Progress = {"n": n, "start": start, "base": base, "held": float(held)}
-        there = {**there, **parts.place.as_progress(), **judge.as_progress()}
+        there = {**there, **parts.place.as_progress(), **estimator.as_progress()}
         yield Step(state, number, found.length, found.report, DONE if ends else there)
-        if not ends and (line := judge.outlook(state.time)):
+        if not ends and (line := estimator.outlook(state.time)):
             log(f"stage {stage.title}: {line}")
-    if judge.finest:
-        log(f"stage {stage.title}: {judge.summary}")
+    if estimator.finest:
+        log(f"stage {stage.title}: {estimator.summary}")

@@ -136,7 +136,12 @@ class Substepped:
                 place = replace(place, level=deeper, calm=0)
                 continue
             break
-        place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
+        place = replace(place, level=max(place.level, level) if rules.order else 0)
+        if found.reached < end:  # at an event the rest of the step is divided anew
+            events = place.events + (not found.foreseen)
+            place = replace(place, base=found.reached, part=0.0, events=events)
+        else:
+            place = _after(replace(place, part=place.part + size), found.error, rules)
         self.place = place.next_step() if place.fraction == 1.0 else place
         length = step.length * (found.reached - start)
         return replace(found, report=found.report.after_trials(spent), length=length)
@@ -165,17 +170,14 @@ def _sizes(place: SubstepCursor, most: int) -> Iterator[tuple[int, float]]:
     yield from ((n, 0.5**n) for n in range(level, max(most, level) + 1))
 
 
-def _after(place: SubstepCursor, size: float, found: Outcome, end: float, rules: Rules) -> SubstepCursor:
-    """The place after a part: at an event the rest of the step is divided anew."""
-    if found.reached < end:
-        return replace(place, base=found.reached, part=0.0, events=place.events + (not found.foreseen))
-    place = replace(place, part=place.part + size)
+def _after(place: SubstepCursor, error: float, rules: Rules) -> SubstepCursor:
+    """The place where a substep has ended, with the length of the next one by its ``error``."""
     if not rules.order:
         return place
     if rules.prompt:
-        longer = found.error < MARGIN * 0.5**rules.order
+        longer = error < MARGIN * 0.5**rules.order
         return replace(place, level=max(place.level - longer, 0))
-    calm = place.calm + 1 if found.error < 0.5 ** (rules.order + 1) else 0
+    calm = place.calm + 1 if error < 0.5 ** (rules.order + 1) else 0
     return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)
 
 

@@ -21,7 +21,7 @@ def start_again(problem: StepProblem) -> None:
     """Put the trial back to where the step starts. Collective."""
     problem.state.pressure.copy(problem.pressure)
     problem.move(np.zeros(problem.operators.layout.solid_count))
-    problem.branch = problem.state.sections.history
+    problem.trial_status = problem.state.sections.history
 
 
 def without_suction(problem: StepProblem) -> bool:
@@ -79,13 +79,12 @@ def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepRe
     )
 
 
-def remember(operators: Operators, old: State, new: State, dt: float) -> PreviousStep:
-    """The mean velocity of the step between two states, and the mean rate at which compression took up fluid."""
+def remember(operators: Operators, old: State, new: State, dt: float, through: Mapping[str, float]) -> PreviousStep:
+    """The step between two states as the next one uses it; mean flow rates ``through`` wells that have limits."""
     velocity = new.motion.displacement.duplicate()
     before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
     velocity.setArray((after - before) / dt)
-    if new.uptake is None:
-        return PreviousStep(dt, velocity)
-    taken = taken_between(operators, old, new)
-    taken.scale(1.0 / dt)
-    return PreviousStep(dt, velocity, taken)
+    taken = None if new.uptake is None else taken_between(operators, old, new)
+    if taken is not None:
+        taken.scale(1.0 / dt)
+    return PreviousStep(dt, velocity, taken, through)

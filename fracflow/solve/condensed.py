@@ -237,7 +237,7 @@ class Condensed:
         except NotConverged:
             given_up = "no balance to all digits on the fractures alone"
             problem.pressure.setArray(start[1])
-            problem.branch = problem.state.sections.history
+            problem.trial_status = problem.state.sections.history
             problem.move(start[0])
         report = self.full.solve(problem)
         newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)

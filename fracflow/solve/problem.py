@@ -16,7 +16,7 @@ from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
-from fracflow.model.balance import static_balance
+from fracflow.model.balance import static_balance, static_balance_of
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
@@ -66,18 +66,19 @@ class StepProblem:
         loads.source(time, controls, self.source, rule.adjacent, rates)
         of_wells = rule.alphas.a1 == 0.0
         self.lag = Unapplied.of(loads, state, unapplied, of_wells, self.load, self.source) if unapplied else Unapplied()
-        self.terms = TermsOfStep.of(operators, loads, state, time, rule.adjacent, self.load)
-        self.moving = MovingTerms.of(operators, state, self.alphas, self.terms)
+        self.terms = TermsOfStep.of(operators, loads, state.forces.anchor, time, rule.adjacent, self.load)
+        before = static_balance_of(operators, state) if rule.alphas.balance_old else None
+        self.moving = MovingTerms(operators.mass, rule.alphas, self.terms, state.motion.acceleration, before)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self.pressure = state.pressure.copy()
         if start is not None:
             self.pressure.setArray(start[1])
         self.move(np.zeros(layout.solid_count) if start is None else start[0])
-        self.branch, self.sections = state.sections.history, state.sections
+        self.trial_status, self.sections = state.sections.history, state.sections
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
-        self.fluid_before = compression_of(operators, state)
+        self.fluid_before = None if operators.flow is None else compression_of(operators, state)
         self.taken_up: Floats | None = None
         self._flow_rows: Floats | None = None
         self._flow_noise, self._carried = np.zeros(0), 0.0
@@ -107,14 +108,14 @@ class StepProblem:
         change[held] = new[held] - old[held]
 
     def evaluate(self, hold: bool = True) -> None:
-        """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
+        """Balances at the present trial. Sections keep ``trial_status``, or with ``hold`` False may leave it once.
 
         Collective.
         """
         ops, u, p = self.operators, self.displacement, self.pressure
         # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
-        self.accept(self.evaluate_joints(strain, hold))
+        self.accept(ops.joints.evaluate(strain, self.trial_status, self.law_step(hold)))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -147,7 +148,7 @@ class StepProblem:
 
     def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
         """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the present statuses."""
-        return self.operators.joints.evaluate(strain, self.branch, self.law_step(hold))
+        return self.operators.joints.evaluate(strain, self.trial_status, self.law_step(hold))
 
     def law_step(self, hold: bool = True) -> LawStep:
         """The ``LawStep`` of this step: its length, since the history of the sections was accepted."""
@@ -286,8 +287,8 @@ class StepProblem:
     def take_statuses(self, reached: SectionHistory) -> np.ndarray:
         """Give every section the status it has reached; return which (s,) of this rank had another before."""
         joints = self.operators.joints
-        changed = joints.have_changed(self.branch, reached)
-        self.branch = joints.with_status(self.state.sections.history, reached)
+        changed = joints.have_changed(self.trial_status, reached)
+        self.trial_status = joints.with_status(self.state.sections.history, reached)
         return changed
 
     def initial_guess(self) -> tuple[Floats, Floats] | None:
