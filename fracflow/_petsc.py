@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from fracflow.errors import InputError
 
@@ -51,6 +52,13 @@ def _options_of_the_user() -> Iterator[None]:
         os.environ.pop("PETSC_OPTIONS", None)
         if given is not None:
             os.environ["PETSC_OPTIONS"] = given
+
+
+def free(*things: Any) -> None:
+    """Destroy objects that are no longer used; None is passed over. Collective."""
+    for thing in things:
+        if thing is not None:
+            thing.destroy()
 
 
 _use_petsc_dir()

@@ -1,4 +1,4 @@
-"""The error of a step, estimated from its two ends, and the tolerance of the scene."""
+"""The error of a step, estimated from its two ends; the tolerance of the scene; vibrations that make substeps very short."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.advance.explicit import ExplicitSteps
 from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.prescribed_times import AT_A_TIME, bends_of, latest
-from fracflow.advance.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
 from fracflow.errors import SolveError
 from fracflow.integrators import FilmRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
@@ -23,6 +22,84 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import StepRequest
+
+MOST_PARTS = 1e5  # of the rest of a stage: more substeps are reported
+WATCHED = 500  # substeps in a row before the report: some periods of the vibration
+
+
+def swing_of(acceleration: float, jerk: float) -> tuple[float, float]:
+    """Amplitude and period of y = A sin(w t), whose accelerations reach A w^2 and whose jerks A w^3 [length, time].
+
+    Of several such motions the amplitude is no less than that of the one which rules the jerk.
+    """
+    if not (acceleration > 0.0 and jerk > 0.0):
+        return math.inf, math.inf
+    return acceleration**3 / jerk**2, 2.0 * math.pi * acceleration / jerk
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """Largest acceleration and jerk, over substeps in a row, of the node whose estimated error is the largest in each.
+
+    parts  in a row that were so short that over ``MOST_PARTS`` were left; 0 where the last one was not
+    place  of that node in the last part
+    """
+
+    parts: int = 0
+    acceleration: float = 0.0
+    jerk: float = 0.0
+    place: str = ""
+
+    def followed_by(self, other: Vibration) -> Vibration:
+        """Both together, in a row."""
+        most = max(self.acceleration, other.acceleration), max(self.jerk, other.jerk)
+        return Vibration(self.parts + other.parts, *most, other.place)
+
+    def as_progress(self) -> dict[str, float]:
+        """The numbers that a checkpoint keeps of it."""
+        kept = {"parts": float(self.parts), "acceleration": self.acceleration, "jerk": self.jerk}
+        return {f"vibration_{name}": value for name, value in kept.items()}
+
+    @classmethod
+    def of(cls, progress: Mapping[str, float]) -> Vibration:
+        """The one that a checkpoint stored."""
+        parts, acceleration, jerk = (
+            progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk")
+        )
+        return cls(int(parts), acceleration, jerk)
+
+
+def vibration(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Vibration:
+    """Motion of the node with the largest estimated error in a substep of length ``dt``. Collective."""
+    wrong = new.motion.displacement.duplicate()
+    wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
+    sizes = np.linalg.norm(_nodal(operators, wrong), axis=1)
+    ends = [_nodal(operators, state.motion.acceleration) for state in (old, new)]
+    wrong.destroy()
+    mine: tuple[float, float, float, str] = (-1.0, 0.0, 0.0, "")
+    if len(sizes):
+        worst = int(sizes.argmax())
+        before, after = (each[worst] for each in ends)
+        largest = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+        mine = (float(sizes[worst]), largest, float(np.linalg.norm(after - before)) / dt, _place(operators, worst))
+    return Vibration(1, *max(operators.layout.comm.allgather(mine))[1:])
+
+
+def _nodal(operators: Operators, unknowns: PETSc.Vec) -> Floats:
+    """Vectors (n, dim) at this rank's own nodes. Collective."""
+    nodal = operators.nodal(unknowns)
+    values: Floats = nodal.getArray().reshape(-1, operators.blocks.sizes.dim).copy()
+    nodal.destroy()
+    return values
+
+
+def _place(operators: Operators, node: int) -> str:
+    """Where one of this rank's own nodes is, and on which fracture."""
+    joints = operators.blocks.joints
+    faces = np.any(np.concatenate([joints.bottom, joints.top], axis=1) == node, axis=1)
+    on = f"on {joints.fractures[joints.fracture[faces.argmax()]]} " if faces.any() else ""
+    return f"{on}at ({', '.join(f'{x:.4g}' for x in operators.blocks.solid.points[node])})"
+
 
 FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
 LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning

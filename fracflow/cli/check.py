@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from fracflow._petsc import MPI
-from fracflow.advance.explicit_cost import explicit_cost
-from fracflow.advance.inertial_steps import estimated_cost
+from fracflow.advance.explicit import explicit_cost
 from fracflow.advance.initial_state import refuse_imbalance
+from fracflow.advance.regime import estimated_cost
 from fracflow.diagnostics import Number, pre_run_checks
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary

@@ -33,8 +33,7 @@ from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
-from fracflow.simulation.notices import Notices, watches_spurious
-from fracflow.simulation.totals import Totals
+from fracflow.simulation.notices import Notices, Totals, watches_spurious
 from fracflow.storage.files import read_bytes
 from fracflow.storage.sealed import AGAIN, digest
 
@@ -102,12 +101,12 @@ class Recorder:
         if (found := self.comm.bcast(self.lost, root=0)) is not None:
             raise DiskError(str(found))
 
-    def _write(self, work: Callable[[], None]) -> None:
+    def _write(self, work: Callable[[Files], None]) -> None:
         """Do ``work`` on rank 0, if all before could be written; ranks agree on it in ``check``."""
         if self.files is None or self.lost is not None:
             return
         try:
-            work()
+            work(self.files)
         except OSError as error:
             self.lost = DiskError.of(error, self._folder, self._remedy(error.errno))
 
@@ -115,23 +114,22 @@ class Recorder:
         """Put a state on record. Collective."""
         snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
         if self._goes_on:  # the first step may show that the history was made with another scene
-            on_root(self.comm, lambda: self._write(lambda: self._append(step, snapshot)))
-            self._goes_on = False
+            on_root(self.comm, lambda: self._write(lambda files: self._append(files, step, snapshot)))
         else:
-            self._write(lambda: self._append(step, snapshot))
+            self._write(lambda files: self._append(files, step, snapshot))
+        self._goes_on = False
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self.totals.add(step.report)
         self._notices.of(step)
 
-    def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
-        if self.files is None or snapshot is None:
-            return
+    def _append(self, files: Files, step: Step, snapshot: sampling.Snapshot | None) -> None:
+        assert snapshot is not None
         if snapshot.margin < self.totals.narrowest:
             self.totals.narrowest, self.totals.narrow_time = snapshot.margin, step.state.time
         self.totals.least = max(self.totals.least, snapshot.least[0])
         self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
-        self.files.append(step, snapshot)
+        files.append(step, snapshot)
 
     def _remedy(self, number: int | None) -> str:
         if number in (errno.ENOENT, errno.ESTALE):
@@ -152,8 +150,7 @@ class Recorder:
         is_extra = not self._wants_fields(index)
         if is_extra:
             self._fields(step, index, whole)
-        if (files := self.files) is not None:
-            self._write(lambda: files.drop_extra(index if is_extra else None))
+        self._write(lambda files: files.drop_extra(index if is_extra else None))
 
     def _wants_fields(self, index: int) -> bool:
         every = self.model.scene.output.fields_every
@@ -162,9 +159,9 @@ class Recorder:
     def _fields(self, step: Step, index: int, whole: bool = True) -> None:
         ends = sampling.all_ends(self.sampler, step.state)
         motion = sampling.all_motion(self.sampler, step.state) if whole else None
-        if (files := self.files) is not None and ends is not None:
+        if ends is not None:
             values = fracture_fields(self.sampler.fields, ends)
-            self._write(lambda: files.fields(index, step.state, values, motion))
+            self._write(lambda files: files.fields(index, step.state, values, motion))
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
@@ -173,7 +170,7 @@ class Recorder:
         arrays = gather_state(self.model.operators, step.state)
         about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
         if (files := self.files) is not None and arrays is not None:
-            self._write(lambda: files.save(step, arrays, about))
+            self._write(lambda files: files.save(step, arrays, about))
             if self.lost is None:
                 self.saved = self.totals.steps
                 self.tell_saved(self._tell_saved)
@@ -186,8 +183,8 @@ class Recorder:
             self.log(line)
         if (files := self.files) is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
-            self._write(lambda: files.write_plan([*files.decisions, done]))
-            self._write(lambda: write_status(files.folder, status))
+            self._write(lambda files: files.write_plan([*files.decisions, done]))
+            self._write(lambda files: write_status(files.folder, status))
             self._tell_lost(files)
             if files.folder.unlogged:
                 self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
@@ -200,13 +197,12 @@ class Recorder:
 
     def end(self) -> None:
         """Close the files that grow with the steps: nothing is recorded afterwards."""
-        if (files := self.files) is not None:
-            self._write(files.end)
+        self._write(Files.end)
 
     def close(self) -> None:
         """Close the files, whatever happened."""
+        self._write(Files.end)
         if (files := self.files) is not None:
-            self._write(files.end)
             with suppress(OSError):
                 files.history.close()
             files.folder.close()

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fracflow.advance.error_control import ErrorEstimator
-from fracflow.advance.vibration import WATCHED, Vibration, swing_of
+from fracflow.advance.error_control import WATCHED, ErrorEstimator, Vibration, swing_of
 from fracflow.errors import SolveError
 
 pytestmark = pytest.mark.serial
