@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from fracflow._petsc import free
 from fracflow.advance.outcome import Log
 from fracflow.integrators import Stepper
 from fracflow.model.loads import Loads
@@ -23,7 +24,7 @@ class Couplings:
 
     def __init__(self, model: Model, log: Log) -> None:
         """Plan which steps are condensed; where any are, the first coupling that is made writes to the log. Collective."""
-        self.model, self.log, self._told = model, log, False
+        self.model, self.log, self._is_logged = model, log, False
         operators = model.operators
         self._unknowns = int(operators.layout.solid_starts[-1])
         self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
@@ -48,9 +49,9 @@ class Couplings:
             name = self._way()
             coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
             coupling.expect(self._planned)
-            if name == "condensed" and not self._told:
+            if name == "condensed" and not self._is_logged:
                 self.log(self._as_line())
-                self._told = True
+                self._is_logged = True
         self._kept[loads] = coupling
         return coupling
 
@@ -89,5 +90,4 @@ class Couplings:
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
-        for coupling in self._kept.values():
-            coupling.destroy()
+        free(*self._kept.values())

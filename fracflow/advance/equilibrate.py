@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, free
 from fracflow.advance.initial_state import imbalance
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.step import DONE, Progress, Step, Stepping
@@ -64,8 +64,7 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
             state, n = found.state, n + (found.reached == 1.0)
             yield Step(state, number, 0.0, found.report, DONE if n == count else None)
     finally:
-        held_back.destroy()
-        left.destroy()
+        free(held_back, left)
     log(f"equilibrium: {_summary(model, state)}")
 
 

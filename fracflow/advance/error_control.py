@@ -71,11 +71,8 @@ class Vibration:
 
 def vibration(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Vibration:
     """Motion of the node with the largest estimated error in a substep of length ``dt``. Collective."""
-    wrong = new.motion.displacement.duplicate()
-    wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
-    sizes = np.linalg.norm(_nodal(operators, wrong), axis=1)
+    sizes = _error_sizes(operators, stepper, dt, old, new)
     ends = [_nodal(operators, state.motion.acceleration) for state in (old, new)]
-    wrong.destroy()
     mine: tuple[float, float, float, str] = (-1.0, 0.0, 0.0, "")
     if len(sizes):
         worst = int(sizes.argmax())
@@ -83,6 +80,15 @@ def vibration(operators: Operators, stepper: Stepper, dt: float, old: State, new
         largest = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
         mine = (float(sizes[worst]), largest, float(np.linalg.norm(after - before)) / dt, _place(operators, worst))
     return Vibration(1, *max(operators.layout.comm.allgather(mine))[1:])
+
+
+def _error_sizes(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Floats:
+    """Lengths (n,) of the local errors of the displacements of this rank's own nodes. Collective."""
+    wrong = new.motion.displacement.duplicate()
+    wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
+    sizes: Floats = np.linalg.norm(_nodal(operators, wrong), axis=1)
+    wrong.destroy()
+    return sizes
 
 
 def _nodal(operators: Operators, unknowns: PETSc.Vec) -> Floats:
@@ -115,25 +121,15 @@ def step_error(
     largest  that of earlier states [length]; by default that of the end of the step
     Both are lengths of nodal vectors, and depend on neither axes nor units. Collective.
     """
-    wrong = new.motion.displacement.duplicate()
-    wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
-    error = _longest(operators, wrong)
-    wrong.destroy()
+    here = float(_error_sizes(operators, stepper, dt, old, new).max(initial=0.0))
+    error = operators.layout.comm.allreduce(here, op=MPI.MAX)
     moved = max(largest, largest_displacement(operators, new))
     return error / max(moved, LEAST * operators.scales.length)
 
 
 def largest_displacement(operators: Operators, state: State) -> float:
     """Largest displacement of any node [length]. Collective."""
-    return _longest(operators, state.motion.displacement)
-
-
-def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
-    """Length of the longest of the nodes' vectors u = E q."""
-    nodal = operators.nodal(unknowns)
-    values: Floats = nodal.getArray(readonly=True).reshape(-1, operators.blocks.sizes.dim)
-    here = float(np.linalg.norm(values, axis=1).max(initial=0.0))
-    nodal.destroy()
+    here = float(np.linalg.norm(_nodal(operators, state.motion.displacement), axis=1).max(initial=0.0))
     return operators.layout.comm.allreduce(here, op=MPI.MAX)
 
 
@@ -313,10 +309,7 @@ class ErrorEstimator:
             return largest_displacement(self.operators, state)
         gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
         if compression is not None and self.operators.flow is not None:
-            held = self.operators.layout.flow_vector()
-            self.operators.flow.taken_up(compression.held, held)
-            gone += held.getArray()
-            held.destroy()
+            gone += self.operators.flow.at_nodes(compression.held)
         return self._sum(gone)
 
     def _flow_error(self, dt: float, old: State, new: State) -> float:
@@ -343,11 +336,7 @@ class ErrorEstimator:
 
     def _room(self, walls: PETSc.Vec) -> Floats:
         assert self.operators.flow is not None
-        room = self.operators.layout.flow_vector()
-        self.operators.flow.storage_coupling.multTranspose(walls, room)
-        found: Floats = room.getArray().copy()
-        room.destroy()
-        return found
+        return self.operators.flow.swept(walls)
 
     def _sum(self, at_nodes: Floats) -> float:
         return float(self.operators.layout.comm.allreduce(float(np.abs(at_nodes).sum()), op=MPI.SUM))

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from time import process_time
 
+from fracflow._petsc import free
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.integrators import EXPLICIT, Stepper
 from fracflow.integrators.explicit import parts
@@ -48,7 +49,7 @@ class ExplicitSteps:
             return True
         return math.isinf(self.coupling.critical) and self.model.operators.flow is None
 
-    def tell(self, stepper: Stepper, dt: float) -> None:
+    def log_steps(self, stepper: Stepper, dt: float) -> None:
         """Log how an explicit rule takes steps of length ``dt``. Collective."""
         if not stepper.explicit:
             return
@@ -56,13 +57,12 @@ class ExplicitSteps:
         limit = f"critical time step of the rock {critical:.6g}" if math.isfinite(critical) else "no rock deforms"
         cut = f"; time_step {dt:.6g} is taken in {count} parts of {dt / count:.6g}" if count > 1 else ""
         ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
-        damps = "".join(f"; {told}" for told in self.coupling.told)
+        damps = "".join(f"; {note}" for note in self.coupling.notes)
         self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
 
     def destroy(self) -> None:
         """Free the coupling. Collective."""
-        if self._coupling is not None:
-            self._coupling.destroy()
+        free(self._coupling)
 
 
 @dataclass(frozen=True)
@@ -116,14 +116,14 @@ class ExplicitCost:
 
     seconds   of CPU that a substep takes on this process, without the cost that every step has [s]
     critical  longest stable time step, by the rock alone; infinite where no rock deforms [time]
-    told      a line for the user
+    line      for the user
     """
 
     steps: int
     parts: int
     seconds: float
     critical: float
-    told: str
+    line: str
 
 
 def explicit_cost(model: Model) -> ExplicitCost | None:
@@ -144,15 +144,15 @@ def explicit_cost(model: Model) -> ExplicitCost | None:
     cuts = [(count, dt, parts(dt, critical)) for count, dt in planned]
     unit = f" {scene.unit_system.time}".rstrip()
     ways = [f" in {n} parts of {dt / n:.4g}{unit}" if n > 1 else "" for _, dt, n in cuts]
-    told = [f"{count} steps of {dt:.4g}{unit}{way}" for (count, dt, _), way in zip(cuts, ways, strict=True)]
-    told += ["as many as events take"] if events else []
+    words = [f"{count} steps of {dt:.4g}{unit}{way}" for (count, dt, _), way in zip(cuts, ways, strict=True)]
+    words += ["as many as events take"] if events else []
     limit = f"critical time step of the rock {critical:.4g}{unit}" if math.isfinite(critical) else "no rock deforms"
     return ExplicitCost(
         sum(count for count, _, _ in cuts),
         sum(count * n for count, _, n in cuts),
         PRODUCTS * _seconds_of_product(model.operators),
         critical,
-        f"{', '.join(told)}; {limit}; without a factorisation",
+        f"{', '.join(words)}; {limit}; without a factorisation",
     )
 
 
@@ -164,6 +164,5 @@ def _seconds_of_product(operators: Operators) -> float:
     for _ in range(TIMED):
         operators.stiffness.mult(moved, force)
     lasted = (process_time() - began) / TIMED
-    moved.destroy()
-    force.destroy()
+    free(moved, force)
     return lasted

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, free
 from fracflow.elements import facet
 from fracflow.errors import InputError
 from fracflow.laws.base import HELD
@@ -41,16 +41,14 @@ def refuse_imbalance(model: Model) -> None:
     ops = model.operators
     motion, sections, pressure = _unmoved(model)
     balance, allowed = imbalance(model, motion.displacement, sections.traction, pressure), _slack(model)
-    motion.destroy()
-    pressure.destroy()
+    free(motion, pressure)
     model.loads.standing().release(balance)
     bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
     count = ops.blocks.comm.allreduce(int(bad.sum()))
     names = _names_at(ops, np.flatnonzero(bad))
     if not count and allowed.norm() > 0.0:
         ops.prestress.axpy(-1.0, balance)
-    balance.destroy()
-    allowed.destroy()
+    free(balance, allowed)
     if count:
         raise InputError(
             f"{model.scene.source}: initial state: out of balance at {count} unknowns,"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, free
 from fracflow.advance.outcome import Log
 from fracflow.errors import MOST_TOLD, SolveError
 from fracflow.mesh.data import Floats
@@ -50,17 +50,17 @@ class FlowNetwork:
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
         self._leaves = leaving(model.operators)
-        self._told: np.ndarray | None = None
-        self._told_digits = False
+        self._logged: np.ndarray | None = None
+        self._has_logged_digits = False
         self._parts: tuple[NetworkComponent, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
 
     def log_digits(self, line: str) -> None:
         """Write down that the flow has few digits, the first time only."""
-        if not self._told_digits:
+        if not self._has_logged_digits:
             self.log(line)
-        self._told_digits = True
+        self._has_logged_digits = True
 
     def close(self, loads: Loads, stores: bool) -> Loads:
         """The same loads with the undrained components closed, where nothing is stored. Collective.
@@ -76,7 +76,7 @@ class FlowNetwork:
         into which wells pump from that instant what its walls do not take up. Collective.
         """
         found, depth = self._found(loads, True, at_start=True), self.model.scene.flow_depth
-        lost = self._lost_at(state) if found.parts else np.zeros(0)
+        lost = self._lost(self._conduction(state)) if found.parts else np.zeros(0)
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
             rates.append(-depth * float(lost[part.nodes].sum()))
@@ -99,8 +99,7 @@ class FlowNetwork:
         taken, sizes = float(walls.dot(speed)), walls.copy()
         sizes.setArray(np.abs(walls.getArray() * speed.getArray(readonly=True)))
         moved = float(sizes.sum())
-        walls.destroy()
-        sizes.destroy()
+        free(walls, sizes)
         return taken, moved
 
     def enclosed(self, loads: Loads, state: State, dt: float) -> list[EnclosedComponent]:
@@ -170,10 +169,13 @@ class FlowNetwork:
 
     def update(self, state: State) -> None:
         """Find the components at a state. Collective."""
+        self.check(self._conduction(state))
+
+    def _conduction(self, state: State) -> Conduction:
         ops = self.model.operators
         assert ops.flow is not None
         walls = ops.joints.walls(state.sections, ops.flow.law)
-        self.check(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
+        return ops.flow.conduct(state.motion.displacement, state.pressure, walls)
 
     def check(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
@@ -187,10 +189,10 @@ class FlowNetwork:
 
     def log_changes(self, time: float) -> None:
         """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""
-        before, now = self._told, self._conducts
+        before, now = self._logged, self._conducts
         if now is None:
             return
-        self._told = now
+        self._logged = now
         if before is not None:
             if self.model.operators.layout.comm.allreduce(np.array_equal(before, now), op=MPI.LAND):
                 return
@@ -258,43 +260,30 @@ class FlowNetwork:
         names = (*wells, *(term.name for term in flow.terms)) if flow is not None and rates[-1] else wells
         return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g} {unit}".rstrip()
 
-    def _lost_at(self, state: State) -> Floats:
-        """Rates by which fluid leaves by terms at a state at all flow nodes (n,) [volume rate per thickness]. Collective."""
-        ops = self.model.operators
-        assert ops.flow is not None
-        walls = ops.joints.walls(state.sections, ops.flow.law)
-        return self._lost(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
-
     def _lost(self, conduction: Conduction | None) -> Floats:
-        """The same of a trial; zero where it conducts nothing yet. Collective."""
+        """Rates by which fluid leaves by terms at all flow nodes (n,) [volume rate per thickness]. Collective."""
         layout, network = self.model.operators.layout, self.model.operators.flow
         assert network is not None
-        nodes = layout.flow_vector()
-        if conduction is not None and conduction.leaving is not None:
-            network.taken_up(conduction.leaving.rate, nodes)
-        found = np.concatenate(layout.comm.allgather(nodes.getArray().copy()))
-        nodes.destroy()
-        return found
+        leaving = conduction.leaving if conduction is not None else None
+        here = np.zeros(layout.flow_count) if leaving is None else network.at_nodes(leaving.rate)
+        return np.concatenate(layout.comm.allgather(here))
 
     def destroy(self) -> None:
         """Free the closed loads. Collective."""
-        for found in self._closed.values():
-            for closure in found.loads.closures:
-                closure.weights.destroy()
+        free(*(closure.weights for found in self._closed.values() for closure in found.loads.closures))
         self._closed.clear()
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:
     """Volume that the walls have opened in a step at all flow nodes (n,), and their largest motion. Collective."""
-    network, room = problem.operators.flow, problem.operators.layout.flow_vector()
+    network, fluid = problem.operators.flow, problem.fluid_before
     assert network is not None
-    if problem.fluid_before is None:
-        network.storage_coupling.multTranspose(problem.increment, room)
-    else:
-        network.taken_up(-problem.fluid_before.weight / network.compressibility, room)
-    found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))
-    room.destroy()
-    return found, float(problem.increment.norm(PETSc.NormType.INFINITY))
+    here = (
+        network.swept(problem.increment) if fluid is None else network.at_nodes(-fluid.weight / network.compressibility)
+    )
+    return np.concatenate(problem.operators.layout.comm.allgather(here)), float(
+        problem.increment.norm(PETSc.NormType.INFINITY)
+    )
 
 
 def _names(model: Model, chosen: np.ndarray) -> str:

@@ -195,7 +195,7 @@ class EventState:
 
 
 def begin(model: Model, state: State, stage: Stage) -> EventState:
-    """The course at the start of a stage. Raises SolveError where the duration of an event is unknown. Collective."""
+    """The event state at the start of a stage. Raises SolveError where the duration of an event is unknown. Collective."""
     least, period = wave_step(model, state, stage)
     assert stage.time_step is not None
     return EventState(least, period, max(stage.time_step, least))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, free
 from fracflow.advance.error_control import ErrorControlled, ErrorEstimator
 from fracflow.advance.events import EventLocated
 from fracflow.advance.instability import StableSlip, UpToLimitPoint, to_the_next, weakens
@@ -73,8 +73,7 @@ class _Search:
 
     def destroy(self) -> None:
         """Free the states that were not taken out of ``tried``."""
-        for state, _ in self.tried.values():
-            state.destroy()
+        free(*(state for state, _ in self.tried.values()))
 
 
 def search_incipient(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:
@@ -212,7 +211,7 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
     n, held = int(progress.get("n", 0)), bool(progress.get("held", 0.0))
     count, whole = stage.step_count(start), stage.time_step or 0.0
     estimator = ErrorEstimator(model, stage, stepper, start, progress)
-    stepping.explicit.tell(stepper, whole)
+    stepping.explicit.log_steps(stepper, whole)
     if estimator.finest and not progress:
         log(f"stage {stage.title}: parts of steps by {estimator.statement}")
     splits = _splits(stepping, stepper, whole)

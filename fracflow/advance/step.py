@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, free
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
@@ -210,9 +210,7 @@ class Stepping:
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
-        self.couplings.destroy()
-        self.explicit.destroy()
-        self.network.destroy()
+        free(self.couplings, self.explicit, self.network)
 
 
 @dataclass(frozen=True)
@@ -262,8 +260,7 @@ class SingleStep:
             try:
                 new, again = self._by_rule(rule, begun or state, request)
             finally:
-                if begun is not None:
-                    begun.destroy()
+                free(begun)
             report = again.after(report)
             if set(state.wells_at_limit) <= set(new.wells_at_limit):
                 break

@@ -97,7 +97,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     memory = PROGRAM + NUMBER * (MATRICES * unknowns + factors)
     found, told, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
-        found["explicit steps"] = explicit.told
+        found["explicit steps"] = explicit.line
         part = explicit.seconds + OWN
         seconds += explicit.parts * part
         told.append(f"{explicit.parts} explicit parts of about {part:.2g} s")

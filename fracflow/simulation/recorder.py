@@ -29,6 +29,7 @@ from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_ch
 from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
+from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
@@ -46,7 +47,7 @@ class Before:
 
     rows, attrs  of history.h5, up to the checkpoint
     mesh         root of the seal of mesh.h5, empty without one
-    told         lines for the user
+    notes        lines for the user
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:
@@ -54,9 +55,9 @@ class Before:
         seals = notes["seals"]
         self.rows, self.attrs = read_rows(folder / "history.h5", notes["totals"]["steps"], seals.get("history", ""))
         self.mesh = mesh_root(folder / "mesh.h5")
-        self.told = [] if seals else [f"{folder}: {UNSEALED}"]
+        self.notes = [] if seals else [f"{folder}: {UNSEALED}"]
         if seals.get("scene", "") not in ("", scene_seal(folder)):
-            self.told.append(f"{folder}: {EDITED}")
+            self.notes.append(f"{folder}: {EDITED}")
 
 
 def scene_seal(folder: Path) -> str:
@@ -177,6 +178,12 @@ class Recorder:
             elif finished:
                 self._tell_lost(files)
 
+    def log_slip_at_crossings(self) -> None:
+        """Log where fractures that cross hand slip on to each other. Collective."""
+        found = on_root(self.comm, lambda: told_handed(files.events.rows, files.mesh) if (files := self.files) else [])
+        for line in found or ():
+            self.log(line)
+
     def finish(self, seconds: float, status: Status) -> None:
         """Write plan.json, the last lines of the log, and the status of the run."""
         for line in self.totals.summary(watches_spurious(self.model.scene), seconds):
@@ -260,7 +267,7 @@ class Files:
         old = (before.rows, before.attrs) if before is not None else None
         self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
         self.scene_seal = scene_seal(self.folder.path)
-        self._tell(before.told if before is not None else [])
+        self._warn(before.notes if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
         points = self.mesh.points[self.mesh.flow_origin[flow]]
         on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
@@ -295,9 +302,9 @@ class Files:
         self.fractures = FieldWriter(
             self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
         )
-        self._tell([*self.rock.left_out, *self.fractures.left_out])
+        self._warn([*self.rock.left_out, *self.fractures.left_out])
 
-    def _tell(self, lines: list[str]) -> None:
+    def _warn(self, lines: list[str]) -> None:
         """Lines on a folder whose run is restarted, for log and terminal."""
         for line in lines:
             self.folder.log(f"note: {line}")
@@ -342,9 +349,9 @@ class Files:
         sliding, is_open = (
             parts & sampling.any_at_nodes(snapshot, name, self.inverse, self.count) for name in ("sliding", "open")
         )
-        if told := self.chatter.update(step.stage, is_open):
+        if line := self.chatter.update(step.stage, is_open):
             self.folder.log(
-                f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {told}: {self._advice()}"
+                f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {line}: {self._advice()}"
             )
         slip, rate = (
             sampling.at_nodes(snapshot, name, self.inverse, self.count) for name in ("plastic_slip", "slip_rate")

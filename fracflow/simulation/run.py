@@ -29,7 +29,6 @@ from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
-from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_mesh import watch_tied
@@ -67,7 +66,7 @@ class SignalWatch:
 
     def __init__(self, comm: MPI.Comm, every: int, seconds: float) -> None:
         self.comm, self.every, self.seconds = comm, every, seconds
-        self._wish, self._saved = RunRequest.GO_ON, clock.monotonic()
+        self._asked, self._saved = RunRequest.GO_ON, clock.monotonic()
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> SignalWatch:
@@ -82,20 +81,20 @@ class SignalWatch:
             signal.signal(number, handler)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        self._wish = max(self._wish, SIGNALS[signal.Signals(number)])
-        if self._wish is RunRequest.STOP:
+        self._asked = max(self._asked, SIGNALS[signal.Signals(number)])
+        if self._asked is RunRequest.STOP:
             for each, handler in self._before.items():
                 signal.signal(each, handler)
 
     def request(self, steps: int, must_stop: bool = False) -> RunRequest:
         """The request that all ranks agree on after so many steps; one rank that must stop stops all. Collective."""
-        here = RunRequest.STOP if must_stop else self._wish
+        here = RunRequest.STOP if must_stop else self._asked
         is_late = self.comm.rank == 0 and clock.monotonic() - self._saved >= self.seconds
         if is_late or (self.every and steps % self.every == 0):
             here = max(here, RunRequest.SAVE)
         agreed = RunRequest(self.comm.allreduce(int(here), op=MPI.MAX))
         if agreed is not RunRequest.GO_ON:
-            self._wish, self._saved = RunRequest.GO_ON, clock.monotonic()
+            self._asked, self._saved = RunRequest.GO_ON, clock.monotonic()
         return agreed
 
 
@@ -165,16 +164,16 @@ def _begun(
     if show is not None and recorder.files is not None:
         show(recorder.files.card)
     whole = model.whole or model
-    told = whole.mesh.notes if whole.mesh is not None else ()
+    notes = whole.mesh.notes if whole.mesh is not None else ()
     if say is not None:
-        for line in (*near_ones(told), *whole.placed.apart):
+        for line in (*near_ones(notes), *whole.placed.apart):
             say(line)
     sizes = model.operators.blocks.sizes
     recorder.log(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in (*told, *whole.placed.notes):
+    for line in (*notes, *whole.placed.notes):
         recorder.log(line)
     if watches_spurious(scene):
         recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
@@ -277,9 +276,9 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
         recorder.check()
         step, failure = _steps(stepping, recorder, step, progress)
         recorder.end()
-        for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
-            recorder.log(line)
-        recorder.finish(clock.perf_counter() - begun.clock, _status(failure))
+        recorder.log_slip_at_crossings()
+        word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
+        recorder.finish(clock.perf_counter() - begun.clock, Status(word, str(failure or "")))
         if failure is None:  # last of all: after a kill before it the run can be resumed
             recorder.save(step, finished=True)
         recorder.check()
@@ -290,16 +289,6 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
     if failure is not None:
         raise failure
     return recorder.totals
-
-
-def _handed(recorder: Recorder) -> list[str]:
-    assert recorder.files is not None
-    return told_handed(recorder.files.events.rows, recorder.files.mesh)
-
-
-def _status(failure: SolveError | Interrupted | DiskError | None) -> Status:
-    word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
-    return Status(word, str(failure or ""))
 
 
 def is_moving(scene: Scene, step: Step) -> bool:
@@ -339,13 +328,13 @@ def _steps(
                             progress(step)
                         state.destroy()
                         state = step.state
-                        wish = watch.request(recorder.totals.steps, must_stop=recorder.lost is not None)
-                        if wish is RunRequest.STOP:
+                        asked = watch.request(recorder.totals.steps, must_stop=recorder.lost is not None)
+                        if asked is RunRequest.STOP:
                             recorder.check()
-                        if wish is not RunRequest.GO_ON:
+                        if asked is not RunRequest.GO_ON:
                             recorder.save(step)
-                            recorder.last(step, whole=wish is RunRequest.STOP)
-                        if wish is RunRequest.STOP:
+                            recorder.last(step, whole=asked is RunRequest.STOP)
+                        if asked is RunRequest.STOP:
                             failure = Interrupted(
                                 f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
                             )
@@ -355,7 +344,7 @@ def _steps(
                         raise
                     recorder.totals.give_up(limit)
                     recorder.log(
-                        f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
+                        f"stage {stage.title}: {limit.message}; handed over to stage {scene.stage[number + 1].title}"
                     )
                 going_on = {}
         except ReductionInvalid:
@@ -363,9 +352,10 @@ def _steps(
                 each.destroy()
             raise
         except (SolveError, Interrupted, DiskError) as error:  # raised on every rank: what follows stays collective
+            failure = error
             if isinstance(error, SolveError):
                 recorder.totals.give_up(error)
-            failure = of_stage(stage, error) if isinstance(error, SolveError) else error
+                failure = of_stage(stage, error)
             recorder.log(f"stopped: {failure}")
     if not isinstance(failure, Interrupted):
         step = replace(step, state=state)

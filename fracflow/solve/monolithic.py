@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fracflow._petsc import free
 from fracflow.errors import NotConverged, StatusCycling, Unsolved
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -61,10 +62,7 @@ class Monolithic:
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""
-        if self.rock is not None:
-            self.rock.destroy()
-        self.newton.destroy()
-        self.matrix.destroy()
+        free(self.rock, self.newton, self.matrix)
 
 
 class WholeLU(Monolithic):
@@ -97,8 +95,7 @@ class Auto(WholeLU):
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""
-        if self.other is not None:
-            self.other.destroy()
+        free(self.other)
         super().destroy()
 
 

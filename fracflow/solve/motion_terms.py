@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, free
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
 from fracflow.model.loads import Loads
@@ -85,15 +85,12 @@ class MovingTerms:
             each.damping.mult(displacement, term)
             sizes += [largest(force), CANCELLATION * alphas.a1 * largest(term)]
             force.destroy()
-        met.destroy()
-        term.destroy()
+        free(met, term)
         return sizes
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        self.terms.destroy()
-        if self.before is not None:
-            self.before.destroy()
+        free(self.terms, self.before)
 
 
 @dataclass(frozen=True)
@@ -143,8 +140,7 @@ class TermsOfStep:
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        for force in self.incoming.values():
-            force.destroy()
+        free(*self.incoming.values())
 
 
 def carried_on(operators: Operators, loads: Loads, state: State) -> PETSc.Vec | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, free
 from fracflow.errors import NotConverged, SolveError, StatusCycling
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
@@ -244,8 +244,7 @@ class Newton:
                 return by_energy(power, power(0.0), change * (1.0 + JUST_PAST))
             return by_residual(size, size(0.0), change * (1.0 + JUST_PAST))
         finally:
-            trial.destroy()
-            balance.destroy()
+            free(trial, balance)
 
     def _searches(self) -> bool:
         """Whether steps are shortened once statuses cycle, or full steps converge slowly."""
@@ -296,6 +295,4 @@ class Newton:
 
     def destroy(self) -> None:
         """Free the solver. Collective."""
-        self.factors.destroy()
-        for thing in (self.snes, self.solver, self.unknowns, self.balance):
-            thing.destroy()
+        free(self.factors, self.snes, self.solver, self.unknowns, self.balance)

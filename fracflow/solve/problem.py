@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, free
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
@@ -139,8 +139,7 @@ class StepProblem:
             add(-1.0)
             flow_terms = self._flow_balance()
         solid.axpy(-1.0, self.load)
-        for vector in (acceleration, speed, term):
-            vector.destroy()
+        free(acceleration, speed, term)
         self.loads.release(solid)
         for part in self.loads.pressures:
             self.flow_balance.getArray()[part.numbers] = 0.0
@@ -202,9 +201,8 @@ class StepProblem:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
         speed = self.velocity()
-        network.storage_coupling.multTranspose(self.displacement, flow)
-        terms = [CANCELLATION * self.alphas.a1 * largest(flow), largest(self.source)]
-        rows = CANCELLATION * self.alphas.a1 * np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
+        size = CANCELLATION * self.alphas.a1 * np.abs(network.swept(self.displacement))
+        terms, rows = [largest_of(size), largest(self.source)], size + np.abs(self.source.getArray(readonly=True))
         network.storage_coupling.multTranspose(speed, flow)
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
@@ -219,22 +217,16 @@ class StepProblem:
             rows += np.abs(self.taken_up)
             terms.append(largest_of(self.taken_up))
         if self.conduction.leaving is not None:
-            leaving = flow.duplicate()
-            network.taken_up(np.abs(self.conduction.leaving.rate), leaving)
-            rows += leaving.getArray()
-            terms.append(largest(leaving))
-            leaving.destroy()
+            leaving = network.at_nodes(np.abs(self.conduction.leaving.rate))
+            rows += leaving
+            terms.append(largest_of(leaving))
         speed.destroy()
         self._close()
         through, runs = flow_sizes(self.conduction, self._before, self.state.max_overpressure, self.alphas.b1)
         self._carried = max(*terms, runs)
-        sized, noise = flow.duplicate(), flow.duplicate()
-        network.taken_up(through, sized)
         moved = self.operators.joints.openings(self._moved)
-        network.taken_up(round_off_of_flow(network, self.conduction, moved, self.alphas.a1), noise)
-        self._flow_rows, self._flow_noise = rows + sized.getArray(), noise.getArray().copy()
-        sized.destroy()
-        noise.destroy()
+        self._flow_noise = network.at_nodes(round_off_of_flow(network, self.conduction, moved, self.alphas.a1))
+        self._flow_rows = rows + network.at_nodes(through)
         return [*terms, float(through.max(initial=0.0))]
 
     def _close(self) -> None:
@@ -299,10 +291,8 @@ class StepProblem:
 
     def destroy(self) -> None:
         """Free the vectors of the trial."""
-        trial = (self.displacement, self.increment, self.pressure)
-        for vector in (self.load, self.source, *trial, self.solid_balance, self.flow_balance):
-            vector.destroy()
-        self.moving.destroy()
+        free(self.load, self.source, self.displacement, self.increment, self.pressure)
+        free(self.solid_balance, self.flow_balance, self.moving)
 
 
 def balance_terms(problem: StepProblem, motion: Motion) -> Forces:
