@@ -19,17 +19,7 @@ from fracflow.advance.events import EventLocated
 from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
 from fracflow.advance.prescribed_times import prescribed
-from fracflow.advance.regime import (
-    LONG,
-    RADIATED,
-    SETTLED,
-    EventState,
-    Tried,
-    begin,
-    may_rest,
-    slipped,
-    weak_waves,
-)
+from fracflow.advance.regime import LONG, RADIATED, SETTLED, EventState, Tried, begin, may_rest, slipped, weak_waves
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
@@ -61,10 +51,8 @@ def excitations(scene: Scene, period: float) -> tuple[Excitation, ...]:
     """All of a scene's spans, by their start; ``period`` is the longest period of vibration of its rock."""
     waves = [wave for each in scene.terms for wave in each.waves]
     loads = [table for table in scene.driving_tables if table not in waves]
-    found = [
-        *(span for table in waves for span in _arrivals(table)),
-        *(s for t in loads for s in _rate_jumps(t, period)),
-    ]
+    found = [span for table in waves for span in _arrivals(table)]
+    found += [span for table in loads for span in _rate_jumps(table, period)]
     return tuple(sorted(found, key=lambda span: span.start))
 
 
@@ -98,10 +86,9 @@ def why_inertia(old: State, new: State, period: float, left: float, most: float)
 
     ``left`` and the vibration as in ``swing``, which may come to ``most``.
     """
-    changed = np.any(new.sections.is_open != old.sections.is_open)
-    changed |= np.any(
-        new.sections.is_sliding | np.any(new.sections.inelastic[:, :-1] != old.sections.inelastic[:, :-1], axis=1)
-    )
+    before, after = old.sections, new.sections
+    changed = np.any(after.is_open != before.is_open) | np.any(after.is_sliding)
+    changed |= np.any(after.inelastic[:, :-1] != before.inelastic[:, :-1])
     if new.motion.velocity.comm.tompi4py().allreduce(bool(changed), op=MPI.LOR):
         return "joints slip or open"
     found = swing(old, new, period, left)
@@ -269,11 +256,8 @@ class _Regimes:
             found = on_root(comm, lambda: coarse_of_slip(model.scene, mesh, model.placed.wells) if mesh else {})
             self.coarse = comm.bcast(found, root=0)
         slides = fractures_of(self.model.operators.blocks, state.sections.is_sliding).split(", ")
-        said = [
-            f"{what} in {of_fractures(here)}"
-            for what, names in self.coarse.items()
-            if (here := [name for name in names if name in slides])
-        ]
+        here = {what: [name for name in names if name in slides] for what, names in self.coarse.items()}
+        said = [f"{what} in {of_fractures(names)}" for what, names in here.items() if names]
         return f"; of what slides the mesh does not resolve {', '.join(said)}" if said else ""
 
     def counted(self, report: StepReport) -> StepReport:

@@ -14,9 +14,7 @@ from fracflow.solve import COUPLINGS, Coupling
 from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
 from fracflow.solve.options import is_large, is_meant
 
-MOST_KEPT = (
-    4  # solvers for different sets of loads, with their factors: wells go from one limit to the next and seldom back
-)
+MOST_KEPT = 4  # solvers, with their factors, for different loads: wells go from one limit to the next, seldom back
 
 
 class Couplings:
@@ -73,16 +71,10 @@ class Couplings:
         """Stages that are condensed, the numbers of unknowns, and the number of steps from which on condensing pays."""
         scene, plan = self.model.scene, self._planned
         is_asked = scene.method.coupling == "condensed"
-        stages = [
-            stage.title + (f" ({count:.0f} steps)" if count < math.inf else "")
-            for stage, alphas, count in planned(scene)
-            if is_asked or plan.is_worth(key_of(alphas, self._damps))
-        ]
-        pays = (
-            f"pays from {plan.pays:.0f} steps of one length on"
-            if plan.pays < math.inf
-            else "never pays, but is asked for"
-        )
+        steps = [each for each in planned(scene) if is_asked or plan.is_worth(key_of(each[1], self._damps))]
+        stages = [s.title + (f" ({count:.0f} steps)" if count < math.inf else "") for s, _, count in steps]
+        pays = "never pays, but is asked for"
+        pays = f"pays from {plan.pays:.0f} steps of one length on" if plan.pays < math.inf else pays
         return (
             f"rock condensed to its joints, {self._unknowns} displacements to {self._jumps} jumps, which {pays}:"
             f" stage {', '.join(stages) or 'none'}"

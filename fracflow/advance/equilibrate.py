@@ -53,9 +53,8 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
     model.loads.standing().release(held_back)
 
     left = held_back.duplicate()
-    parts = Substepped(
-        Restrained(stepping.by(Steady()), held_back, left, count), Rules(most_halvings(model.scene)), log
-    )
+    restrained = Restrained(stepping.by(Steady()), held_back, left, count)
+    parts = Substepped(restrained, Rules(most_halvings(model.scene)), log)
     n = 0
     try:
         while n < count:

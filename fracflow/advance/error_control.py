@@ -63,10 +63,8 @@ class Vibration:
     @classmethod
     def of(cls, progress: Mapping[str, float]) -> Vibration:
         """The one that a checkpoint stored."""
-        parts, acceleration, jerk = (
-            progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk")
-        )
-        return cls(int(parts), acceleration, jerk)
+        kept = [progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk")]
+        return cls(int(kept[0]), kept[1], kept[2])
 
 
 def vibration(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Vibration:
@@ -193,11 +191,8 @@ class ErrorEstimator:
         assert self.tolerance is not None
         reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
         of = "volume stored in fractures" if self.of_flow else "displacement"
-        missed = (
-            ""
-            if reached <= self.tolerance
-            else ", more than asked: substeps could not be shorter, or the motion stayed smaller than expected"
-        )
+        missed = ", more than asked: substeps could not be shorter, or the motion stayed smaller than expected"
+        missed = "" if reached <= self.tolerance else missed
         return (
             f"time steps made an error of {reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
             f" {self.tolerance:g}{missed}; that of the mesh is not in it (--converge)"
@@ -236,9 +231,8 @@ class ErrorEstimator:
         """The motion that makes a substep short, where very many remain. Collective."""
         if not self._left(new.time, dt) > MOST_PARTS:
             return Vibration()
-        return (
-            vibration(self.operators, self.stepper, dt, old, new) if part == dt and not self.of_flow else Vibration(1)
-        )
+        is_known = part == dt and not self.of_flow
+        return vibration(self.operators, self.stepper, dt, old, new) if is_known else Vibration(1)
 
     def outlook(self, time: float) -> str:
         """A line on the remainder of a stage whose substeps have long been very short; "" elsewhere.
@@ -293,15 +287,8 @@ class ErrorEstimator:
 
     def as_progress(self) -> dict[str, float]:
         """The numbers that a checkpoint stores."""
-        return {
-            "farthest": self.largest,
-            "last": self.last,
-            "guess": self.guess,
-            "until": self.until,
-            "error_now": self.error_now,
-            "error_most": self.error_most,
-            **self.follows.as_progress(),
-        }
+        kept = {name: getattr(self, name) for name in ("last", "guess", "until", "error_now", "error_most")}
+        return {"farthest": self.largest, **kept, **self.follows.as_progress()}
 
     def _size(self, state: State) -> float:
         """Largest displacement, or the volume that fractures have taken up or released."""

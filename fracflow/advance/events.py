@@ -93,11 +93,10 @@ def _without_mass(joints: Joints, ends: tuple[State, State], dt: float, path: tu
     whole, (start, change, *_) = at_new - at_old, path
     follows = np.abs(change) <= np.abs(whole)
     share = np.where(follows, change, 0.0) / np.where(follows & (whole != 0.0), whole, 1.0)
+    steps, past = (LawStep(old.time, 0.0, True), LawStep(new.time, dt, True)), old.sections.history
     gap = [
-        joints.approach(state.sections.strain, change, old.sections.history, LawStep(state.time, length, True))[
-            :, CONTACT
-        ]
-        for state, length in zip(ends, (0.0, dt), strict=True)
+        joints.approach(state.sections.strain, change, past, step)[:, CONTACT]
+        for state, step in zip(ends, steps, strict=True)
     ]
     opens, closes = (gap[0] < 0.0) & (gap[1] > 0.0), (gap[0] > 0.0) & (gap[1] < 0.0)
     free = np.zeros(start.shape, dtype=bool)

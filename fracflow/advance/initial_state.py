@@ -125,12 +125,10 @@ def _moved(model: Model, state: State) -> State:
     sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history())
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
-    energy = close_initial_balance(
-        update_balance(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False))
-    )
+    energy = update_balance(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False))
     friction = dissipated(state, new)
     state.destroy()
-    return replace(new, energy=energy, friction=friction)
+    return replace(new, energy=close_initial_balance(energy), friction=friction)
 
 
 def _spread(model: Model, key: str, result: PETSc.Vec) -> None:
@@ -188,9 +186,8 @@ def _slack(model: Model) -> PETSc.Vec:
     change = np.abs(np.einsum("jki,ji->jk", stress[:, 1] - stress[:, 0], frame[:, -1]))
     change += np.abs(np.diff(initial_pressure(scene, ends), axis=1) * frame[:, -1])
     off = np.abs(ops.joints.initial - implied_tractions(ops.blocks, scene, natural))
-    is_implied = (
-        off.reshape(len(length), len(natural) * dim).max(axis=1, initial=0.0) <= EQUILIBRIUM * ops.scales.pressure
-    )
+    most = off.reshape(len(length), len(natural) * dim).max(axis=1, initial=0.0)
+    is_implied = most <= EQUILIBRIUM * ops.scales.pressure
     faces, slack = np.concatenate([joints.bottom, joints.top], axis=1), change * (is_implied * length)[:, None] / 6.0
     if scene.carries_unbalanced:
         slack = np.full_like(slack, ANYTHING * ops.scales.force)

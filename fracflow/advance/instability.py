@@ -236,10 +236,6 @@ def patch_at_limit(model: Model, state: State) -> Patch | None:
 
 def is_near(model: Model, state: State) -> bool:
     """Whether there is such a patch, at lower cost. Collective."""
-    return any(
-        largest_share(
-            model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost)
-        ).value
-        >= least
-        for almost, least in LIMITS
-    )
+    ops, sections = model.operators, state.sections
+    shares = (largest_share(ops, model.loads, sections, of_state(ops, sections, almost)).value for almost, _ in LIMITS)
+    return any(share >= least for share, (_, least) in zip(shares, LIMITS, strict=True))

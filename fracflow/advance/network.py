@@ -28,9 +28,7 @@ from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
 BALANCED = 1e-12  # of the sum of the flow rates' sizes
-AGREES = (
-    1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has fewer digits
-)
+AGREES = 1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has few digits
 
 
 @dataclass(frozen=True)
@@ -132,10 +130,8 @@ class FlowNetwork:
         lost = self._lost(problem.conduction) if parts else np.zeros(0)
         numbers, depth = self.model.operators.layout.flow_numbers, self.model.scene.flow_depth
         for part, wells, gives in parts:
-            rates = [
-                loads.demanded(well, problem.time, problem.controls, problem.rule.adjacent, problem.rule.rates)
-                for well in wells
-            ]
+            asked = replace(problem.request, loads=loads)
+            rates = [problem.rule.demanded(asked, well) for well in wells]
             rates.append(-depth * float(lost[part.nodes].sum()))
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
@@ -149,15 +145,11 @@ class FlowNetwork:
             room = swept[part.nodes]
             slack = BALANCED * (np.abs(room).sum() + self.model.operators.scales.length * moved * len(room))
             if not gives and abs(room.sum()) > slack and (stores or len(room) > 1):
-                other = (
-                    "give minimum_hydraulic_aperture"
-                    if problem.fluid_before is not None
-                    else "give fluid.compressibility"
-                )
+                other = "fluid.compressibility" if problem.fluid_before is None else "minimum_hydraulic_aperture"
                 raise SolveError(
                     f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
                     f" by {room.sum():.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
-                    f" there, or let a wall move{f', or {other}' if stores else ''}"
+                    f" there, or let a wall move{f', or give {other}' if stores else ''}"
                 )
         return frozenset(found)
 
@@ -197,17 +189,14 @@ class FlowNetwork:
             if self.model.operators.layout.comm.allreduce(np.array_equal(before, now), op=MPI.LAND):
                 return
             pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
-            what = [
-                f"{names} {word}" for names, word in ((pinched, "pinched shut"), (opened, "conducts again")) if names
-            ]
+            found = (pinched, "pinched shut"), (opened, "conducts again")
+            what = [f"{names} {word}" for names, word in found if names]
             self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
         drained = self._drained(self.model.loads)
         gives = change_volume(self.model.operators, self._parts, self.model.loads.fixed_solid)
         fluid = self.model.scene.fluid
         stores = fluid is not None and fluid.compressibility > 0.0
-        cut_off = [
-            (part, moves) for part, moves in zip(self._parts, gives, strict=True) if not drained[part.nodes].any()
-        ]
+        cut_off = [each for each in zip(self._parts, gives, strict=True) if not drained[each[0].nodes].any()]
         cut_off.sort(key=lambda found: -len(found[0].nodes))
         for part, moves in cut_off[:MOST_TOLD]:
             by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
@@ -226,9 +215,7 @@ class FlowNetwork:
         assert fluid is not None
         drained, gives = self._drained(loads), change_volume(operators, self._parts, loads.fixed_solid)
         parts, closures = [], []
-        nodes = {
-            name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
-        }
+        nodes = {pattern.well: self._node(pattern.vector) for pattern in loads.wells if pattern.well}
         for part, moves in zip(self._parts, gives.tolist(), strict=True):
             holds = bool(self._holds[part.nodes].any()) and (stores or len(part.nodes) > 1)
             if drained[part.nodes].any() or (stores and (holds or (moves and not at_start))):
@@ -278,12 +265,10 @@ def _swept(problem: StepProblem) -> tuple[Floats, float]:
     """Volume that the walls have opened in a step at all flow nodes (n,), and their largest motion. Collective."""
     network, fluid = problem.operators.flow, problem.fluid_before
     assert network is not None
-    here = (
-        network.swept(problem.increment) if fluid is None else network.at_nodes(-fluid.weight / network.compressibility)
-    )
-    return np.concatenate(problem.operators.layout.comm.allgather(here)), float(
-        problem.increment.norm(PETSc.NormType.INFINITY)
-    )
+    opened = None if fluid is None else -fluid.weight / network.compressibility
+    here = network.swept(problem.increment) if opened is None else network.at_nodes(opened)
+    moved = float(problem.increment.norm(PETSc.NormType.INFINITY))
+    return np.concatenate(problem.operators.layout.comm.allgather(here)), moved
 
 
 def _names(model: Model, chosen: np.ndarray) -> str:

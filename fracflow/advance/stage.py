@@ -106,9 +106,8 @@ def search_incipient(stepping: Stepping, state: State, number: int, log: Log, pr
         best = search.tried.pop(value)
     finally:
         search.destroy()
-    log(
-        f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - utilisation(model, best[0].sections):.3e}"
-    )
+    reached = utilisation(model, best[0].sections)
+    log(f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - reached:.3e}")
     yield Step(best[0], number, 0.0, best[1], DONE)
 
 

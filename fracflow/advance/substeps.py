@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes
@@ -84,6 +84,7 @@ def most_halvings(scene: Scene) -> int:
     return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
 
 
+@dataclass
 class Substepped:
     """Divides a step of a stage into the fewest substeps that ``rules`` allow, each taken by another way to advance.
 
@@ -91,17 +92,11 @@ class Substepped:
     prescribed  a part that may be halved to be accurate is, untried, where this is not straight in it
     """
 
-    def __init__(
-        self,
-        inner: Advance,
-        rules: Rules,
-        log: Log,
-        place: SubstepCursor | None = None,
-        prescribed: PrescribedTimes | None = None,
-    ) -> None:
-        """From a place in the first step."""
-        self.inner, self.rules, self.log = inner, rules, log
-        self.place, self.prescribed = place or SubstepCursor(), prescribed or PrescribedTimes()
+    inner: Advance
+    rules: Rules
+    log: Log
+    place: SubstepCursor = SubstepCursor()
+    prescribed: PrescribedTimes = field(default_factory=PrescribedTimes)
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The next substep of a requested step, from the place on.

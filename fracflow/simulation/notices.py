@@ -73,15 +73,12 @@ class Totals:
     def summary(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
         """The lines that end the log, after so many ``seconds``."""
         if self.narrowest < NARROW:
-            yield (
-                f"smallest slip margin {self.narrowest:.1e} at time {self.narrow_time:.6g}:"
-                " what follows there is not settled by arithmetic"
-            )
+            after = "what follows there is not settled by arithmetic"
+            yield f"smallest slip margin {self.narrowest:.1e} at time {self.narrow_time:.6g}: {after}"
         if watches_spurious:
-            yield (
-                f"spurious work of the coupling: at most {self.spurious:.1e} of the largest entry of the energy balance"
-                + (f", at time {self.spurious_time:.6g}" if self.spurious else "")
-            )
+            share = f"at most {self.spurious:.1e} of the largest entry of the energy balance"
+            at = f", at time {self.spurious_time:.6g}" if self.spurious else ""
+            yield f"spurious work of the coupling: {share}{at}"
         if self.least:
             yield (
                 f"up to {self.least} joint ends conducted by minimum_hydraulic_aperture, at most {self.least_flow:.3g}"
@@ -89,10 +86,8 @@ class Totals:
             )
         if self.handed_over:
             yield f"{self.handed_over} steps were handed over to the monolithic solver"
-        yield (
-            f"{self.steps} steps, {self.newton} Newton iterations, {self.factorisations} factorisations"
-            f"{self.besides()} in {seconds:.2f} s"
-        )
+        solved = f"{self.newton} Newton iterations, {self.factorisations} factorisations"
+        yield f"{self.steps} steps, {solved}{self.besides()} in {seconds:.2f} s"
 
 
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
@@ -133,9 +128,8 @@ class Notices:
         """A line where the contraction of the fixed point has changed, and where it first failed."""
         totals, scene = self._totals, self._scene
         if report.handed_over and not totals.handed_over:
-            self._log(
-                f"{stage}: {report.handed_over}; handed over to the monolithic solver, as are later steps like it"
-            )
+            after = "handed over to the monolithic solver, as are later steps like it"
+            self._log(f"{stage}: {report.handed_over}; {after}")
         totals.handed_over += bool(report.handed_over)
         last, factor = totals.told_factor, report.predicted
         if np.isnan(factor):
@@ -148,10 +142,8 @@ class Notices:
                 if np.isfinite(report.measured)
                 else "fewer than two cycles were made, so that none is measured"
             )
-            self._log(
-                f"{stage}, {time}: a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted);"
-                f" {measured}"
-            )
+            plain = f"a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted)"
+            self._log(f"{stage}, {time}: {plain}; {measured}")
 
     def _spurious(self, time: float, share: float) -> None:
         totals = self._totals

@@ -38,6 +38,7 @@ from fracflow.simulation.notices import Notices, Totals, watches_spurious
 from fracflow.storage.files import read_bytes
 from fracflow.storage.sealed import AGAIN, digest
 
+Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
 EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
 
@@ -71,20 +72,16 @@ KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto":
 class Recorder:
     """Writes the run folder on rank 0; its calls are collective, for they gather."""
 
-    def __init__(
-        self, model: Model, facts: ReductionInput, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, model: Model, facts: ReductionInput, folder: Path, comm: MPI.Comm, notes: Notes = None) -> None:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
         self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
-        self.saved = self.totals.steps
-        self._folder, self._tell_saved = folder, None
+        self.saved, self._folder = self.totals.steps, folder
+        self._tell_saved: Callable[[int], None] | None = None
         self._notices = Notices(model, self.totals, self.log)
         self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
-
-    _tell_saved: Callable[[int], None] | None
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
@@ -134,9 +131,8 @@ class Recorder:
 
     def _remedy(self, number: int | None) -> str:
         if number in (errno.ENOENT, errno.ESTALE):
-            return (
-                f"{self._folder} is not what it was: if it was moved, resume it where it is; else start the run again"
-            )
+            moved = "if it was moved, resume it where it is; else start the run again"
+            return f"{self._folder} is not what it was: {moved}"
         if self.saved:
             kept = f"the last state on disk is that after {self.saved} steps"
             return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
@@ -218,9 +214,7 @@ class Recorder:
 class Files:
     """The open files of a run folder; rank 0 only."""
 
-    def __init__(
-        self, model: Model, facts: ReductionInput, folder: Path, notes: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, model: Model, facts: ReductionInput, folder: Path, notes: Notes = None) -> None:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
@@ -229,27 +223,17 @@ class Files:
         scene = model.stated.dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
         try:
-            self._open(model, facts, folder, notes, scene, before)
+            self._open(model, facts, notes, scene, before)
         except BaseException:
             self.folder.close()
             raise
 
-    def _open(
-        self,
-        model: Model,
-        facts: ReductionInput,
-        folder: Path,
-        notes: Mapping[str, Any] | None,
-        scene: str,
-        before: Before | None,
-    ) -> None:
+    def _open(self, model: Model, facts: ReductionInput, notes: Notes, scene: str, before: Before | None) -> None:
         write_status(self.folder, Status(RUNNING))
         self.card = pre_run_checks(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide(facts.with_card(self.card))
-        if before is None or not before.mesh:
-            self.mesh_seal = save_mesh(model.stated_mesh, self.folder / "mesh.h5")
-        else:
-            self.mesh_seal = before.mesh
+        known = before.mesh if before is not None else ""
+        self.mesh_seal = known or save_mesh(model.stated_mesh, self.folder / "mesh.h5")
         if notes is None:
             self.folder.write_text("scene.toml", scene)
             self.write_plan(self.decisions)
@@ -263,9 +247,8 @@ class Files:
         noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
         about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
         about |= {"fracflow": __version__, "energy_noise": noise}
-        path = self.folder / "history.h5"
-        old = (before.rows, before.attrs) if before is not None else None
-        self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
+        file, begun = self.folder / "history.h5", before
+        self.history = HistoryFile.after(file, begun.rows, begun.attrs) if begun else HistoryFile(file, about)
         self.scene_seal = scene_seal(self.folder.path)
         self._warn(before.notes if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
@@ -286,22 +269,19 @@ class Files:
             tangents=self.mesh.points.shape[1] - 1,
         )
         self.chatter = Chatter(self.events.nodes.fracture)
-        with restoring(folder / "checkpoint.h5") if notes is not None else nullcontext():
+        with restoring(self.folder / "checkpoint.h5") if notes is not None else nullcontext():
             self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
             if notes is not None:
                 self.events.remember(notes["events"])
         self.count, self.is_ended = len(flow), False
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
-        resumes = notes is not None
-        self.rock = FieldWriter(
-            self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)}, resumes
-        )
+        resumes, path, names = notes is not None, self.folder.path, {"rocks": list(self.mesh.rocks)}
+        self.rock = FieldWriter(path, "rock", self.mesh.points, self.mesh.cells, names, resumes)
         ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
         lines = np.arange(len(ends)).reshape(-1, 2)
-        self.fractures = FieldWriter(
-            self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
-        )
+        names = {"fractures": list(self.mesh.fractures)}
+        self.fractures = FieldWriter(path, "fractures", ends, lines, names, resumes)
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
     def _warn(self, lines: list[str]) -> None:
@@ -346,16 +326,12 @@ class Files:
 
         # A tip has no jump: what its law does with a stress past its strength is no slip.
         parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
-        sliding, is_open = (
-            parts & sampling.any_at_nodes(snapshot, name, self.inverse, self.count) for name in ("sliding", "open")
-        )
+        to = self.inverse, self.count
+        sliding, is_open = (parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
         if line := self.chatter.update(step.stage, is_open):
-            self.folder.log(
-                f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {line}: {self._advice()}"
-            )
-        slip, rate = (
-            sampling.at_nodes(snapshot, name, self.inverse, self.count) for name in ("plastic_slip", "slip_rate")
-        )
+            stage = self.scene.stage[step.stage].title
+            self.folder.log(f"time {state.time:.6g}: stage {stage}: {line}: {self._advice()}")
+        slip, rate = (sampling.at_nodes(snapshot, name, *to) for name in ("plastic_slip", "slip_rate"))
         self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:
             moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it

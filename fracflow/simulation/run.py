@@ -49,12 +49,8 @@ class RunRequest(IntEnum):
     STOP = 2
 
 
-SIGNALS = {
-    signal.SIGUSR1: RunRequest.SAVE,
-    signal.SIGUSR2: RunRequest.STOP,
-    signal.SIGTERM: RunRequest.STOP,
-    signal.SIGINT: RunRequest.STOP,
-}
+SIGNALS = dict.fromkeys((signal.SIGUSR2, signal.SIGTERM, signal.SIGINT), RunRequest.STOP)
+SIGNALS[signal.SIGUSR1] = RunRequest.SAVE
 
 
 class SignalWatch:
@@ -212,9 +208,8 @@ def resume(
             state = restore_state(model.operators, arrays, notes)
         step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
         recorder = Recorder(model, facts, folder, comm, notes)
-        recorder.log(
-            f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks"
-        )
+        done = recorder.totals.steps
+        recorder.log(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks")
         undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began)
     else:
         # the folder alone suffices: the mesh file may have moved or changed
@@ -238,9 +233,8 @@ def has_checkpoint(folder: Path) -> bool:
     if (folder / "checkpoint.h5").exists():
         return True
     if (folder / "history.h5").exists() and len(read_history(folder / "history.h5").get("time", ())) > 1:
-        raise InputError(
-            f"{folder / 'checkpoint.h5'}: no such file, although history.h5 has steps; put it back, or {AGAIN}"
-        )
+        lost = folder / "checkpoint.h5"
+        raise InputError(f"{lost}: no such file, although history.h5 has steps; put it back, or {AGAIN}")
     return False
 
 
@@ -335,17 +329,14 @@ def _steps(
                             recorder.save(step)
                             recorder.last(step, whole=asked is RunRequest.STOP)
                         if asked is RunRequest.STOP:
-                            failure = Interrupted(
-                                f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
-                            )
-                            raise failure
+                            done = f"after {recorder.totals.steps} steps"
+                            raise Interrupted(f"stopped at time {state.time:.6g}, {done}")
                 except LimitPoint as limit:
                     if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
                         raise
                     recorder.totals.give_up(limit)
-                    recorder.log(
-                        f"stage {stage.title}: {limit.message}; handed over to stage {scene.stage[number + 1].title}"
-                    )
+                    after = f"handed over to stage {scene.stage[number + 1].title}"
+                    recorder.log(f"stage {stage.title}: {limit.message}; {after}")
                 going_on = {}
         except ReductionInvalid:
             for each in {id(state): state, id(step.state): step.state}.values():

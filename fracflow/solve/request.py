@@ -128,17 +128,8 @@ class LoadStep:
         there = self.first(self.jumps, begin, 1.0) or 1.0  # all that was prescribed as the part begins
         unapplied = 0.0 if self.fills else (there - end) / (there - begin)
         controls = on_the_way(before, self.controls, begin, end)
-        return StepRequest(
-            self.time(end),
-            length,
-            controls,
-            self.loads,
-            unapplied=unapplied,
-            next_length=ahead,
-            step=self,
-            begin=begin,
-            end=end,
-        )
+        made = StepRequest(self.time(end), length, controls, self.loads, unapplied=unapplied, next_length=ahead)
+        return replace(made, step=self, begin=begin, end=end)
 
 
 @dataclass(frozen=True)
