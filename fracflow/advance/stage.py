@@ -174,16 +174,10 @@ def _splits(stepping: Stepping, stepper: Stepper, dt: float) -> bool:
 
 
 def composed(
-    stepping: Stepping,
-    stepper: Stepper,
-    number: int,
-    estimator: ErrorEstimator,
-    given: PrescribedTimes,
-    place: SubstepCursor,
-    log: Log,
+    stepping: Stepping, number: int, estimator: ErrorEstimator, given: PrescribedTimes, place: SubstepCursor, log: Log
 ) -> Substepped:
-    """The way to advance through the steps of a stage by a rule, from a place in one of them."""
-    model, whole = stepping.model, stepping.model.scene.stage[number].time_step or 0.0
+    """The way to advance through the steps of a stage by the rule of an estimator, from a place in one of them."""
+    model, whole, stepper = stepping.model, stepping.model.scene.stage[number].time_step or 0.0, estimator.stepper
     hurries, most = weakens(model) and not stepper.inertia, most_halvings(model.scene)
     most = max(most, to_the_next(model.scene, number, whole)) if hurries else most
     rules = Rules(most, estimator.order, _events(stepping, stepper, whole), estimator.finest, estimator.of_flow)
@@ -215,7 +209,7 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
         log(f"stage {stage.title}: parts of steps by {estimator.statement}")
     splits = _splits(stepping, stepper, whole)
     given = prescribed(model.scene, stepper.inertia, splits, estimator.tolerance if estimator.finest else None)
-    parts = composed(stepping, stepper, number, estimator, given, SubstepCursor.of(progress), log)
+    parts = composed(stepping, number, estimator, given, SubstepCursor.of(progress), log)
     method: Advance = parts if stepper.inertia else UpToLimitPoint(parts, model, parts.rules.most)
     # a jump while a fracture fills is applied at once: spread over a halved step, it would come half a step late
     fills = stepper.inertia or (stepper.storage and model.operators.flow is not None)

@@ -15,7 +15,7 @@ from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
-from fracflow.mesh.data import Bools, Floats
+from fracflow.mesh.data import Bools
 from fracflow.model.compressibility import brought, leaked, narrowing, stored, widening
 from fracflow.model.energy import dissipated, update_balance
 from fracflow.model.energy_motion import Scheme
@@ -28,7 +28,7 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
 from fracflow.solve.explicit import ExplicitProblem
 from fracflow.solve.flow_round_off import check_digits
-from fracflow.solve.problem import StepProblem
+from fracflow.solve.problem import Guess, StepProblem
 from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
 
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
@@ -275,7 +275,7 @@ class SingleStep:
         reached = reached_before(loads, state) if loads.limits else frozenset()
         if ops.flow is not None:
             network.update(state)
-        trial: tuple[Floats, Floats] | None = None
+        trial: Guess | None = None
         failed, spent, is_same = None, 0, False
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
             limited = solvers.limited(loads, reached)

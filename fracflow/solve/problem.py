@@ -40,17 +40,14 @@ from fracflow.solve.residual import (
     round_off_of_rock,
 )
 
+Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
+
 
 class StepProblem:
     """One step from ``state``: what is given, and the balances at a trial. Writes nothing into the state."""
 
     def __init__(
-        self,
-        operators: Operators,
-        state: State,
-        request: StepRequest,
-        rule: StepRule,
-        start: tuple[Floats, Floats] | None = None,
+        self, operators: Operators, state: State, request: StepRequest, rule: StepRule, start: Guess | None = None
     ) -> None:
         """Sample loads and wells over the step, under loads whose parts that nothing drains are closed. Collective.
 
@@ -283,7 +280,7 @@ class StepProblem:
         self.trial_status = joints.with_status(self.state.sections.history, reached)
         return changed
 
-    def initial_guess(self) -> tuple[Floats, Floats] | None:
+    def initial_guess(self) -> Guess | None:
         """This rank's motion (n,) and pressures (m,) for another problem to start from; None if not finite. Collective."""
         if not np.isfinite(self.increment.norm() + self.pressure.norm()):
             return None
