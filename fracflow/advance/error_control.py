@@ -117,6 +117,7 @@ def step_error(
 
     dt       length of the step, or of the equal parts that it is taken in, whose errors add up [time]
     largest  that of earlier states [length]; by default that of the end of the step
+
     Both are lengths of nodal vectors, and depend on neither axes nor units. Collective.
     """
     here = float(_error_sizes(operators, stepper, dt, old, new).max(initial=0.0))

@@ -18,7 +18,7 @@ from dataclasses import asdict, replace
 from fracflow.reduction import flow, outputs, solver
 from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.inertia import decide_inertia
-from fracflow.reduction.locked_fractures import decide_tied
+from fracflow.reduction.locked_fractures import decide_locked
 from fracflow.reduction.solver import factorisations
 from fracflow.reduction.unloaded_blocks import decide_parts
 
@@ -26,7 +26,7 @@ __all__ = ["Decision", "ReductionInput", "as_lines", "as_records", "decide", "fa
 
 DECISIONS = (
     flow.flow_block, flow.one_way, flow.fracture_storage, flow.compressibility, flow.fluid_inertia,
-    decide_inertia, decide_tied, decide_parts, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
+    decide_inertia, decide_locked, decide_parts, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
 )  # fmt: skip
 
 

@@ -210,7 +210,7 @@ def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float], u
     )
 
 
-def decide_tied(facts: ReductionInput) -> list[Decision]:
+def decide_locked(facts: ReductionInput) -> list[Decision]:
     """Whether fractures are locked, and which."""
     shut = facts.locked
     told = ", ".join(shut.names[:LISTED]) + (

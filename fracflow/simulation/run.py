@@ -31,7 +31,7 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.reduction.apply import planned
-from fracflow.reduction.locked_mesh import watch_tied
+from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
@@ -317,7 +317,7 @@ def _steps(
                             continue
                         step = made
                         recorder.record(step)
-                        watch_tied(stepping.model, step.state)
+                        watch_locked(stepping.model, step.state)
                         if progress is not None:
                             progress(step)
                         state.destroy()

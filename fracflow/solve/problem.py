@@ -237,13 +237,13 @@ class StepProblem:
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
         scales, comm = self.operators.scales, self.operators.layout.comm
-        blurred = round_off_here(self.operators, self.sections, self._moved)
+        of_jumps = round_off_here(self.operators, self.sections, self._moved)
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
-        here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
-        solid, solid_terms, flow, flow_terms, blurred, moved, hidden, carried = over_ranks(here, comm)
-        noise = blurred + round_off_of_rock(self.operators, moved)
+        here += [of_jumps, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
+        solid, solid_terms, flow, flow_terms, of_jumps, moved, hidden, carried = over_ranks(here, comm)
+        noise = of_jumps + round_off_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
         solid, noise = max(solid - noise, 0.0) / size, noise / size
         least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
