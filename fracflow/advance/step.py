@@ -285,15 +285,8 @@ class SingleStep:
                 coupling = solvers.explicit.coupling if stepper.explicit else solvers.couplings.of(asked.loads)
                 report = coupling.solve(problem)
                 new = accept(problem, state.energy)
-                try:
-                    refuse_jumps(ops.blocks, ops.joints, state, new)
-                    digits = check_digits(problem, new, solvers.model.scene.accuracy.digits, network.log_digits)
-                    is_same = self._is_closed(problem, limited, stepper.storage)
-                    trial = None if is_same else problem.initial_guess()
-                    full = network.overfull(limited, stepper.storage, problem) if is_same else frozenset()
-                except SolveError:
-                    new.destroy()
-                    raise
+                digits, is_same, full = self._checked(problem, new, limited, stepper.storage)
+                trial = None if is_same else problem.initial_guess()
             except NotConverged as error:
                 spent += problem.tried
                 failed = error.after(spent)
@@ -321,6 +314,23 @@ class SingleStep:
             f" smaller time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
             spent,
         )
+
+    def _checked(
+        self, problem: StepProblem, new: State, loads: Loads, stores: bool
+    ) -> tuple[float, bool, frozenset[Limit]]:
+        """Digits of a solved state, whether it has the components it was solved with, and limits that wells come to there.
+
+        Raises SolveError, on every rank, where it may not stand; it is freed then. Collective.
+        """
+        network, model = self.solvers.network, self.solvers.model
+        try:
+            refuse_jumps(model.operators.blocks, model.operators.joints, problem.state.sections, new.sections, new.time)
+            digits = check_digits(problem, new, model.scene.accuracy.digits, network.log_digits)
+            is_same = self._is_closed(problem, loads, stores)
+            return digits, is_same, network.overfull(loads, stores, problem) if is_same else frozenset()
+        except SolveError:
+            new.destroy()
+            raise
 
     def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
         """Whether a solved or failed trial still has the network components that it was solved with. Collective."""
