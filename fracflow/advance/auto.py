@@ -108,12 +108,6 @@ def swing(old: State, new: State, period: float, left: float) -> float:
     return kick * period / (pi * reach) if reach > 0.0 else 0.0
 
 
-def next_kink(scene: Scene, time: float, end: float) -> float:
-    """When the rate of anything prescribed changes next; ``end`` where it does not before."""
-    times = [at for table in scene.time_tables for at in table.times if at > time]
-    return min([end, *times])
-
-
 NEAR = 1e-9  # of a step: times so near are one
 TIME_ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
@@ -191,11 +185,6 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
         state, spent = entered, StepReport()
 
 
-def in_words(spent: StepReport) -> str:
-    """Number of rejected trials and their cost, in words."""
-    return f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
-
-
 class _Regimes:
     """Steps of both regimes of one stage."""
 
@@ -233,7 +222,8 @@ class _Regimes:
     def accepted(self, time: float, event: EventState, tried: Tried, spent: StepReport) -> EventState:
         """The event after a step without inertia from a time, with the trials rejected on the way to it."""
         if spent.rejected >= REPORTED:
-            self.log(f"time {time:.9g}: {in_words(spent)}; the step of {tried.length:.3g} is taken")
+            rejected = f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
+            self.log(f"time {time:.9g}: {rejected}; the step of {tried.length:.3g} is taken")
         event = replace(event, calm=event.calm + 1.0, trials=event.trials + spent.rejected)
         if event.calm > CALM and tried.may_double:
             event = replace(event, step=min(2.0 * event.step, max(self.longest, event.least)), calm=0.0)
@@ -275,7 +265,8 @@ class _Regimes:
         """Raise ReductionInvalid, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
         if self.most is None:
             return
-        left = next_kink(self.scene, new.time, self.end) - new.time
+        kinks = (time for table in self.scene.time_tables for time in table.times if time > new.time)
+        left = min([self.end, *kinks]) - new.time  # to where a rate changes next
         if why := why_inertia(old, new, self.period, left, self.most):
             new.destroy()
             raise ReductionInvalid(self.decision, old.time, why)
