@@ -178,12 +178,12 @@ def composed(
 ) -> Substepped:
     """The way to advance through the steps of a stage by the rule of an estimator, from a place in one of them."""
     model, whole, stepper = stepping.model, stepping.model.scene.stage[number].time_step or 0.0, estimator.stepper
-    hurries, most = weakens(model) and not stepper.inertia, most_halvings(model.scene)
-    most = max(most, to_the_next(model.scene, number, whole)) if hurries else most
+    is_weakening, most = weakens(model) and not stepper.inertia, most_halvings(model.scene)
+    most = max(most, to_the_next(model.scene, number, whole)) if is_weakening else most
     rules = Rules(most, estimator.order, _events(stepping, stepper, whole), estimator.finest, estimator.of_flow)
     step = stepping.by(stepper)
     step = EventLocated(step, stepping) if rules.events else step
-    step = StableSlip(step, model, JUST_OVER * 0.5**most) if hurries else step
+    step = StableSlip(step, model, JUST_OVER * 0.5**most) if is_weakening else step
     step = ErrorControlled(step, estimator, stepping.explicit) if estimator.order else step
     step = SplitAtJumps(step, stepping, stepper, stepper.inertia or estimator.finest > 0) if given.ends else step
     return Substepped(step, rules, log, place, given)

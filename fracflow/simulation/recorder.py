@@ -79,7 +79,7 @@ class Recorder:
         self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
-        self._tell_saved: Callable[[int], None] | None = None
+        self._report_saved: Callable[[int], None] | None = None
         self._notices = Notices(model, self.totals, self.log)
         self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
 
@@ -88,11 +88,11 @@ class Recorder:
         if self.files is not None:
             self.files.folder.log(line)
 
-    def tell_saved(self, tell: Callable[[int], None] | None) -> None:
+    def report_saved(self, report: Callable[[int], None] | None) -> None:
         """Report on rank 0 the number of steps before the last state on disk, now and at each later one."""
-        self._tell_saved = tell
-        if tell is not None and self.files is not None and self.saved:
-            tell(self.saved)
+        self._report_saved = report
+        if report is not None and self.files is not None and self.saved:
+            report(self.saved)
 
     def check(self) -> None:
         """Raise DiskError on every rank where rank 0 could not write. Collective."""
@@ -170,9 +170,9 @@ class Recorder:
             self._write(lambda files: files.save(step, arrays, about))
             if self.lost is None:
                 self.saved = self.totals.steps
-                self.tell_saved(self._tell_saved)
+                self.report_saved(self._report_saved)
             elif finished:
-                self._tell_lost(files)
+                self._write_lost(files)
 
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
@@ -188,11 +188,11 @@ class Recorder:
             done = factorisations(self.totals.newton, self.totals.factorisations)
             self._write(lambda files: files.write_plan([*files.decisions, done]))
             self._write(lambda files: write_status(files.folder, status))
-            self._tell_lost(files)
+            self._write_lost(files)
             if files.folder.unlogged:
                 self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
 
-    def _tell_lost(self, files: Files) -> None:
+    def _write_lost(self, files: Files) -> None:
         if self.lost is not None:
             with suppress(OSError):
                 files.folder.check(is_thorough=True)

@@ -265,7 +265,7 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model, recorder.log)
-    recorder.tell_saved(getattr(progress, "saved", None))
+    recorder.report_saved(getattr(progress, "saved", None))
     try:
         recorder.check()
         step, failure = _steps(stepping, recorder, step, progress)
@@ -297,7 +297,7 @@ def _steps(
     """Make and record all remaining steps; return the last one, and the cause of an early end. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
-    going_on, tell_trial = step.progress or {}, getattr(progress, "trial", None)
+    going_on, report_trial = step.progress or {}, getattr(progress, "trial", None)
     with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
@@ -312,8 +312,8 @@ def _steps(
                 try:
                     for made in steps(stepping, state, number, recorder.log, going_on):
                         if made.trial is not None:
-                            if tell_trial is not None:
-                                tell_trial(made.trial.time, made.trial.length, made.trial.why)
+                            if report_trial is not None:
+                                report_trial(made.trial.time, made.trial.length, made.trial.why)
                             continue
                         step = made
                         recorder.record(step)
