@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from typing import Any
 
-from fracflow._petsc import MPI, PETSc, free
+from fracflow._petsc import free
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
+from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools
@@ -29,82 +29,7 @@ from fracflow.solve.accept import accept, remember
 from fracflow.solve.explicit import ExplicitProblem
 from fracflow.solve.flow_round_off import check_digits
 from fracflow.solve.problem import Guess, StepProblem
-from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
-
-CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
-
-
-def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
-    """Limits that wells were kept at when a state was accepted; of two of one well the one its pressure is nearer to."""
-    found: dict[str, tuple[float, Limit]] = {}
-    for limit in loads.limits:
-        away = abs(at_node(limit, state.pressure) - limit.pressure)
-        if limit.well in state.wells_at_limit and away <= found.get(limit.well, (math.inf, limit))[0]:
-            found[limit.well] = (away, limit)
-    return frozenset(limit for _, limit in found.values())
-
-
-def reached_after(
-    request: StepRequest, rule: StepRule, reached: frozenset[Limit], trial: State, depth: float
-) -> frozenset[Limit]:
-    """Limits at which wells have to be kept once a trial of a step is known. Collective.
-
-    A well reaches a limit when its pressure passes it. It leaves the limit when more flows there than its flow_rate.
-    """
-    now = set(reached)
-    for limit in request.loads.limits:
-        pressure = at_node(limit, trial.pressure)
-        if limit in reached:
-            through = at_node(limit, trial.forces.source) * depth
-            asked = rule.demanded(request, limit.well)
-            if limit.sign * (through - asked) > CLOSE * abs(asked):
-                now.discard(limit)
-        elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):
-            now = {other for other in now if other.well != limit.well} | {limit}
-    return frozenset(now)
-
-
-def through(
-    request: StepRequest, rule: StepRule, reached: frozenset[Limit], old: State, new: State, depth: float
-) -> dict[str, float]:
-    """Mean flow rate, over a step, of each well that has a limit, as a multistep rule takes it.
-
-    Collective. A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls'
-    velocities. For a well that the loads of the request keep at a limit, q is the flow at the limit less that of other wells
-    there. Otherwise it is the demanded rate.
-    """
-    loads, alphas = request.loads, rule.alphas
-    kept, before = {limit.well: limit for limit in reached}, old.previous_step.through
-    found: dict[str, float] = {}
-    for name in sorted({limit.well for limit in loads.limits}):
-        if alphas.a6 > 0.0 and name not in before:
-            continue
-        if name in kept:
-            limit = kept[name]
-            rate = at_node(limit, new.forces.source) * depth
-            others = ((each.vector, str(each.well)) for each in loads.wells)
-            rate -= sum(at_node(limit, vector) * depth * rule.demanded(request, well) for vector, well in others)
-        else:
-            rate = rule.demanded(request, name)
-        found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * request.length)
-    return found
-
-
-def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
-    """Raise NotConverged naming the wells that cycle between rate and limit, after so many iterations."""
-    names = ", ".join(sorted({limit.well for limit in reached})) or "none"
-    raise NotConverged(
-        f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
-        f" {names}): move their limits apart, or take a smaller time_step",
-        newton,
-    )
-
-
-def at_node(limit: Limit, vector: PETSc.Vec) -> float:
-    """The value of a vector of the flow at the node of a limit. Collective."""
-    here = float(vector.getArray(readonly=True)[limit.local].sum())
-    return float(vector.getComm().tompi4py().allreduce(here, op=MPI.SUM))
-
+from fracflow.solve.request import StepRequest, begins_anew, rule_of
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from fracflow._petsc import MPI
     from fracflow.advance.step import Step
     from fracflow.scene.scene import Scene
-    from fracflow.simulation.notices import Totals
     from fracflow.simulation.refinement import Level
     from fracflow.simulation.run import OnStep as Tick
+    from fracflow.simulation.totals import Totals
 
 
 class Terminal(Console):

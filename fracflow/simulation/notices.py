@@ -1,14 +1,12 @@
-"""Lines of the log on a step whose results may be wrong, or which another choice would make better; and counts of a run."""
+"""Lines of the log on a step whose results may be wrong, or which another choice of the scene would make better."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
 
 import numpy as np
 
 from fracflow.advance.step import Step
-from fracflow.errors import SolveError
 from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
 from fracflow.model.properties import initial_pressure
@@ -16,79 +14,7 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, STRESS
-
-NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
-
-
-@dataclass
-class Totals:
-    """Counts over the run.
-
-    injected  net volume that wells have brought, as in the last state [length^3]
-    rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
-    widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
-    doubts    lines of the log that say that a result may be wrong
-    undone    decisions of the plan that were taken back: "part, stage" -> when and why
-    """
-
-    steps: int = 0
-    newton: int = 0
-    factorisations: int = 0
-    narrowest: float = np.inf
-    narrow_time: float = np.nan
-    least: int = 0
-    least_flow: float = 0.0
-    spurious: float = 0.0
-    spurious_time: float = np.nan
-    handed_over: int = 0
-    told_factor: float = np.nan
-    injected: float = 0.0
-    rejected: int = 0
-    wasted: int = 0
-    strained: int = 0
-    sucked: int = 0
-    widening: float = 1.0
-    doubts: list[str] = field(default_factory=list)
-    undone: dict[str, str] = field(default_factory=dict)
-
-    def add(self, report: StepReport) -> None:
-        """Count a step."""
-        self.steps += 1
-        self.newton += report.newton
-        self.factorisations += report.factorisations
-        self.rejected += report.rejected
-        self.wasted += report.wasted
-
-    def give_up(self, failure: SolveError) -> None:
-        """Count the trials of a step that failed."""
-        self.rejected += failure.trials
-        self.wasted += failure.newton
-
-    def besides(self) -> str:
-        """The rejected trials, in words; empty without any."""
-        if not self.rejected:
-            return ""
-        return f"; besides {self.rejected} trials rejected, on which {self.wasted} Newton iterations were spent"
-
-    def summary(self, watches_spurious: bool, seconds: float) -> Iterator[str]:
-        """The lines that end the log, after so many ``seconds``."""
-        if self.narrowest < NARROW:
-            after = "what follows there is not settled by arithmetic"
-            yield f"smallest slip margin {self.narrowest:.1e} at time {self.narrow_time:.6g}: {after}"
-        if watches_spurious:
-            share = f"at most {self.spurious:.1e} of the largest entry of the energy balance"
-            at = f", at time {self.spurious_time:.6g}" if self.spurious else ""
-            yield f"spurious work of the coupling: {share}{at}"
-        if self.least:
-            yield (
-                f"up to {self.least} joint ends conducted by minimum_hydraulic_aperture, at most {self.least_flow:.3g}"
-                " (volume/time) through one of them: halve it, and see whether anything changes"
-            )
-        if self.handed_over:
-            yield f"{self.handed_over} steps were handed over to the monolithic solver"
-        solved = f"{self.newton} Newton iterations, {self.factorisations} factorisations"
-        yield f"{self.steps} steps, {solved}{self.besides()} in {seconds:.2f} s"
-
+from fracflow.simulation.totals import Totals
 
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
 CHANGED = 0.5  # relative change of the predicted contraction from which on it is reported again

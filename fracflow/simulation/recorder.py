@@ -34,7 +34,8 @@ from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
-from fracflow.simulation.notices import Notices, Totals, watches_spurious
+from fracflow.simulation.notices import Notices, watches_spurious
+from fracflow.simulation.totals import Totals
 from fracflow.storage.files import read_bytes
 from fracflow.storage.sealed import AGAIN, digest
 

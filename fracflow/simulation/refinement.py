@@ -22,8 +22,8 @@ from fracflow.reduction.prepare import with_sizes
 from fracflow.scene.levels import Spot, at_level, order_in_time
 from fracflow.scene.method import MOST_REFINED
 from fracflow.scene.scene import Scene
-from fracflow.simulation.notices import Totals
 from fracflow.simulation.run import OnStep, has_ended, resume, run
+from fracflow.simulation.totals import Totals
 from fracflow.storage.files import no_plain_file
 
 LEAST_LEVELS, MOST_LEVELS = 2, 8

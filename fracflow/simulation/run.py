@@ -35,8 +35,9 @@ from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
-from fracflow.simulation.notices import Totals, watches_spurious
+from fracflow.simulation.notices import watches_spurious
 from fracflow.simulation.recorder import Recorder
+from fracflow.simulation.totals import Totals
 from fracflow.solve.options import is_large, set_defaults
 from fracflow.storage.sealed import AGAIN
 
