@@ -30,6 +30,13 @@ STORAGE = {
 """Matrices of the pressure force and of the wall motion: one for both, or, as in the report's (2.37) with (3.16), two."""
 
 
+def _array(vector: PETSc.Vec) -> Floats:
+    """The values of this rank; the vector is freed. Collective."""
+    values: Floats = vector.getArray().copy()
+    vector.destroy()
+    return values
+
+
 def is_transposed(storage: str) -> bool:
     """Whether a pair is one matrix and its transpose: then what the fluid does to the walls they do to the fluid."""
     force, volume = STORAGE[storage]
@@ -171,6 +178,19 @@ class Flow:
     def taken_up(self, at_ends: Floats, result: PETSc.Vec) -> None:
         """``result`` += volume rates (j, 2) at the joint ends, brought to the flow nodes. Collective."""
         add_transposed(self.pick, at_ends.ravel(), result)
+
+    def at_nodes(self, at_ends: Floats) -> Floats:
+        """Volume rates (j, 2) at the joint ends, brought to this rank's flow nodes (n,). Collective."""
+        result = self.resting.duplicate()
+        result.set(0.0)
+        self.taken_up(at_ends, result)
+        return _array(result)
+
+    def swept(self, moved: PETSc.Vec) -> Floats:
+        """Volumes (n,) at this rank's flow nodes that walls open as they move, or their rates. Collective."""
+        result = self.resting.duplicate()
+        self.storage_coupling.multTranspose(moved, result)
+        return _array(result)
 
     def at_ends(self, nodes: PETSc.Vec) -> Floats:
         """Values of the flow nodes at the joint ends (j, k). Collective."""

@@ -22,7 +22,7 @@ from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.layout import add_blocks, add_transposed, create_matrix, product
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import nodal_layout, node_unknowns
-from fracflow.model.state import SectionHistory, Sections, State
+from fracflow.model.state import SectionHistory, Sections
 from fracflow.scene.scene import Scene
 
 REMEDY = "make shear_stiffness times {1} at least {0:.3g} times what it is"
@@ -384,13 +384,13 @@ def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
         )
 
 
-def refuse_jumps(blocks: Blocks, joints: Joints, old: State, new: State) -> None:
+def refuse_jumps(blocks: Blocks, joints: Joints, old: Sections, new: Sections, time: float) -> None:
     """Raise SolveError, on every rank, for a fracture that slid in a step where its strength fell too fast. Collective."""
-    slid = (new.sections.inelastic != old.sections.inelastic).any(axis=1)
-    worst, name, key = steepest(blocks, joints, new.sections.traction, old.sections.history, slid)
+    slid = (new.inelastic != old.inelastic).any(axis=1)
+    worst, name, key = steepest(blocks, joints, new.traction, old.history, slid)
     if worst >= 1.0:
         raise SolveError(
-            f"time {new.time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"
+            f"time {time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"
             f" {worst:.4g} times as fast as its shear_stiffness unloads: it jumped, which no smaller step resolves;"
             f" {REMEDY.format(worst, key)}"
         )

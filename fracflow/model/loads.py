@@ -247,7 +247,7 @@ def assemble_loads(
 
     pressures, wells, limits = [], [], []
     held = np.zeros(0, dtype=np.int64)
-    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    depth = scene.flow_depth
     for well in scene.well if scene.has_flow else ():
         node = well_nodes[well.name]
         if well.pressure is not None:

@@ -36,6 +36,10 @@ class Motion:
         """This rank's share as arrays, to read."""
         return MotionValues(*(v.getArray(readonly=True) for v in (self.displacement, self.velocity, self.acceleration)))
 
+    def copy(self) -> Motion:
+        """The same in vectors of its own."""
+        return Motion(self.displacement.copy(), self.velocity.copy(), self.acceleration.copy())
+
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
         destroy(self.displacement, self.velocity, self.acceleration)
@@ -114,8 +118,7 @@ class PreviousStep:
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        for vector in (self.velocity, self.uptake):
-            destroy(vector)
+        destroy(self.velocity, self.uptake)
 
 
 @dataclass(frozen=True)
@@ -158,9 +161,8 @@ class State:
 
 def forgetful(state: State) -> State:
     """A copy with vectors of its own, without the previous step."""
-    motion = Motion(*(v.copy() for v in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)))
     uptake = None if state.uptake is None else state.uptake.copy()
-    forces, pressure = state.forces.copy(), state.pressure.copy()
+    motion, forces, pressure = state.motion.copy(), state.forces.copy(), state.pressure.copy()
     return replace(state, motion=motion, pressure=pressure, forces=forces, previous_step=PreviousStep(), uptake=uptake)
 
 

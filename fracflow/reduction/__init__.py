@@ -19,7 +19,7 @@ from fracflow.elements import dashpot
 from fracflow.reduction import flow, solver
 from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.inertia import decide_inertia
-from fracflow.reduction.locked_fractures import decide_tied
+from fracflow.reduction.locked_fractures import decide_locked
 from fracflow.reduction.solver import factorisations
 from fracflow.reduction.unloaded_blocks import decide_parts
 
@@ -49,7 +49,7 @@ def far_field(facts: ReductionInput) -> Iterator[Decision]:
 
 DECISIONS = (
     flow.flow_block, flow.one_way, flow.fracture_storage, flow.compressibility, flow.fluid_inertia,
-    decide_inertia, decide_tied, decide_parts, solver.new_factors, solver.condensed_rock, fields, far_field,
+    decide_inertia, decide_locked, decide_parts, solver.new_factors, solver.condensed_rock, fields, far_field,
 )  # fmt: skip
 
 

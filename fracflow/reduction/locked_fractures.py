@@ -206,7 +206,7 @@ def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float], u
     return replace(record, names=tuple(np.array(rock.names)[tied].tolist()))
 
 
-def decide_tied(facts: ReductionInput) -> Iterator[Decision]:
+def decide_locked(facts: ReductionInput) -> Iterator[Decision]:
     """Whether fractures are locked, and which."""
     shut = facts.locked
     more = len(shut.names) - LISTED

@@ -164,7 +164,7 @@ def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) ->
     return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names)
 
 
-def watch_tied(model: Model, state: State) -> None:
+def watch_locked(model: Model, state: State) -> None:
     """Raise ReductionInvalid, on every rank, where rock beside locked fractures uses more than USE of their strength.
 
     Collective.

@@ -156,6 +156,11 @@ class Tables(TablesOfLaws):
         return fluid is not None and 0.0 not in (fluid.viscosity, fluid.specific_weight, fluid.density)
 
     @property
+    def flow_depth(self) -> float:
+        """Depth out of the plane that flow rates refer to [length]; 1 without a fluid."""
+        return self.fluid.flow_depth if self.fluid is not None else 1.0
+
+    @property
     def has_dynamics(self) -> bool:
         """Whether a stage has inertia, or may need it."""
         return any(stage.kind in ("dynamic", "auto") for stage in self.stage)

@@ -53,7 +53,7 @@ def statuses(problem: StepProblem) -> Statuses:
     """Whether each section (s, 2) of this rank is open, and whether and which way it slides, as signs."""
     found = np.zeros((len(problem.sections.strain), 2), dtype=np.int8)
     found[:, 0] = problem.sections.is_open
-    for group, past in zip(problem.operators.joints.laws, problem.branch, strict=True):
+    for group, past in zip(problem.operators.joints.laws, problem.trial_status, strict=True):
         for name in group.law.status:
             way = past[name] if past[name].ndim > 1 else past[name][:, None]
             found[group.sections, 1] = np.where(way[:, 0] < 0.0, -1, 1) * way.any(axis=1)

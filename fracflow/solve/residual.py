@@ -108,7 +108,10 @@ def significant_digits(operators: Operators, state: State) -> SignificantDigits:
         np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     error, rock, size, stiff, beside = largest
-    forces = _largest_force(operators, state)
+    inertia = state.forces.load.duplicate()
+    operators.mass.mult(state.motion.acceleration, inertia)
+    forces = max(vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support, inertia))
+    inertia.destroy()
     least = LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length)
     held = np.maximum(size, max(least, PRESSURE_SHARE * state.max_overpressure))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
@@ -118,15 +121,6 @@ def significant_digits(operators: Operators, state: State) -> SignificantDigits:
     left, by_rock = min(MOST_DIGITS, float(-np.log10(lost[worst]))), bool(rock[worst] > error[worst])
     stiffness = float(beside[worst] if by_rock else stiff[worst])
     return SignificantDigits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
-
-
-def _largest_force(operators: Operators, state: State) -> float:
-    """The largest load, reaction or force of inertia on a displacement [force per thickness]. Collective."""
-    inertia = state.forces.load.duplicate()
-    operators.mass.mult(state.motion.acceleration, inertia)
-    largest = max(vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support, inertia))
-    inertia.destroy()
-    return float(largest)
 
 
 def refuse_few(found: SignificantDigits, limit: int, time: float) -> None:

@@ -228,7 +228,7 @@ class SectionSolver:
         share: float,
         least: int,
     ) -> tuple[Floats, SectionReport]:
-        """The balance with the statuses of ``problem.branch``, beginning from ``change``. Collective."""
+        """The balance with the statuses of ``problem.trial_status``, beginning from ``change``. Collective."""
         joints, film, comm = self.operators.joints, self.film, self.operators.layout.comm
         before, weights, most = problem.state.sections, joints.weights[:, None], self.scene.accuracy.max_iterations
         for iteration in range(most + 1):

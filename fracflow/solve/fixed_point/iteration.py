@@ -127,7 +127,7 @@ class FixedPoint:
         accuracy, rule = self.scene.accuracy, RELAXATIONS[self.name]
         cycles, total, left = Cycles(prediction.factor), StepReport(), np.nan
         for number in range(1, (most or accuracy.max_cycles) + 1):
-            problem.branch = problem.state.sections.history  # no section slips for a pressure that was on its way
+            problem.trial_status = problem.state.sections.history  # no section slips for a pressure that was on its way
             try:
                 added = self._added(problem, prediction)
                 cycles = cycles.then(problem.pressure.getArray().copy(), added)
