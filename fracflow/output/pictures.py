@@ -19,11 +19,10 @@ from fracflow.output.drawing.network_map import (
     scaled,
     write_name,
 )
-from fracflow.output.plot_style import COLOURS, INK, PALE, plain, styled
+from fracflow.output.plot_style import COLOURS, INK, PALE, draw_head, plain, save, styled
 from fracflow.output.reader import RunData, load_run_data
 from fracflow.scene.quantities import QUANTITIES, OutputQuantity, probed
 from fracflow.scene.units import ENERGY, LENGTH
-from fracflow.storage.files import fresh, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,13 +56,6 @@ def draw(folder: str | Path) -> list[Path]:
         drawn = {"overview": _overview(run), "probes": _probes(run)}
         paths = [save(figure, pictures / f"{name}.png") for name, figure in drawn.items() if figure]
     return paths
-
-
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure whole or not at all. Raises OSError."""
-    with replacing(path) as part:
-        figure.savefig(fresh(part), format="png")
-    return path
 
 
 def _overview(run: RunData) -> Figure:
@@ -102,15 +94,6 @@ def _draw_probes(axes: Axes, run: RunData, row: OutputQuantity, title: str, word
     _draw_lines(axes, run, lines, title, word or row.axis, row.dimension, run.settled)
 
 
-def draw_head(figure: Figure, title: str, below: str) -> None:
-    """The title of a figure, and a smaller line under it."""
-    from matplotlib.text import Annotation
-
-    head = figure.suptitle(f"{plain(title)}\n", fontsize=13, fontweight="bold", x=0.01, ha="left")
-    place = dict(xy=(0.0, 0.0), xycoords=head, xytext=(0.0, 2.0), textcoords="offset points")
-    figure.add_artist(Annotation(plain(below), **place, fontsize=9, annotation_clip=False))  # type: ignore[arg-type]
-
-
 def _height(run: RunData) -> float:
     """Height in inches of a map as wide as its column, within the limits of the panels beside it."""
     if not run.rock:
@@ -147,7 +130,7 @@ def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:
         return scales
     moved = axis(slip) > _LEAST_SLIP * top
     widths = 2.0 + (_WIDEST - 2.0) * axis(slip[moved]) / top
-    lines = coloured(axes, scaled(network.segments[moved], *scales), axis(slip[moved]), widths, "viridis_r", top)
+    lines = coloured(axes, scaled(network.segments[moved], *scales), axis(slip[moved]), widths, "viridis_r", (0.0, top))
     label = axis.label(f"plastic slip at {run.at(fractures.time)}")
     look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.02, panchor=False)
     bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)  # type: ignore[arg-type]

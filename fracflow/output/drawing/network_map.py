@@ -115,14 +115,14 @@ def _draw_supports(axes: Axes, held: Floats) -> None:
 
 
 def coloured(
-    axes: Axes, segments: Floats, values: Floats, widths: float | Floats, cmap: str, top: float
+    axes: Axes, segments: Floats, values: Floats, widths: float | Floats, cmap: str, ends: tuple[float, float]
 ) -> LineCollection:
-    """Pieces (m, 2, 2), already scaled, in colours of their values (m,) from 0 to ``top``."""
+    """Pieces (m, 2, 2), already scaled, in colours of their values (m,) between two ``ends``."""
     from matplotlib.collections import LineCollection
 
     lines = LineCollection(list(segments), cmap=cmap, linewidths=widths, capstyle="round", zorder=3)
     lines.set_array(values)
-    lines.set_clim(0.0, top)
+    lines.set_clim(*ends)
     axes.add_collection(lines)
     return lines
 
