@@ -237,7 +237,7 @@ def load_run_data(folder: str | Path) -> RunData:
         wells=_places(folder, attrs, "wells"),
         events=events,
         rock=_rock(folder),
-        fractures=_fractures(folder, float(history["time"][start])),
+        fractures=load_fractures(folder, float(history["time"][start])),
         start=start,
         has_dynamics=bool(len(dynamic)),
         status=read_status(folder),
@@ -271,7 +271,8 @@ def _rock(folder: Path) -> list[Floats] | None:
     return [cell for block in blocks for cell in block]
 
 
-def _fractures(folder: Path, start: float) -> FractureFields | None:
+def load_fractures(folder: Path, start: float) -> FractureFields | None:
+    """Fields of the fractures at a time ``start`` and the last; None where none were written. Raises InputError."""
     steps = list_steps(folder, "fractures")
     if not steps or not (folder / "fields" / "fractures_mesh.h5").exists():
         return None
