@@ -109,9 +109,9 @@ def _network(run: RunData) -> Network:
     marks = {"well": run.wells, "probe": run.probes}
     if 0 < len(first) <= _MOST_FIRST:
         marks["slipped first"] = {f"\0{i}": (event["x"], event["y"]) for i, event in enumerate(first)}
-    rock, none = run.rock or [], (np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64), [])
-    segments, fracture, names = (found.segments, found.fracture, found.names) if found is not None else none
-    return Network(rock, segments, fracture, names, run.units, marks)
+    if found is None:
+        return Network(run.rock or [], np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64), [], run.units, marks)
+    return Network(run.rock or [], found.segments, found.fracture, found.names, run.units, marks)
 
 
 def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:

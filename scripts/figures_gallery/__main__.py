@@ -36,16 +36,16 @@ def main() -> int:
     parser.add_argument("--into-meshes", action="store_true", help="replace the pictures that meshes/ shows")
     given = parser.parse_args()
     names = given.only or (*QUICK, *(LONG if given.all else ()))
+    given.output = given.output.resolve()
     given.output.mkdir(parents=True, exist_ok=True)
     failed = [name for name in names if not all(_drawn(name, given.output))]
     if given.into_meshes:
         for name, shown in SHOWN.items():
             if name.partition("-")[0] in names and (given.output / f"{name}.png").exists():
                 shutil.copyfile(given.output / f"{name}.png", ROOT / "meshes" / shown)
-    print(
-        f"{len(names) - len(failed)} of {len(names)} scenes drawn into {given.output}"
-        + "".join(f"; {n} failed" for n in failed)
-    )
+    print(f"{len(names) - len(failed)} of {len(names)} scenes drawn into {given.output}")
+    for name in failed:
+        print(f"{name}: failed")
     return 1 if failed else 0
 
 

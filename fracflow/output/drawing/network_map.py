@@ -29,7 +29,7 @@ _LOOKS = {"well": ("v", "#56B4E9", 10.0), "probe": ("o", "white", 5.0), "slipped
 
 @dataclass(frozen=True)
 class Network:
-    """What a map shows.
+    """Rock, fractures and marks that a map shows.
 
     rock      corners (k, 2) of each cell [length]
     segments  (m, 2, 2) ends of the pieces of fractures [length]
@@ -196,12 +196,13 @@ def name_size(axes: Axes, text: str) -> tuple[float, float]:
 
 
 def write_name(axes: Axes, text: str, at: Floats, colour: str) -> None:
-    """A name at a place, on a white halo."""
+    """A name at a place (2,) of the axes, on a white halo."""
     import matplotlib.patheffects as effects
 
     halo = [effects.withStroke(linewidth=HALO, foreground="white")]
     axes.text(
-        *at,
+        float(at[0]),
+        float(at[1]),
         plain(text),
         fontsize=SMALL,
         color=colour,
