@@ -22,7 +22,7 @@ from fracflow.output.drawing.network_map import (
 from fracflow.output.plot_style import COLOURS, INK, PALE, draw_head, plain, save, styled
 from fracflow.output.reader import RunData, load_run_data
 from fracflow.scene.quantities import QUANTITIES, OutputQuantity, probed
-from fracflow.scene.units import ENERGY, LENGTH
+from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,6 +38,7 @@ _ENERGIES = (
     ("radiated", "radiated"),
     ("damping", "damped at faults"),
 )
+_OF_WELLS = (("pressure", STRESS), ("rate", FLOW_RATE), ("volume", "length**3"))
 _MAX_LINES = 7
 _MOST_FIRST = 5  # more than these at once show no place of the onset
 _LEAST_SLIP = 1e-6  # of the largest, that is drawn
@@ -45,15 +46,16 @@ _WIDEST = 6.0  # line of slip [points]
 
 
 def draw(folder: str | Path) -> list[Path]:
-    """Draw ``pictures/overview.png`` and ``pictures/probes.png`` of a run and return their paths.
+    """Draw ``overview.png``, ``probes.png`` and ``wells.png`` into ``pictures`` of a run and return their paths.
 
-    The second is left out if the run has no probes. Raises InputError if the folder has no history.
+    The second and third are left out if the run has no histories of probes or wells. Raises InputError if the folder has no
+    history.
     """
     run = load_run_data(folder)
     pictures = Path(folder) / "pictures"
     pictures.mkdir(exist_ok=True)
     with styled():
-        drawn = {"overview": _overview(run), "probes": _probes(run)}
+        drawn = {"overview": _overview(run), "probes": _probes(run), "wells": _wells(run)}
         paths = [save(figure, pictures / f"{name}.png") for name, figure in drawn.items() if figure]
     return paths
 
@@ -132,7 +134,7 @@ def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:
     widths = 2.0 + (_WIDEST - 2.0) * axis(slip[moved]) / top
     lines = coloured(axes, scaled(network.segments[moved], *scales), axis(slip[moved]), widths, "viridis_r", (0.0, top))
     label = axis.label(f"plastic slip at {run.at(fractures.time)}")
-    look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.02, panchor=False)
+    look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.03, panchor=False)
     bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)  # type: ignore[arg-type]
     plain_numbers(bar.ax, "x")
     return scales
@@ -282,17 +284,40 @@ def _name_lines(axes: Axes, lines: dict[str, tuple[Floats, str]]) -> None:
 
 
 def _probes(run: RunData) -> Figure | None:
-    from matplotlib.figure import Figure
-
     shown = [row for row in probed().values() if row.drawn and run.probes_with(row.name)]
     if not shown:
         return None
-    rows = -(-len(shown) // 2)
-    figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
-    draw_head(figure, f"{run.title}: probes", run.account.partition(". Map")[0])
-    grid = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes, row in zip(grid, shown, strict=False):
+    figure, panels = _sheet(run, "probes", len(shown))
+    for axes, row in zip(panels, shown, strict=True):
         _draw_probes(axes, run, row, row.axis.capitalize(), row.name.replace("_", " "))
-    for axes in grid[len(shown) :]:
-        axes.remove()
     return figure
+
+
+def _wells(run: RunData) -> Figure | None:
+    shown = [(word, dimension) for word, dimension in _OF_WELLS if _of_wells(run, word)]
+    if not shown:
+        return None
+    figure, panels = _sheet(run, "wells", len(shown))
+    for axes, (word, dimension) in zip(panels, shown, strict=True):
+        _draw_lines(axes, run, _of_wells(run, word), word.capitalize(), word, dimension, run.settled)
+    return figure
+
+
+def _of_wells(run: RunData, quantity: str) -> dict[str, Floats]:
+    """Histories (steps,) of a quantity by the names of the wells."""
+    tail = f"/{quantity}"
+    keys = [key for key in run.history if key.startswith("well/") and key.endswith(tail)]
+    return {key[len("well/") : -len(tail)]: run.history[key] for key in keys}
+
+
+def _sheet(run: RunData, of: str, count: int) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels in two columns."""
+    from matplotlib.figure import Figure
+
+    rows = -(-count // 2)
+    figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
+    draw_head(figure, f"{run.title}: {of}", run.account.partition(". Map")[0])
+    grid = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes in grid[count:]:
+        axes.remove()
+    return figure, list(grid[:count])

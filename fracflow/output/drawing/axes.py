@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 Ladder = tuple[tuple[float, float, str], ...]
 
 ROUND_OFF = 1e-9  # of the largest value: a line that varies less is constant
-NARROW = 1e-3  # of the largest value: lines that span less are drawn as differences from a round number
-_LEAST, _MOST = 1e-2, 1e4  # numbers that need no power of ten
+NARROW = 1e-2  # of the largest value: lines that span less are drawn as differences from a round number
+_LEAST, _MOST = 5e-2, 1e4  # numbers that need no power of ten
 _NONE = 1e-250  # smaller numbers are zero in a picture
 
 _TIMES: Ladder = (

@@ -62,7 +62,7 @@ def _height(network: Network) -> float:
     """Height in inches of two maps side by side, within limits."""
     points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in network.rock)])
     wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
-    return float(np.clip(5.8 * high / max(wide, 1e-300) + 2.1, 4.5, 9.0))
+    return float(np.clip(5.8 * high / max(wide, 1e-300) + 2.3, 4.5, 9.0))
 
 
 def _draw(axes: Axes, network: Network, title: str, values: Floats, dimension: str, word: str, cmap: str):  # type: ignore[no-untyped-def]
@@ -75,9 +75,10 @@ def _draw(axes: Axes, network: Network, title: str, values: Floats, dimension: s
         return scales
     axis = axis_of(dimension, [np.r_[0.0, values[known]]], network.units)
     shown, low, top = axis(values[known]), *(float(end) for end in axis([values[known].min(), values[known].max()]))
-    low = 0.0 if top - low < _SAME * max(abs(top), 1e-300) else low
+    if top - low < _SAME * max(abs(top), 1e-300):
+        low, top = 0.0, top or 1.0
     lines = coloured(axes, scaled(network.segments[known], *scales), shown, _WIDTH, cmap, (low, top))
-    look = dict(location="bottom", shrink=0.8, aspect=40, pad=0.02, panchor=False)
+    look = dict(location="bottom", shrink=0.8, aspect=40, pad=0.03, panchor=False)
     bar = axes.figure.colorbar(lines, ax=axes, label=axis.label(word), **look)  # type: ignore[arg-type]
     plain_numbers(bar.ax, "x")
     return scales
