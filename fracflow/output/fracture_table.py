@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.mesh.store import load_mesh
-from fracflow.output.catalogue import fault_ends
 from fracflow.output.events import read_events
 from fracflow.output.reader import FractureFields, load_fractures
-from fracflow.scene.scene import load
 from fracflow.scene.units import ENERGY, LENGTH, STRESS, TIME
 
 Floats = NDArray[np.float64]
@@ -86,10 +83,14 @@ def _largest(values: Floats) -> float:
 def _moduli(folder: Path, fields: FractureFields) -> Floats:
     """Shear moduli (m, 2) at the ends of the pieces, NaN where scene and mesh do not say, or where the walls are one."""
     unknown = np.full(fields.cells.shape, np.nan)
-    try:
+    try:  # a run is read without PETSc too
+        from fracflow.mesh.store import load_mesh
+        from fracflow.output.catalogue import fault_ends
+        from fracflow.scene.scene import load
+
         mesh = load_mesh(folder / "mesh.h5")
         found = fault_ends(load(folder / "scene.toml"), mesh, np.zeros(0, dtype=np.int64))
-    except InputError:
+    except (InputError, ImportError):
         return unknown
     if found.modulus.size != unknown.size:
         return unknown
