@@ -29,8 +29,8 @@ def picture_of_scene(scene: Scene, output: Path | None) -> list[str]:
     marks, notes = _marks(scene, mesh)
     near = criticality(scene, mesh)
     below = (
-        f"{len(mesh.cells)} cells, {len(mesh.fractures)} fractures of {len(mesh.joint_fracture)} joints."
-        " From the initial stress and pressure, the rock and the other fractures at rest"
+        f"{len(mesh.cells)} cells, {len(mesh.fractures)} fracture{'s' * (len(mesh.fractures) != 1)} of"
+        f" {len(mesh.joint_fracture)} joints. From the initial stress and pressure, with rock and other fractures at rest"
     )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -71,8 +71,10 @@ def _network(scene: Scene, mesh: SplitMesh, marks: dict[str, Places]) -> Network
     units = scene.unit_system
     names = {"length": plain(units.length), "force": plain(units.force), "time": plain(units.time)}
     rock = [mesh.points[cell[cell >= 0]] for cell in mesh.cells]
-    held = {name for support in scene.support for name in support.on}
-    sides = np.isin(mesh.side_of, [number for number, name in enumerate(mesh.sides) if name in held])
+    sides = {}
+    for kind, tables in (("support", scene.support), ("absorbing side", scene.absorbing)):
+        of = [number for number, name in enumerate(mesh.sides) if any(name in table.on for table in tables)]
+        sides[kind] = mesh.points[mesh.side_facets[np.isin(mesh.side_of, of)]]
     return Network(
         rock,
         mesh.points[mesh.joint_bottom],
@@ -80,5 +82,5 @@ def _network(scene: Scene, mesh: SplitMesh, marks: dict[str, Places]) -> Network
         mesh.fractures,
         names,
         marks,
-        mesh.points[mesh.side_facets[sides]],
+        sides,
     )

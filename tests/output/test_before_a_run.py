@@ -8,6 +8,7 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from fracflow.cli.app import app
+from fracflow.cli.picture import _network
 from fracflow.diagnostics.criticality import criticality
 from fracflow.errors import InputError
 from fracflow.reduction.prepare import read_split
@@ -20,7 +21,8 @@ title = "Cost $5 \\\\ of $x_1$"
 rock.rock = {youngs_modulus = "50 GPa", poissons_ratio = 0.25, density = "2700 kg/m^3"}
 initial_stress = {xx = "-13 MPa", yy = "-25 MPa", zz = "-15 MPa"}
 fluid = {viscosity = "1e-3 Pa s", initial_pressure = "5 MPa", flow_depth = "1 m"}
-support = [{on = ["west", "east", "south", "north"]}]
+support = [{on = ["west", "east", "south"]}]
+absorbing = [{on = "north"}]
 geometry = {domain = [0, 0, 100, 100], size = 30, size_at_fractures = 15, fracture = [
   {name = "a $ b", points = [[30, 20], [50, 54.64101615137754]]},
   {name = "flat", points = [[10, 80], [60, 80]]},
@@ -89,6 +91,13 @@ def test_a_scene_is_drawn_before_its_run(scene, tmp_path, monkeypatch):
     assert path.name == "odd $name-before.png" and path.parent.name == "runs"
     image = imread(path)[..., :3]
     assert image.shape[1] > 2000 and image.std() > 0.02
+
+
+def test_held_and_absorbing_sides_are_told_apart(scene):
+    given = load(scene)
+    sides = _network(given, read_split(given), {}).sides
+    assert np.linalg.norm(np.diff(sides["support"], axis=1), axis=-1).sum() == pytest.approx(300.0)
+    assert np.ptp(sides["absorbing side"][..., 0]) == 100.0 and np.all(sides["absorbing side"][..., 1] == 100.0)
 
 
 def test_what_cannot_be_drawn_is_said(scene, tmp_path):

@@ -1,4 +1,4 @@
-"""The picture of a scene before its run: mesh, fractures, wells and supports, and how near each trace is to slip."""
+"""The picture of a scene before its run: mesh, fractures, wells and sides, and how near each trace is to slip."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     right.set_ylabel("")
     handles, labels = left.get_legend_handles_labels()
     if handles:
-        figure.legend(handles, labels, loc="outside lower left", ncols=3, handletextpad=0.4)
+        figure.legend(handles, labels, loc="outside lower left", ncols=4, handletextpad=0.4)
     figure.draw_without_rendering()  # names are placed in the pixels of the final layout
     for axes, scales in drawn:
         name_all(axes, network, scales, _WIDTH)
@@ -76,6 +76,7 @@ def _draw(axes: Axes, network: Network, title: str, values: Floats, dimension: s
     axis = axis_of(dimension, [np.r_[0.0, values[known]]], network.units)
     shown, low, top = axis(values[known]), *(float(end) for end in axis([values[known].min(), values[known].max()]))
     if top - low < _SAME * max(abs(top), 1e-300):
+        axes.set_title(f"{title}: {axis.text(float(values[known][0]))} everywhere")
         low, top = 0.0, top or 1.0
     lines = coloured(axes, scaled(network.segments[known], *scales), shown, _WIDTH, cmap, (low, top))
     look = dict(location="bottom", shrink=0.8, aspect=40, pad=0.03, panchor=False)

@@ -25,6 +25,7 @@ MOST_NAMES = 150  # fractures that are named, the longest
 MOST_CELLS = 40_000  # whose edges are drawn
 SMALL, HALO = 7.0, 2.0  # size of names, and width of the white around them [points]
 _LOOKS = {"well": ("v", "#56B4E9", 10.0), "probe": ("o", "white", 5.0), "slipped first": ("*", "#D55E00", 11.0)}
+_SIDES = {"support": ("#7d7768", 3.5), "absorbing side": ("#CC79A7", 1.8)}  # colour, and width [points]
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Network:
     segments  (m, 2, 2) ends of the pieces of fractures [length]
     fracture  (m,) index into ``names``
     marks     kind -> name -> place; kinds are "well", "probe", "slipped first"
-    held      pieces (s, 2, 2) of sides with supports [length]
+    sides     kind -> pieces (s, 2, 2) of sides [length]; kinds are "support", "absorbing side"
     """
 
     rock: Sequence[Floats]
@@ -44,7 +45,7 @@ class Network:
     names: Sequence[str]
     units: Mapping[str, str]
     marks: Mapping[str, Places] = field(default_factory=dict)
-    held: Floats = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    sides: Mapping[str, Floats] = field(default_factory=dict)
 
     def scales(self) -> tuple[Axis, Axis]:
         """The axes of x and y, in one unit."""
@@ -79,7 +80,7 @@ def _joined(pieces: Floats) -> Floats:
 
 
 def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
-    """Draw rock, fractures, supports and marks, and return the axes of x and y. ``name_all`` puts the names, at the end."""
+    """Draw rock, fractures, sides and marks, and return the axes of x and y. ``name_all`` puts the names, at the end."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     x, y = network.scales()
@@ -90,8 +91,11 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
         look |= dict(edgecolors="face")
     axes.add_collection(PolyCollection([scaled(cell, x, y) for cell in network.rock], **look))
     axes.add_collection(LineCollection(list(scaled(network.segments, x, y)), colors=INK, linewidths=1.0))
-    if len(network.held):
-        _draw_supports(axes, scaled(network.held, x, y))
+    for number, (kind, pieces) in enumerate(network.sides.items()):
+        if len(pieces):
+            colour, width = _SIDES[kind]
+            look = dict(colors=colour, linewidths=width, zorder=1.5 + 0.1 * number, label=kind, capstyle="projecting")
+            axes.add_collection(LineCollection(list(scaled(pieces, x, y)), **look))
     for kind, places in network.marks.items():
         if places:
             marker, colour, size = _LOOKS[kind]
@@ -103,15 +107,6 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
         plain_numbers(axes, name)
         axis.set_label_text(scale.label(name))
     return x, y
-
-
-def _draw_supports(axes: Axes, held: Floats) -> None:
-    """Sides that are held: a thick grey line."""
-    from matplotlib.collections import LineCollection
-
-    axes.add_collection(
-        LineCollection(list(held), colors="#7d7768", linewidths=3.0, zorder=1.5, label="support", capstyle="butt")
-    )
 
 
 def coloured(
