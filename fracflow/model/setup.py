@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
-from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place, tied_nodes
+from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, point_along, probe_place, tied_nodes
 from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.split import split
@@ -26,7 +26,7 @@ from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
 from fracflow.scene.scene import Scene
-from fracflow.scene.values import FractureEnd, Position
+from fracflow.scene.values import AlongFracture, FractureEnd, Position
 
 Result = TypeVar("Result")
 
@@ -145,24 +145,66 @@ def geometry_of(scene: Scene) -> GeometrySpec:
         size_at_tips=geometry.size_at_tips,
         growth=GROWTH if geometry.growth is None else geometry.growth,
         snap=geometry.snap,
+        nodes=_well_places(scene),
     )
+
+
+def _well_places(scene: Scene) -> Floats:
+    """Where wells are that are given by coordinates or along a trace (n, 2): the mesh has a node there [length]."""
+    given = [_asked(scene, well.at, f"well.{well.name}") for well in scene.well if scene.has_flow]
+    return np.array([place for place in given if _is_point(place)]).reshape(-1, 2)
+
+
+def _asked(scene: Scene, where: Position, what: str, mesh: SplitMesh | None = None) -> Any:
+    """A place as ``mesh.locate`` takes it: one along a trace as coordinates, of the trace as it is drawn, or as a mesh has it.
+
+    Raises InputError where the trace is shorter, or there is none.
+    """
+    if isinstance(where, FractureEnd):
+        return where.fracture, where.end
+    if not isinstance(where, AlongFracture):
+        return where
+    drawn = scene.geometry.fracture if scene.geometry is not None else ()
+    points = next((np.array(each.points, dtype=float) for each in drawn if each.name == where.fracture), None)
+    if points is None:
+        if mesh is None:
+            return where
+        of_it = mesh.joint_along[mesh.joint_fracture == mesh.fractures.index(where.fracture)]
+        distance = where.distance if where.fraction is None else where.fraction * float(of_it.max())
+        assert distance is not None
+        return tuple(point_along(mesh, where.fracture, distance, what).tolist())
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    distance = where.distance if where.fraction is None else where.fraction * along[-1]
+    assert distance is not None
+    if distance > along[-1] * (1.0 + 1e-9):
+        raise InputError(
+            f'{what}: at = {distance:.6g}: fracture "{where.fracture}" is {along[-1]:.6g} long; give less, or a fraction'
+        )
+    return tuple(float(np.interp(distance, along, part)) for part in points.T)
 
 
 def place(scene: Scene, mesh: SplitMesh) -> Placed:
     """Find wells, probes and points on the mesh. Raises InputError."""
-
-    def at(where: object) -> object:
-        return (where.fracture, where.end) if isinstance(where, FractureEnd) else where
-
-    wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
-    probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
+    asked = {
+        f"{kind}.{entry.name}": _asked(scene, entry.at, f"{kind}.{entry.name}", mesh)
+        for kind in ("well", "probe")
+        for entry in getattr(scene, kind)
+    }
+    wells = {
+        w.name: on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at)).flow
+        for w in scene.well
+        if scene.has_flow
+    }
+    probes = {
+        p.name: probe_place(mesh, asked[f"probe.{p.name}"], f"probe.{p.name}", p.on or _fracture_of(p.at))
+        for p in scene.probe
+    }
     refuse_missing(scene, mesh, probes)
     refuse_lone_wells(scene, mesh, wells)
     refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
     spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
     spots |= {f"probe.{name}": found.point for name, found in probes.items()}
-    asked = {f"{kind}.{entry.name}": entry.at for kind in ("well", "probe") for entry in getattr(scene, kind)}
     return Placed(
         wells,
         probes,
@@ -176,6 +218,11 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     )
 
 
+def _fracture_of(at: Position) -> str | None:
+    """The fracture that a place along its trace is on; None for other places."""
+    return at.fracture if isinstance(at, AlongFracture) else None
+
+
 def of_well(mesh: SplitMesh, name: str, node: int) -> str:
     """Say on which fractures the physical point of a well lies: Gmsh may have given its number to another point."""
     on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[np.any(mesh.joint_flow == node, axis=1)])]
@@ -183,16 +230,22 @@ def of_well(mesh: SplitMesh, name: str, node: int) -> str:
     return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
 
 
+def _is_point(asked: object) -> bool:
+    """Whether a place is given by coordinates, or was made them."""
+    return isinstance(asked, tuple) and not isinstance(asked[0], str)
+
+
 def is_moved(mesh: SplitMesh, asked: Position, spot: Floats) -> bool:
-    """Whether a place given by coordinates is not at its node's ``spot`` (dim,)."""
+    """Whether a place given by coordinates is not at the ``spot`` (dim,) found for it."""
     near = 1e-6 * float(np.ptp(mesh.points, axis=0).max())
-    return isinstance(asked, tuple) and float(np.linalg.norm(np.asarray(asked) - spot)) > near
+    return _is_point(asked) and float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) > near
 
 
 def moved(name: str, asked: Position, spot: Floats) -> str:
-    """Say at which node's ``spot`` (dim,) a well or probe sits, and how far from the place asked for."""
+    """Say at which ``spot`` (dim,) a well or probe sits, and how far from the place asked for."""
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot))
-    return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
+    where = "node" if name.startswith("well.") else "fracture"
+    return f"{name} sits on the {where} at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
 
 
 def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:

@@ -38,7 +38,8 @@ def probe_record(
     """History entries ``probe/NAME/QUANTITY`` of all probes, of the names of their quantities.
 
     On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace. Quantities of
-    joints are means over those that end there. In the rock, strain and stress are means by area over the cells around the
+    joints are means over those that end there. Between two nodes all values are interpolated from the two ends of the joint,
+    those of each wall along that wall. In the rock, strain and stress are means by area over the cells around the
     node, with sigma_0 of the node itself. Inside a cell all values are interpolated from its corners by their shape functions,
     except sigma_0, which is that of the point.
     """
@@ -48,7 +49,7 @@ def probe_record(
         place = places[probe]
         at: OnFracture | InRock
         if isinstance(place, FracturePlace):
-            at, sampled = OnFracture(place, snapshot), snapshot.at_ends(place.joints, place.ends)
+            at, sampled = OnFracture(place, snapshot), snapshot.at_place(place)
         else:
             at, sampled = InRock(scene, mesh, place, snapshot), {}
         for name in wanted:
@@ -60,8 +61,15 @@ class OnFracture:
     """Motion (dim,) of the walls at a probe: of the top one, and the displacement of the bottom one."""
 
     def __init__(self, place: FracturePlace, snapshot: Snapshot) -> None:
-        self.displacement, self.velocity, self.acceleration = snapshot.nodes[place.nodes[1]]
-        self.bottom = snapshot.nodes[place.nodes[0]][0]
+        self.displacement, self.velocity, self.acceleration = _combined(place, snapshot, 1)
+        self.bottom = _combined(place, snapshot, 0)[0]
+
+
+def _combined(place: FracturePlace, snapshot: Snapshot, wall: int) -> Floats:
+    """Motion (3, dim) of one wall at a place, 0 the bottom and 1 the top, interpolated between two nodes of that wall."""
+    if not place.within:
+        return snapshot.nodes[place.nodes[wall]]
+    return np.tensordot(place.shares, [snapshot.nodes[end.nodes[wall]] for end in place.within], 1)
 
 
 @dataclass(frozen=True)

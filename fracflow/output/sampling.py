@@ -100,7 +100,7 @@ def _is_anywhere(row: OutputQuantity, scene: Scene, fractures: Sequence[str]) ->
 def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
     """Split nodes that the places need: faces of a fracture; a node of the rock with the corners of its cells."""
     parts = [
-        np.array(p.nodes) if isinstance(p, FracturePlace) else np.append(p.corners.ravel(), p.node)
+        np.array(p.stands_on) if isinstance(p, FracturePlace) else np.append(p.corners.ravel(), p.node)
         for p in places.values()
     ]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *parts]))
@@ -231,10 +231,10 @@ class Snapshot:
         """Smallest distance of a status from its threshold."""
         return float(self.column("margin").min(initial=np.inf))
 
-    def at_ends(self, joints: Ints, ends: Ints) -> dict[str, Floats]:
-        """Means of the columns over ``ends`` (n,) of probed ``joints`` (n,), () or (dim-1,) each."""
-        rows = np.array([self.probed[int(joint)][end] for joint, end in zip(joints, ends, strict=True)])
-        mean = rows.mean(axis=0)
+    def at_place(self, place: FracturePlace) -> dict[str, Floats]:
+        """The columns at a place, () or (dim-1,) each: means over joint ends, or interpolated between those of a joint."""
+        rows = np.array([self.probed[int(joint)][end] for joint, end in zip(place.joints, place.ends, strict=True)])
+        mean = np.array(place.shares) @ rows if place.within else rows.mean(axis=0)
         return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}
 
 

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from fracflow.scene.method import Count, Fraction, Name, Table
 from fracflow.scene.quantities import MeasuredName
 from fracflow.scene.units import FLOW_RATE, LINE_FORCE, STRESS, TIME, Quantity, fault
-from fracflow.scene.values import At, Displaced, Position, Tabled, TabledVector, TimeTable
+from fracflow.scene.values import PLACES, At, Displaced, Position, Tabled, TabledVector, TimeTable
 
 Component = Literal["x", "y", "rotation"]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
@@ -108,9 +108,7 @@ class Well(Table):
     """[[well]] A place where fluid is pumped in or out, or its pressure is kept."""
 
     name: Name = Field(description="name of the well")
-    at: Annotated[Position, At()] = Field(
-        description='[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}'
-    )
+    at: Annotated[Position, At()] = Field(description=PLACES)
     flow_rate: Annotated[TimeTable, Tabled(FLOW_RATE)] | None = Field(
         default=None, description="volume pumped in per time, over the whole flow_depth [length**3/time]"
     )
@@ -156,9 +154,7 @@ class Probe(Table):
     """[[probe]] A place whose history is written."""
 
     name: Name = Field(description="name in the run folder")
-    at: Annotated[Position, At()] = Field(
-        description='[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}'
-    )
+    at: Annotated[Position, At()] = Field(description=PLACES)
     on: Name | None = Field(default=None, description="fracture or rock that is meant, where several meet at the place")
     quantities: tuple[Measured, ...] | None = Field(
         default=None,

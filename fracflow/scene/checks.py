@@ -14,7 +14,7 @@ from fracflow.scene.method import LONGEST_NAME
 from fracflow.scene.petsc import refusal
 from fracflow.scene.tables import Tables
 from fracflow.scene.units import COMPRESSIBILITY
-from fracflow.scene.values import FractureEnd, Position
+from fracflow.scene.values import AlongFracture, FractureEnd, Position
 from fracflow.storage.files import PLAIN_TEXT
 
 MOST_STEPS = 1e9
@@ -274,7 +274,7 @@ def _used_names(
 def _place(
     key: str, at: Position, fractures: Collection[str], points: Collection[str]
 ) -> Iterator[tuple[str, str, Collection[str]]]:
-    if isinstance(at, FractureEnd):
+    if isinstance(at, FractureEnd | AlongFracture):
         yield f"{key}.fracture", at.fracture, fractures
     elif isinstance(at, str):
         yield key, at, points

@@ -21,7 +21,20 @@ class FractureEnd:
     end: Literal["start", "end"]
 
 
-Position = tuple[float, float] | str | FractureEnd
+@dataclass(frozen=True)
+class AlongFracture:
+    """A point of a fracture trace, at a distance from its start [length], or at a fraction of its length."""
+
+    fracture: str
+    distance: float | None
+    fraction: float | None = None
+
+
+Position = tuple[float, float] | str | FractureEnd | AlongFracture
+PLACES = (
+    '[x, y] [length], the name of a point, {fracture = "name", end = "start" or "end"}, {fracture = "name", at = distance'
+    ' from its start [length]}, or {fracture = "name", fraction = 0 to 1 of its length}'
+)
 
 
 def plain(value: Any) -> Any:
@@ -32,6 +45,9 @@ def plain(value: Any) -> Any:
         return {"time": list(value.times), "value": list(value.values), "interpolation": value.interpolation}
     if isinstance(value, FractureEnd):
         return {"fracture": value.fracture, "end": value.end}
+    if isinstance(value, AlongFracture):
+        place = {"fraction": value.fraction} if value.distance is None else {"at": value.distance}
+        return {"fracture": value.fracture, **place}
     if isinstance(value, dict):
         return {key: plain(part) for key, part in value.items()}
     return [plain(part) for part in value] if isinstance(value, tuple | list) else value
@@ -191,10 +207,10 @@ class Displaced(_Annotation):
 
 @dataclass(frozen=True)
 class At(_Annotation):
-    """Annotation of a place: coordinates, a point named in the mesh, or an end of a fracture."""
+    """Annotation of a place: coordinates, a point named in the mesh, an end of a fracture, or a point along it."""
 
     def read(self, value: object, info: ValidationInfo) -> Position:
-        """Read ``[x, y]``, ``"name"`` or ``{fracture = "name", end = "start"}``."""
+        """Read ``[x, y]``, ``"name"`` or ``{fracture = "name", end = "start"}``, or with ``at`` or ``fraction`` for end."""
         if isinstance(value, str) and value:
             return value
         if isinstance(value, list) and len(value) == 2:
@@ -203,14 +219,24 @@ class At(_Annotation):
             if value["end"] not in ("start", "end"):
                 raise fault(f'end = "{value["end"]}" is unknown; allowed: "start", "end"')
             return FractureEnd(value["fracture"], value["end"])
-        raise fault('must be [x, y], the name of a point, or {fracture = "name", end = "start" or "end"}')
+        if isinstance(value, dict) and set(value) == {"fracture", "at"} and isinstance(value["fracture"], str):
+            return AlongFracture(value["fracture"], Quantity(LENGTH, at_least=0.0).read(value["at"], info))
+        if isinstance(value, dict) and set(value) == {"fracture", "fraction"} and isinstance(value["fracture"], str):
+            share = Quantity(at_least=0.0, at_most=1.0).read(value["fraction"], info)
+            return AlongFracture(value["fracture"], None, share)
+        raise fault(f"must be {PLACES.replace(' [length]', '')}")
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         point = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": LENGTH}
         ends = {"fracture": {"type": "string"}, "end": {"enum": ["start", "end"]}}
         end = {"type": "object", "properties": ends, "required": ["fracture", "end"]}
-        return {"anyOf": [point, {"type": "string"}, end]}
+        parts = {"at": {"type": "number", "dimension": LENGTH}, "fraction": {"type": "number"}}
+        along = [
+            {"type": "object", "properties": {"fracture": {"type": "string"}, key: part}, "required": ["fracture", key]}
+            for key, part in parts.items()
+        ]
+        return {"anyOf": [point, {"type": "string"}, end, *along]}
 
 
 @dataclass(frozen=True)
