@@ -11,7 +11,7 @@ from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.sampling import begins_anew, rule_of
-from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
+from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through, well_step
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools, Floats
@@ -22,6 +22,7 @@ from fracflow.model.joints import refuse_jumps
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
 from fracflow.model.state import PreviousStep, State, StepReport
+from fracflow.model.well_volumes import volumes_after, volumes_at_jump
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
@@ -122,10 +123,14 @@ class Stepping:
         """A new state, as a stage takes it over; see ``advance.discontinuities``. Collective."""
         dt = self.explicit.part(stepper, dt)
         new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
-        if not self.counts_volume or new.uptake is None:
+        if new.uptake is None:
             return new
         fluid = self.model.scene.fluid
-        jumped = stored(self.model.operators, state, new, fluid.flow_depth if fluid is not None else 1.0)
+        depth = fluid.flow_depth if fluid is not None else 1.0
+        new = replace(new, volumes=volumes_at_jump(self.model.operators, self._limited_now(state), state, new, depth))
+        if not self.counts_volume:
+            return new
+        jumped = stored(self.model.operators, state, new, depth)
         return replace(new, injected=new.injected + jumped)  # where prescribed pressures of a compressible fluid jump
 
     def change(self, state: State, leaving: Bools) -> State:
@@ -254,15 +259,20 @@ class SingleStep:
                 energy = update_balance(ops, state, new, dt, scheme)
                 wells = tuple(sorted(limit.well for limit in now))
                 memory = remember(ops, state, new, dt) if follows.memory else PreviousStep()
+                means: dict[str, float] = {}
                 if follows.memory and loads.limits:
-                    by_limits = through(replace(request, loads=limited), rule, now, state, new, depth)
-                    memory = replace(memory, through=by_limits)
+                    means = through(replace(request, loads=limited), rule, now, state, new, depth)
+                wells_now = well_step(replace(request, loads=limited), rule, means, state.time, stepper.storage, depth)
+                volumes, kept = volumes_after(ops, wells_now, state, new, dt, scheme)
+                if follows.memory:
+                    memory = replace(memory, through={**kept, **means})
                 friction, injected = dissipated(state, new), state.injected
                 if solvers.counts_volume:
                     injected += brought(ops, limited, state, new, dt, scheme, depth)
                 lost = leaked(ops, state, new, dt, scheme, depth)
                 left = {name: state.left.get(name, 0.0) + value for name, value in lost.items()}
                 new = replace(new, energy=energy, wells_at_limit=wells, friction=friction, injected=injected, left=left)
+                new = replace(new, volumes=volumes)
                 return replace(new, previous_step=memory, adjacent_steps=rule.adjacent), replace(report, digits=digits)
             new.destroy()
             spent += report.newton

@@ -35,7 +35,7 @@ Result = TypeVar("Result")
 class Placed:
     """Where the scene's names sit on the mesh.
 
-    wells   name -> flow node
+    wells   name -> flow nodes: one, or those of all fracture ends on a side with a pressure
     probes  name -> place
     points  name -> split nodes
     ties    (m, 2) pairs of node * dim + component that move alike
@@ -43,7 +43,7 @@ class Placed:
     apart   parts of the network that have wells and never meet, where there is more than one; on rank 0
     """
 
-    wells: Mapping[str, int]
+    wells: Mapping[str, tuple[int, ...]]
     probes: Mapping[str, FracturePlace | RockPlace]
     points: Mapping[str, Ints]
     ties: Ints
@@ -191,7 +191,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         for entry in getattr(scene, kind)
     }
     wells = {
-        w.name: on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at)).flow
+        w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at)).flow,)
         for w in scene.well
         if scene.has_flow
     }
@@ -203,7 +203,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     refuse_lone_wells(scene, mesh, wells)
     refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
-    spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
+    spots = {f"well.{name}": mesh.points[mesh.flow_origin[nodes[0]]] for name, nodes in wells.items()}
     spots |= {f"probe.{name}": found.point for name, found in probes.items()}
     return Placed(
         wells,
@@ -212,7 +212,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         tied_components(scene, mesh),
         (
             *(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
-            *(of_well(mesh, w.name, wells[w.name]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
+            *(of_well(mesh, w.name, wells[w.name][0]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
             *meeting_supports(scene, mesh, points),
         ),
     )
@@ -262,20 +262,20 @@ def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
     return np.concatenate(pairs)
 
 
-def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> None:
+def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> None:
     """Raise InputError where a steady stage would have to pump, by one well alone, into an undrained component."""
     count = len(mesh.flow_origin)
     if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
         return
     label = label_components(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
-    drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
+    drained = {int(label[node]) for w in scene.well if w.pressure is not None for node in wells[w.name]}
     held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
     pumped: dict[int, list[str]] = {}
     limited = {w.name for w in scene.well if w.maximum_pressure is not None or w.minimum_pressure is not None}
     for well in scene.well:
         if well.pressure is None:
-            pumped.setdefault(int(label[wells[well.name]]), []).append(well.name)
+            pumped.setdefault(int(label[wells[well.name][0]]), []).append(well.name)
     for component, names in pumped.items():
         if component not in drained and len(names) == 1 and names[0] not in limited:
             inside = np.unique(mesh.joint_fracture[label[mesh.joint_flow[:, 0]] == component])
@@ -301,8 +301,7 @@ def set_up(
     """
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = with_terms(assemble(blocks, scene), scene)
-    wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
-    numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
+    numbers = {name: flow_numbers(blocks, np.array(nodes, dtype=np.int64)) for name, nodes in placed.wells.items()}
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, mesh)

@@ -16,11 +16,13 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model import stress as rock
 from fracflow.model.probes import ProbePlace, available
+from fracflow.model.state import State
 from fracflow.output.sampling import Columns, Snapshot
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
 
 Data = dict[str, NDArray[Any]]
+NO_PRESSURE = 1e-9  # of a pressure: a change that is less is none
 
 
 def measured(scene: Scene, mesh: SplitMesh, places: Mapping[str, ProbePlace]) -> dict[str, Sequence[str]]:
@@ -55,6 +57,38 @@ def probe_record(
         for name in wanted:
             record[f"probe/{probe}/{name}"] = one_less(sampled[name] if name in sampled else rows[name].formula(at))
     return record
+
+
+def well_record(scene: Scene, state: State, snapshot: Snapshot, at_rest: Mapping[str, float]) -> dict[str, float]:
+    """History entries ``well/NAME/QUANTITY`` of wells, and ``volume/QUANTITY`` of the fluid in the whole network.
+
+    at_rest  name -> initial pressure of each well [stress]
+    """
+    volumes, record = state.volumes, {}
+    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    for name, (pressure, entering) in snapshot.wells.items():
+        rate = volumes.rates.get(name, entering * depth)
+        at = AtWell(pressure, rate, volumes.wells.get(name, 0.0), at_rest[name])
+        for key, row in quantities("well").items():
+            record[f"well/{name}/{key.removeprefix('well/')}"] = row.formula(at)
+    return record | {key: row.formula(state) for key, row in quantities("network").items()}
+
+
+@dataclass(frozen=True)
+class AtWell:
+    """Values at a well: pressures now and initially [stress], rate and volume over the whole depth."""
+
+    pressure: float
+    rate: float
+    volume: float
+    at_rest: float
+
+    @property
+    def injectivity(self) -> float:
+        """Rate over the rise of pressure; NaN where there is none."""
+        above = self.pressure - self.at_rest
+        is_none = abs(above) <= NO_PRESSURE * max(abs(self.pressure), abs(self.at_rest))
+        return float("nan") if is_none else self.rate / above
 
 
 class OnFracture:

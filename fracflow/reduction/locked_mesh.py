@@ -83,13 +83,15 @@ def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
         return _largest(model, use_of_strength(model, added), count)
 
     spots = comm.bcast(_well_points(model))
-    return choose(facts, known, {name: float(initial_pressure(scene, point)) for name, point in spots.items()}, use)
+    return choose(facts, known, {name: initial_pressure(scene, points) for name, points in spots.items()}, use)
 
 
 def _well_points(model: Model) -> dict[str, Floats]:
     mesh = model.mesh
     return (
-        {} if mesh is None else {name: mesh.points[mesh.flow_origin[node]] for name, node in model.placed.wells.items()}
+        {}
+        if mesh is None
+        else {name: mesh.points[mesh.flow_origin[list(nodes)]] for name, nodes in model.placed.wells.items()}
     )
 
 
@@ -104,7 +106,7 @@ def _of_mesh(model: Model) -> Fractures | None:
     group = np.unique(groups(mesh), return_inverse=True)[1].ravel()
     probes = [*placed.probes.values()]
     probed = np.array([node for place in probes for node in place.stands_on], np.int64)
-    wells = mesh.flow_origin[np.array([*placed.wells.values()], dtype=np.int64)]
+    wells = mesh.flow_origin[np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)]
     named = np.union1d(wells, mesh.origin[probed])
     barred = np.array([name in scene.drained for name in mesh.fractures], dtype=bool)
     barred[fracture[np.isin(mesh.flow_origin[mesh.joint_flow], named).any(axis=1)]] = True
