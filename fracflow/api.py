@@ -83,6 +83,34 @@ class Run:
         return found
 
     @property
+    def wells(self) -> tuple[str, ...]:
+        """Names of the wells, in alphabetical order; none in runs of versions that wrote no histories of wells."""
+        return tuple(
+            sorted({key[len("well/") :].rpartition("/")[0] for key in self.history if key.startswith("well/")})
+        )
+
+    def well(self, name: str) -> Arrays:
+        """Histories (n,) of a well: pressure, rate, volume and injectivity. Raises InputError for an unknown name.
+
+        pressure [stress]; rate [length**3/time], the mean over the step that led to each state, positive into the network;
+        volume [length**3], brought since the start, the sum of rate times dt; injectivity, rate over pressure less initial
+        pressure [length**5/(force time)], nan where that is zero. All over the whole flow_depth.
+        """
+        found = self._part(f"well/{name}/")
+        if not found:
+            raise InputError(f"{self.folder}: has no well {name!r} (it has: {', '.join(self.wells) or 'none'})")
+        return found
+
+    @property
+    def volumes(self) -> Arrays:
+        """Volumes (n,) since the start in the whole network, over the whole flow_depth [length**3].
+
+        injected and withdrawn by wells; stored by fractures; by_fracture_pressures, brought by prescribed pressures of
+        fractures; one for each term by which fluid leaves; and unaccounted, what these leave: round-off.
+        """
+        return self._part("volume/")
+
+    @property
     def events(self) -> NDArray[Any]:
         """The events of slip and opening: a structured array (events,).
 

@@ -86,7 +86,7 @@ def fracture_end(mesh: SplitMesh, fracture: str, end: str, what: str) -> int:
     """Raw node where a trace starts or ends. Raises InputError for a closed or branching trace."""
     if fracture not in mesh.fractures:
         raise InputError(f'{what}: fracture = "{fracture}": no such fracture (there are: {", ".join(mesh.fractures)})')
-    nodes = mesh.flow_origin[mesh.joint_flow[mesh.joint_fracture == mesh.fractures.index(fracture)]]
+    nodes = mesh.origin[mesh.joint_bottom[mesh.joint_fracture == mesh.fractures.index(fracture)]]
     here, there = (0, 1) if end == "start" else (1, 0)
     ends = np.setdiff1d(nodes[:, here], nodes[:, there])
     if len(ends) != 1:
@@ -98,15 +98,16 @@ def fracture_end(mesh: SplitMesh, fracture: str, end: str, what: str) -> int:
 def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None) -> FracturePlace:
     """The flow node nearest to ``at``. Raises InputError if it is farther than one joint's length."""
     point, chosen = coordinates(mesh, at, what), _joints_of(mesh, what, fracture)
-    candidates = np.unique(mesh.joint_flow[chosen])
-    distance = np.linalg.norm(mesh.points[mesh.flow_origin[candidates]] - point, axis=1)
-    flow = int(candidates[np.argmin(distance)])
-    joints, ends = np.nonzero((mesh.joint_flow == flow) & chosen[:, None])
+    raw = mesh.origin[mesh.joint_bottom]
+    candidates = np.unique(raw[chosen])
+    distance = np.linalg.norm(mesh.points[candidates] - point, axis=1)
+    node = int(candidates[np.argmin(distance)])
+    joints, ends = np.nonzero((raw == node) & chosen[:, None])
     longest = max(_length(mesh, joint) for joint in joints.tolist())
     if distance.min() > longest:
         _refuse_far(what, point, float(distance.min()))
     nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
-    return FracturePlace(flow, mesh.points[mesh.flow_origin[flow]], nodes, joints, ends)
+    return FracturePlace(int(mesh.joint_flow[joints[0], ends[0]]), mesh.points[node], nodes, joints, ends)
 
 
 def _joints_of(mesh: SplitMesh, what: str, fracture: str | None) -> Bools:

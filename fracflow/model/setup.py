@@ -17,7 +17,7 @@ from fracflow.mesh.distribute import distribute
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, point_along, probe_place, tied_nodes
 from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
-from fracflow.mesh.split import split
+from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.loads import Loads, assemble_loads
@@ -128,7 +128,27 @@ def read_sized(scene: Scene) -> SplitMesh:
         raw = refined(raw)
     mesh = split(raw)
     scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
+    joined: dict[int, str] = {}
+    for well in scene.well if scene.has_flow else ():
+        if well.on is not None and well.flow_rate is not None:
+            ends = _ends_on(mesh, well.name, well.on)
+            raw_nodes = mesh.flow_origin[ends].tolist()
+            other = next((joined[node] for node in raw_nodes if joined.get(node, well.on) != well.on), None)
+            if other is not None:
+                raise InputError(
+                    f"well.{well.name}: on: a fracture ends in the corner of {other} and {well.on}; move its end"
+                )
+            joined |= dict.fromkeys(raw_nodes, well.on)
+            mesh = joined_ends(mesh, ends)
     return mesh
+
+
+def _ends_on(mesh: SplitMesh, well: str, side: str) -> Ints:
+    """Flow nodes (n,) of fractures on the side of a well. Raises InputError where there are none."""
+    found = ends_on_side(mesh, side)
+    if not len(found):
+        raise InputError(f'well.{well}: on = "{side}": no fracture reaches that side; give at = a place on a fracture')
+    return found
 
 
 def geometry_of(scene: Scene) -> GeometrySpec:
@@ -151,11 +171,12 @@ def geometry_of(scene: Scene) -> GeometrySpec:
 
 def _well_places(scene: Scene) -> Floats:
     """Where wells are that are given by coordinates or along a trace (n, 2): the mesh has a node there [length]."""
-    given = [_asked(scene, well.at, f"well.{well.name}") for well in scene.well if scene.has_flow]
+    wells = [well for well in scene.well if scene.has_flow and well.at is not None]
+    given = [_asked(scene, well.at, f"well.{well.name}") for well in wells]
     return np.array([place for place in given if _is_point(place)]).reshape(-1, 2)
 
 
-def _asked(scene: Scene, where: Position, what: str, mesh: SplitMesh | None = None) -> Any:
+def _asked(scene: Scene, where: Position | None, what: str, mesh: SplitMesh | None = None) -> Any:
     """A place as ``mesh.locate`` takes it: one along a trace as coordinates, of the trace as it is drawn, or as a mesh has it.
 
     Raises InputError where the trace is shorter, or there is none.
@@ -192,6 +213,8 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     }
     wells = {
         w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at)).flow,)
+        if w.on is None
+        else tuple(_ends_on(mesh, w.name, w.on).tolist())
         for w in scene.well
         if scene.has_flow
     }
@@ -218,7 +241,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     )
 
 
-def _fracture_of(at: Position) -> str | None:
+def _fracture_of(at: Position | None) -> str | None:
     """The fracture that a place along its trace is on; None for other places."""
     return at.fracture if isinstance(at, AlongFracture) else None
 

@@ -105,10 +105,19 @@ class Load(Table):
 
 
 class Well(Table):
-    """[[well]] A place where fluid is pumped in or out, or its pressure is kept."""
+    """[[well]] A place where fluid is pumped in or out, or its pressure is kept; or all fracture ends on a side.
+
+    On a side a pressure holds at each end. A flow_rate is that of all ends together: they are one node of the network, with
+    one pressure, so each takes its share by its conductance.
+    """
 
     name: Name = Field(description="name of the well")
-    at: Annotated[Position, At()] = Field(description=PLACES)
+    at: Annotated[Position, At()] | None = Field(default=None, description=PLACES)
+    on: Name | None = Field(
+        default=None,
+        description="in place of at: a side, of which all fracture ends are the well; a flow_rate is shared by conductance at"
+        " one pressure",
+    )
     flow_rate: Annotated[TimeTable, Tabled(FLOW_RATE)] | None = Field(
         default=None, description="volume pumped in per time, over the whole flow_depth [length**3/time]"
     )
@@ -126,6 +135,10 @@ class Well(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Well:
+        if self.at is None and self.on is None:
+            raise fault("missing; a well needs a place, or on = a side", key="at")
+        if self.at is not None and self.on is not None:
+            raise fault("contradicts at; give one of them", key="on")
         if self.flow_rate is None and self.pressure is None:
             raise fault("missing; a well needs flow_rate or pressure", key="flow_rate")
         if self.flow_rate is not None and self.pressure is not None:

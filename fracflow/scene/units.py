@@ -137,6 +137,7 @@ def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False
         return ""
     signs = {"*": "·" if is_printed else " "}
     signs |= {f"**{n}": "⁰¹²³⁴⁵⁶⁷⁸⁹"[n] if is_printed else f"^{n}" for n in range(10)}
+    dimension = dimension.replace("(force*time)", "force/time")
     return "".join({**units, **signs}.get(word, word) for word in re.split(r"(\*\*\d|\*|/)", dimension))
 
 

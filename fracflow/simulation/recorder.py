@@ -265,14 +265,17 @@ class Files:
         self.at_rest = {name: float(initial_pressure(model.scene, each).mean()) for name, each in points.items()}
         # a history that an earlier version began goes on as it is
         has_flow = model.operators.flow is not None
-        self.has_wells = has_flow and bool(points) and (before is None or not before.rows or "volume/injected" in before.rows)
+        self.has_wells = (
+            has_flow and bool(points) and (before is None or not before.rows or "volume/injected" in before.rows)
+        )
         path = self.folder / "history.h5"
         old = (before.rows, before.attrs) if before is not None else None
         self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
         self.scene_seal = scene_seal(self.folder.path)
         self._tell(before.told if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
-        points = self.mesh.points[self.mesh.flow_origin[flow]]
+        raw = self.mesh.origin[self.mesh.joint_bottom.ravel()[np.unique(self.inverse, return_index=True)[1]]]
+        points = self.mesh.points[raw]
         on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
         places = {name: p for name, p in model.placed.probes.items() if isinstance(p, FracturePlace)}
         nearest = {name: self.mesh.fractures[self.mesh.joint_fracture[p.joints[0]]] for name, p in places.items()}
@@ -281,7 +284,7 @@ class Files:
             self.folder / "events.csv",
             FractureNodes(
                 [self.mesh.fractures[f] for f in fracture],
-                self.mesh.flow_origin[flow],
+                raw,
                 points[:, 0],
                 points[:, 1],
                 [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],

@@ -77,10 +77,10 @@ def test_a_well_at_its_limit_brings_what_it_can(run_scene):
 
 def test_a_prescribed_pressure_of_a_fracture_counts_too(run_scene):
     """It brings what the walls take up, and what a well beside it draws."""
-    other = '''[[geometry.fracture]]
+    other = """[[geometry.fracture]]
 name = "branch"
 points = [[2, 1.5], [2, 2.5]]
-[initial_stress]'''
+[initial_stress]"""
     well = '[[well]]\nname = "far"\nat = [2, 2.5]\nflow_rate = -1e-5\n'
     head, tail = CRACK.split("[[well]]", 1)
     text = head.replace("[initial_stress]", other) + well + "[[probe]]" + tail.split("[[probe]]")[1]
