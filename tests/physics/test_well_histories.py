@@ -2,6 +2,14 @@
 
 import numpy as np
 import pytest
+from resealed import changed_notes
+
+import fracflow
+from fracflow.errors import InputError
+from fracflow.output import HistoryFile, read_history
+from fracflow.output.history import read_attributes
+from fracflow.scene.scene import load
+from fracflow.simulation.run import resume, run
 
 from .conftest import JOINT
 from .test_books import CRACK, DYNAMIC, QUASI, STEADY
@@ -89,3 +97,70 @@ points = [[2, 1.5], [2, 2.5]]
     assert found["well/far/volume"][-1] == pytest.approx(-5e-9, rel=1e-9)
     assert found["volume/stored"][-1] > 1e-6
     assert np.abs(found["volume/unaccounted"]).max() <= 1e-9 * size
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A scene by a rule that remembers what went through its wells, and its run."""
+    folder = tmp_path_factory.mktemp("whole")
+    file = folder / "scene.toml"
+    file.write_text(RATED + QUASI + "[method]\nflow_integrator = 'bdf2'\n", encoding="utf-8")
+    scene = load(file, ["output.checkpoint_every=1", "stage.0.steps=6"])
+    run(scene, folder / "run")
+    return scene, read_history(folder / "run" / "history.h5")
+
+
+def cut(scene, folder):
+    """The same, ended from outside after three steps."""
+
+    def stop(step):
+        if step.state.time > 2.9e-4:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        run(scene, folder, progress=stop)
+    return folder
+
+
+@pytest.mark.serial
+def test_wells_go_on_after_a_stop(whole, tmp_path):
+    """Their histories are those of the run that was not stopped, to the last bit."""
+    folder = cut(whole[0], tmp_path / "run")
+    resume(folder)
+    found = read_history(folder / "history.h5")
+    keys = [key for key in found if key.startswith(("well/", "volume/"))]
+    assert len(keys) == 2 * 4 + 5
+    assert all(np.array_equal(found[key], whole[1][key], equal_nan=True) for key in keys)
+
+
+@pytest.mark.serial
+def test_a_run_of_a_version_without_them_goes_on_without(whole, tmp_path):
+    """All else is as it was."""
+    folder = cut(whole[0], tmp_path / "run")
+    history, checkpoint = folder / "history.h5", folder / "checkpoint.h5"
+    old = {key: rows for key, rows in read_history(history).items() if not key.startswith(("well/", "volume/"))}
+    with changed_notes(checkpoint) as notes:
+        old = {key: rows[: notes["totals"]["steps"]] for key, rows in old.items()}
+        with HistoryFile.after(history, old, read_attributes(history)) as writer:
+            notes["seals"]["history"] = writer.seal
+        del notes["volumes"]
+    resume(folder)
+    found = fracflow.open(folder)
+    assert found.wells == () and found.volumes == {}
+    assert found.history.keys() == old.keys()
+    assert np.array_equal(found.history["probe/middle/pressure"], whole[1]["probe/middle/pressure"])
+
+
+@pytest.mark.serial
+def test_wells_from_python_and_as_tables(whole, tmp_path):
+    """By name, with units in the heads of columns."""
+    run(whole[0], tmp_path / "run")
+    found = fracflow.open(tmp_path / "run")
+    assert found.wells == ("in", "out")
+    assert sorted(found.well("in")) == ["injectivity", "pressure", "rate", "volume"]
+    assert found.volumes["injected"][-1] == found.well("in")["volume"][-1] + found.well("out")["volume"][-1]
+    with pytest.raises(InputError, match=r"has no well 'no' \(it has: in, out\)"):
+        found.well("no")
+    tables = {path.stem: path.read_text().splitlines() for path in found.export_csv(tmp_path / "csv")}
+    assert tables["well_in"][0] == "time [s],injectivity [m^5/N/s],pressure [N/m^2],rate [m^3/s],volume [m^3]"
+    assert len(tables["well_in"]) == len(tables["volume"]) == 8
