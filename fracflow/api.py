@@ -92,9 +92,9 @@ class Run:
     def well(self, name: str) -> Arrays:
         """Histories (n,) of a well: pressure, rate, volume and injectivity. Raises InputError for an unknown name.
 
-        pressure [stress]; rate [length**3/time], the mean over the step that led to each state, positive into the network;
-        volume [length**3], brought since the start, the sum of rate times dt; injectivity, rate over pressure less initial
-        pressure [length**5/(force time)], nan where that is zero. All over the whole flow_depth.
+        The rate [length**3/time] is the mean over the step that led to each state, positive into the network. The volume
+        [length**3] is the sum of rate times dt since the start. The injectivity [length**5/(force time)] is the rate over
+        pressure less initial pressure, nan where that is zero. All are over the whole flow_depth.
         """
         found = self._part(f"well/{name}/")
         if not found:
@@ -105,8 +105,8 @@ class Run:
     def volumes(self) -> Arrays:
         """Volumes (n,) since the start in the whole network, over the whole flow_depth [length**3].
 
-        injected and withdrawn by wells; stored by fractures; by_fracture_pressures, brought by prescribed pressures of
-        fractures; one for each term by which fluid leaves; and unaccounted, what these leave: round-off.
+        Wells have injected and withdrawn; fractures have stored; by_fracture_pressures came from prescribed pressures of
+        fractures. Each term by which fluid leaves has one. They leave unaccounted a volume that is round-off.
         """
         return self._part("volume/")
 

@@ -193,7 +193,10 @@ def stored(ops: Operators, old: State, new: State, depth: float) -> float:
 
 
 def room_between(ops: Operators, old: State, new: State) -> Floats:
-    """Volumes that walls and compression take up between two states, at this rank's flow nodes (n,) [volume per thickness]."""
+    """Volumes taken up by walls and compression between states, at flow nodes (n,) of a rank [volume per thickness].
+
+    Collective.
+    """
     assert ops.flow is not None
     room, moved = new.pressure.duplicate(), new.motion.displacement.duplicate()
     after, before = (state.motion.displacement.getArray(readonly=True) for state in (new, old))

@@ -162,7 +162,7 @@ class FluidVolumes:
 
     @property
     def by_fractures(self) -> float:
-        """What prescribed pressures of fractures have brought."""
+        """The volume that prescribed pressures of fractures have brought [length^3]."""
         return self.wells.get(FRACTURES, 0.0)
 
 
@@ -203,7 +203,7 @@ class State:
 
     @property
     def unaccounted_volume(self) -> float:
-        """What came into the network, less what went out, is stored, or has left by terms [length^3]."""
+        """The volume that came into the network, less those that went out, are stored, or left by terms [length^3]."""
         volumes = self.volumes
         return volumes.into - volumes.out_of + volumes.by_fractures - volumes.stored - sum(self.left.values())
 

@@ -246,7 +246,7 @@ class Snapshot:
         return float(self.column("margin").min(initial=np.inf))
 
     def at_place(self, place: FracturePlace) -> dict[str, Floats]:
-        """The columns at a place, () or (dim-1,) each: means over joint ends, or interpolated between those of a joint."""
+        """Values () or (dim-1,) of the columns at a place: means over its (k,) joint ends, or interpolated between two."""
         rows = np.array([self.probed[int(joint)][end] for joint, end in zip(place.joints, place.ends, strict=True)])
         mean = np.array(place.shares) @ rows if place.within else rows.mean(axis=0)
         return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}

@@ -32,8 +32,8 @@ class AlongFracture:
 
 Position = tuple[float, float] | str | FractureEnd | AlongFracture
 PLACES = (
-    '[x, y] [length], the name of a point, {fracture = "name", end = "start" or "end"}, {fracture = "name", at = distance'
-    ' from its start [length]}, or {fracture = "name", fraction = 0 to 1 of its length}'
+    '[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}; for end may stand at = the'
+    " distance from its start [length], or fraction = 0 to 1 of its length"
 )
 
 
