@@ -166,7 +166,7 @@ def together(rock: Fractures) -> Floats:
 
 
 def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float | Floats], use: Use) -> LockedFractures:
-    """The fractures that may be tied, by whole groups; ``start`` (n,) as ``pressure_of_wells`` has it. Collective if ``use`` is."""
+    """The fractures that may be tied, by whole groups; ``start`` (n,) as in ``pressure_of_wells``. Collective if ``use`` is."""
     scene, groups = facts.scene, len(rock.reach)
     if why := why_none(facts) or ("" if groups else "there are none"):
         return LockedFractures(why=why)

@@ -31,10 +31,10 @@ from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 from fracflow.laws import JOINT_LAWS, published_history
 from fracflow.scene.units import (
     ACCELERATION,
-    CONDUCTANCE,
     ENERGY,
     ENERGY_DENSITY,
     FLOW_RATE,
+    INJECTIVITY,
     LENGTH,
     PLAIN,
     STRESS,
@@ -164,7 +164,7 @@ _ROWS = (
     Q("well/pressure", STRESS, "well", of("pressure"), "at a well; of a side, the mean of its fracture ends"),
     Q("well/rate", FLOW_RATE, "well", of("rate"), "that a well brings, mean over the step; negative where it draws"),
     Q("well/volume", VOLUME, "well", of("volume"), "that it has brought since the start, the sum of rate times dt"),
-    Q("well/injectivity", CONDUCTANCE, "well", of("injectivity"), "rate over pressure less initial pressure"),
+    Q("well/injectivity", INJECTIVITY, "well", of("injectivity"), "rate over pressure less initial pressure"),
     Q("volume/injected", VOLUME, "network", of("volumes.into"), "what wells have brought, over the whole flow_depth"),
     Q("volume/withdrawn", VOLUME, "network", of("volumes.out_of"), "what they have drawn"),
     Q("volume/stored", VOLUME, "network", of("volumes.stored"), "what fractures have taken up, but for steady stages"),

@@ -25,6 +25,7 @@ VISCOSITY = "force*time/length**2"
 VOLUME = "length**3"
 FLOW_RATE = "length**3/time"
 CONDUCTANCE = "length**5/(force*time)"
+INJECTIVITY = "length**5/force/time"
 VELOCITY = "length/time"
 ACCELERATION = "length/time**2"
 RATE = "1/time"
@@ -137,7 +138,6 @@ def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False
         return ""
     signs = {"*": "·" if is_printed else " "}
     signs |= {f"**{n}": "⁰¹²³⁴⁵⁶⁷⁸⁹"[n] if is_printed else f"^{n}" for n in range(10)}
-    dimension = dimension.replace("(force*time)", "force/time")
     return "".join({**units, **signs}.get(word, word) for word in re.split(r"(\*\*\d|\*|/)", dimension))
 
 
