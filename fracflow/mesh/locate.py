@@ -225,9 +225,8 @@ def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> Fr
     if on is not None and on in mesh.fractures:
         return along_fracture(mesh, at, what, on)
     if on is not None and on not in mesh.rocks:
-        raise InputError(
-            f'{what}: on = "{on}": neither a fracture ({", ".join(mesh.fractures)}) nor a rock ({", ".join(mesh.rocks)})'
-        )
+        fractures, rocks = (", ".join(names) for names in (mesh.fractures, mesh.rocks))
+        raise InputError(f'{what}: on = "{on}": neither a fracture ({fractures}) nor a rock ({rocks})')
     if on is None and len(mesh.flow_origin):
         extent = np.ptp(mesh.points, axis=0).max()
         if _feet(mesh, coordinates(mesh, at, what), slice(None))[1].min() <= 1e-9 * extent:

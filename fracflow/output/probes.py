@@ -65,7 +65,7 @@ def well_record(scene: Scene, state: State, snapshot: Snapshot, at_rest: Mapping
     at_rest  name -> initial pressure of each well [stress]
     """
     volumes, record = state.volumes, {}
-    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    depth = scene.flow_depth
     for name, (pressure, entering) in snapshot.wells.items():
         rate = volumes.rates.get(name, entering * depth)
         at = AtWell(pressure, rate, volumes.wells.get(name, 0.0), at_rest[name])
