@@ -82,6 +82,34 @@ class Run:
         return found
 
     @property
+    def wells(self) -> tuple[str, ...]:
+        """Names of the wells, in alphabetical order; none in runs of versions that wrote no histories of wells."""
+        return tuple(
+            sorted({key[len("well/") :].rpartition("/")[0] for key in self.history if key.startswith("well/")})
+        )
+
+    def well(self, name: str) -> Arrays:
+        """Histories (n,) of a well: pressure, rate, volume and injectivity. Raises InputError for an unknown name.
+
+        The rate [length**3/time] is the mean over the step that led to each state, positive into the network. The volume
+        [length**3] is the sum of rate times dt since the start. The injectivity [length**5/(force time)] is the rate over
+        pressure less initial pressure, nan where that is zero. All are over the whole flow_depth.
+        """
+        found = self._part(f"well/{name}/")
+        if not found:
+            raise InputError(f"{self.folder}: has no well {name!r} (it has: {', '.join(self.wells) or 'none'})")
+        return found
+
+    @property
+    def volumes(self) -> Arrays:
+        """Volumes (n,) since the start in the whole network, over the whole flow_depth [length**3].
+
+        Wells have injected and withdrawn; fractures have stored; by_fracture_pressures came from prescribed pressures of
+        fractures. Each term by which fluid leaves has one. They leave unaccounted a volume that is round-off.
+        """
+        return self._part("volume/")
+
+    @property
     def events(self) -> NDArray[Any]:
         """The events of slip and opening: a structured array (events,).
 

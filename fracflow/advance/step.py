@@ -12,7 +12,7 @@ from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
-from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
+from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through, well_step
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools
@@ -23,6 +23,7 @@ from fracflow.model.joints import refuse_jumps
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.setup import Model
 from fracflow.model.state import PreviousStep, State, StepReport
+from fracflow.model.well_volumes import volumes_after, volumes_at_jump
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
@@ -121,9 +122,13 @@ class Stepping:
         """A new state, as a stage takes it over; see ``advance.discontinuities``. Collective."""
         dt = self.explicit.part(stepper, dt)
         new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
-        if not self.counts_volume or new.uptake is None:
+        if new.uptake is None:
             return new
-        jumped = stored(self.model.operators, state, new, self.model.scene.flow_depth)
+        ops, depth, loads = self.model.operators, self.model.scene.flow_depth, self._limited_now(state)
+        new = replace(new, volumes=volumes_at_jump(ops, loads, state, new, depth))
+        if not self.counts_volume:
+            return new
+        jumped = stored(ops, state, new, depth)
         return replace(new, injected=new.injected + jumped)  # where prescribed pressures of a compressible fluid jump
 
     def change(self, state: State, leaving: Bools) -> State:
@@ -272,9 +277,12 @@ class SingleStep:
         ops, loads, depth = model.operators, request.loads, model.scene.flow_depth
         weighs = rule.alphas if rule.inertia and not stepper.explicit else None
         scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
-        memory = PreviousStep()
-        if self.stepper.memory:
-            memory = remember(ops, state, new, dt, through(request, rule, reached, state, new, depth))
+        memory, follows = PreviousStep(), self.stepper.memory
+        means = through(request, rule, reached, state, new, depth) if follows else {}
+        wells = well_step(request, rule, means, state.time, stepper.storage, depth)
+        volumes, kept = volumes_after(ops, wells, state, new, dt, scheme)
+        if follows:
+            memory = remember(ops, state, new, dt, {**kept, **means})
         lost = leaked(ops, state, new, dt, scheme, depth) if ops.flow is not None else {}
         pumps = self.solvers.counts_volume
         return {
@@ -283,6 +291,7 @@ class SingleStep:
             "friction": dissipated(state, new),
             "injected": state.injected + (brought(ops, loads, state, new, dt, scheme, depth) if pumps else 0.0),
             "left": {name: state.left.get(name, 0.0) + value for name, value in lost.items()},
+            "volumes": volumes,
             "previous_step": memory,
             "adjacent_steps": rule.adjacent,
         }

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NoReturn
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.errors import NotConverged
 from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import State
+from fracflow.model.well_volumes import WellStep
+from fracflow.scene.time_table import Rates
 from fracflow.solve.request import StepRequest, StepRule
 
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
@@ -68,6 +71,18 @@ def through(
             rate = rule.demanded(request, name)
         found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * request.length)
     return found
+
+
+def well_step(
+    request: StepRequest, rule: StepRule, means: Mapping[str, float], begin: float, stores: bool, depth: float
+) -> WellStep:
+    """Wells in a step from ``begin``, with the ``means`` that a multistep rule takes of those with limits [volume rate]."""
+    loads, names = request.loads, [str(each.well) for each in request.loads.wells]
+    demanded = {name: rule.demanded(request, name) for name in names}
+    whole, tabled = Rates(now=1.0, share=0.0, begin=begin), demanded
+    if stores and request.length > 0.0:
+        tabled = {name: loads.demanded(name, request.time, request.controls, rates=whole) for name in names}
+    return WellStep(loads, rule.alphas, demanded, tabled, means, depth)
 
 
 def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:

@@ -21,7 +21,8 @@ from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.fracture_table import COLUMNS, fracture_table
 from fracflow.output.history import read_attributes, read_history, read_units
 from fracflow.output.slip_at_crossings import told_handed
-from fracflow.scene.units import LENGTH, TIME
+from fracflow.scene.quantities import quantities
+from fracflow.scene.units import LENGTH, TIME, VOLUME, unit_text
 from fracflow.storage.files import shown_plain
 
 BOOKS = (
@@ -76,6 +77,26 @@ def _told_books(left: float, closed: float, most: float, noise: float) -> Iterat
         )
 
 
+def _report_wells(history: Mapping[str, Any], units: Mapping[str, str], console: Console) -> None:
+    """Print the wells at the end, and the volumes of the network; nothing for a run without their histories."""
+    if "volume/injected" not in history:
+        return
+    rows = quantities("well").values()
+    texts = [(row.name.removeprefix("well/"), shown_plain(unit_text(row.dimension, units))) for row in rows]
+    heads = [f"{word} [{unit}]" if unit else word for word, unit in texts]
+    table = Table("well", *map(escape, heads), title="Wells at the end", title_style="bold")
+    names = dict.fromkeys(key.removeprefix("well/").rpartition("/")[0] for key in history if key.startswith("well/"))
+    for name in names:
+        values = (history[f"well/{name}/{key}"][-1] for key, _ in texts)
+        table.add_row(escape(name), *(f"{value: .4e}" if np.isfinite(value) else "-" for value in values))
+    console.print(table)
+    unit = f" {shown_plain(unit_text(VOLUME, units))}".rstrip()
+    parts = [key.removeprefix("volume/") for key in history if key.startswith("volume/")]
+    told = [f"{part.replace('_', ' ')} {history[f'volume/{part}'][-1]:.4e}{unit}" for part in parts]
+    shown = [line for line, part in zip(told, parts, strict=True) if history[f"volume/{part}"].any()]
+    console.print(f"fluid since the start: {', '.join(shown) or 'none moved'}", soft_wrap=True, markup=False)
+
+
 def report(folder: Path, console: Console, failed: bool = False) -> None:
     """Print energy balance and events of a run folder; no advice if it ``failed``. Raises InputError without a history."""
     history = read_history(folder / "history.h5")
@@ -90,6 +111,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
         values = history[f"energy/{name}"]
         table.add_row(name, f"{values[-1]: .6e}", f"{np.abs(values).max():.3e}")
     console.print(table)
+    _report_wells(history, units, console)
     left, closed, most = (
         max((np.abs(history[f"energy/{name}"]).max() for name in books if name in names), default=0.0)
         for names in (("residual",), ("residual_closed",), BOOKS)

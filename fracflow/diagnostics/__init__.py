@@ -25,8 +25,8 @@ NUMBERS = (
 )  # fmt: skip
 
 
-def pre_run_checks(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[Number]:
-    """The numbers of a scene on its mesh; ``wells`` name -> flow node. On one process."""
+def pre_run_checks(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[Number]:
+    """The numbers of a scene on its mesh; ``wells`` name -> flow nodes. On one process."""
     view = CheckInput(scene, gather(scene, mesh, wells))
     return [number(view) for number in NUMBERS]
 

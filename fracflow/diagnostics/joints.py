@@ -69,8 +69,8 @@ class CheckJoints:
     is_held: Bools
 
 
-def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CheckJoints:
-    """The joints of a mesh; ``wells`` name -> flow node."""
+def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> CheckJoints:
+    """The joints of a mesh; ``wells`` name -> flow nodes."""
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=-1)
 
     def ends(key: str) -> Floats:
@@ -210,14 +210,16 @@ def _held(scene: Scene, mesh: SplitMesh) -> Bools:
     return np.asarray(np.array(kept, dtype=bool)[mesh.joint_fracture])
 
 
-def _reaches(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int], length: Floats) -> tuple[Ints, Floats]:
+def _reaches(
+    scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]], length: Floats
+) -> tuple[Ints, Floats]:
     """Hydraulic component of each joint, and the longest way in it to a prescribed pressure (j,)."""
     count, ends = len(mesh.flow_origin), mesh.joint_flow
     if not scene.has_flow or not count:
         return np.zeros(len(length), dtype=np.int64), np.full(len(length), np.inf)
     graph = sparse.coo_matrix((length, (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
     label = connected_components(graph, directed=False)[1]
-    held = {wells[well.name] for well in scene.well if well.pressure is not None}
+    held = {node for well in scene.well if well.pressure is not None for node in wells[well.name]}
     held |= set(ends[_held(scene, mesh)].ravel().tolist())
     away = np.full(count, np.inf)
     if held:

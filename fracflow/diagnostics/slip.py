@@ -177,7 +177,7 @@ def dissimilar_rock(view: CheckInput) -> Number:
     return Number(name, formula, value, 1.0, True, where, remedy, f"contrast {contrast[joint]:.3g}")
 
 
-def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
+def coarse_of_slip(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[str, ...]]:
     """Each length of slip that a mesh does not resolve -> the fractures where it does not, the worst first. On one process."""
     joints = (view := CheckInput(scene, gather(scene, mesh, wells))).joints
     found = {}

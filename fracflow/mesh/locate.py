@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -13,19 +14,21 @@ from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.facets import components
 
 PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
-At = Sequence[float] | str | tuple[str, str]
+At = Sequence[float] | Floats | str | tuple[str, str]
 """Coordinates, the name of a point, or (fracture, "start" | "end")."""
 
 
 @dataclass(frozen=True)
 class FracturePlace:
-    """A flow node and the joint ends that meet there.
+    """A flow node and the joint ends that meet there, or a point between the two ends of a joint.
 
-    flow     number of the flow node
-    point    (dim,) its coordinates [length]
+    flow     number of the flow node; of a point, that of the nearer end
+    point    (dim,) coordinates [length]
     nodes    split nodes (bottom, top) of the first joint end
-    joints   (k,) joints that end there
+    joints   (k,) joints that end there; of a point, its joint twice
     ends     (k,) which end of each, 0 or 1
+    within   both ends of the joint of a point, each a place of its own; none at a node
+    shares   (2.1) the shape functions of the joint at the point
     """
 
     flow: int
@@ -33,11 +36,13 @@ class FracturePlace:
     nodes: tuple[int, int]
     joints: Ints
     ends: Ints
+    within: tuple[FracturePlace, ...] = ()
+    shares: tuple[float, ...] = ()
 
     @property
     def stands_on(self) -> tuple[int, ...]:
         """Nodes of the split mesh that a probe there looks at."""
-        return self.nodes
+        return tuple(node for place in self.within or (self,) for node in place.nodes)
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,7 @@ def fracture_end(mesh: SplitMesh, fracture: str, end: str, what: str) -> int:
     """Raw node where a trace starts or ends. Raises InputError for a closed or branching trace."""
     if fracture not in mesh.fractures:
         raise InputError(f'{what}: fracture = "{fracture}": no such fracture (there are: {", ".join(mesh.fractures)})')
-    nodes = mesh.flow_origin[mesh.joint_flow[mesh.joint_fracture == mesh.fractures.index(fracture)]]
+    nodes = mesh.origin[mesh.joint_bottom[mesh.joint_fracture == mesh.fractures.index(fracture)]]
     here, there = (0, 1) if end == "start" else (1, 0)
     ends = np.setdiff1d(nodes[:, here], nodes[:, there])
     if len(ends) != 1:
@@ -92,23 +97,76 @@ def fracture_end(mesh: SplitMesh, fracture: str, end: str, what: str) -> int:
 
 def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None) -> FracturePlace:
     """The flow node nearest to ``at``. Raises InputError if it is farther than one joint's length."""
-    point = coordinates(mesh, at, what)
+    point, chosen = coordinates(mesh, at, what), _joints_of(mesh, what, fracture)
+    raw = mesh.origin[mesh.joint_bottom]
+    candidates = np.unique(raw[chosen])
+    distance = np.linalg.norm(mesh.points[candidates] - point, axis=1)
+    node = int(candidates[np.argmin(distance)])
+    joints, ends = np.nonzero((raw == node) & chosen[:, None])
+    longest = max(_length(mesh, joint) for joint in joints.tolist())
+    if distance.min() > longest:
+        _refuse_far(what, point, float(distance.min()))
+    nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
+    return FracturePlace(int(mesh.joint_flow[joints[0], ends[0]]), mesh.points[node], nodes, joints, ends)
+
+
+def _joints_of(mesh: SplitMesh, what: str, fracture: str | None) -> Bools:
+    """Which joints are of a fracture, or all. Raises InputError where there are none."""
     if not len(mesh.flow_origin):
         raise InputError(f"{what}: the mesh has no fractures")
-    if fracture is not None and fracture not in mesh.fractures:
+    if fracture is None:
+        return np.ones(len(mesh.joint_flow), dtype=bool)
+    if fracture not in mesh.fractures:
         raise InputError(f'{what}: on = "{fracture}": no such fracture (there are: {", ".join(mesh.fractures)})')
-    chosen = np.ones(len(mesh.joint_flow), dtype=bool)
-    if fracture is not None:
-        chosen = mesh.joint_fracture == mesh.fractures.index(fracture)
-    candidates = np.unique(mesh.joint_flow[chosen])
-    distance = np.linalg.norm(mesh.points[mesh.flow_origin[candidates]] - point, axis=1)
-    flow = int(candidates[np.argmin(distance)])
-    joints, ends = np.nonzero((mesh.joint_flow == flow) & chosen[:, None])
-    pair = mesh.points[mesh.joint_bottom[joints[0]]]
-    if (away := distance.min()) > np.linalg.norm(pair[1] - pair[0]):
-        raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {away:.3g} away; move it onto one")
-    nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
-    return FracturePlace(flow, mesh.points[mesh.flow_origin[flow]], nodes, joints, ends)
+    return np.asarray(mesh.joint_fracture == mesh.fractures.index(fracture))
+
+
+def _length(mesh: SplitMesh, joint: int) -> float:
+    return float(np.linalg.norm(np.subtract(*mesh.points[mesh.joint_bottom[joint, :2]])))
+
+
+def _refuse_far(what: str, point: Floats, distance: float) -> NoReturn:
+    raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {distance:.3g} away; move it onto one")
+
+
+def along_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None) -> FracturePlace:
+    """The point of the traces nearest to ``at``, between two nodes or at one.
+
+    Raises InputError if it is farther than the length of its joint.
+    """
+    point, chosen = coordinates(mesh, at, what), np.flatnonzero(_joints_of(mesh, what, fracture))
+    along, distance = _feet(mesh, point, chosen)
+    nearest = int(np.argmin(distance))
+    joint, shares = int(chosen[nearest]), np.array([1.0 - along[nearest], along[nearest]])
+    if distance[nearest] > _length(mesh, joint):
+        _refuse_far(what, point, float(distance[nearest]))
+    foot = shares @ mesh.points[mesh.joint_bottom[joint]]
+    end = int(np.argmax(shares))
+    corner = mesh.points[mesh.joint_bottom[joint, end]]
+    if np.linalg.norm(foot - corner) <= PLACE_ROUND_OFF * np.ptp(mesh.points, axis=0).max():
+        return on_fracture(mesh, corner, what, fracture)
+    within = tuple(_joint_end(mesh, joint, each) for each in (0, 1))
+    joints, ends = np.array([joint, joint]), np.array([0, 1])
+    return FracturePlace(within[end].flow, foot, within[end].nodes, joints, ends, within, tuple(shares.tolist()))
+
+
+def _joint_end(mesh: SplitMesh, joint: int, end: int) -> FracturePlace:
+    nodes = int(mesh.joint_bottom[joint, end]), int(mesh.joint_top[joint, end])
+    flow = int(mesh.joint_flow[joint, end])
+    return FracturePlace(flow, mesh.points[nodes[0]], nodes, np.array([joint]), np.array([end]))
+
+
+def point_along(mesh: SplitMesh, fracture: str, distance: float, what: str) -> Floats:
+    """The point (dim,) of a fracture at a ``distance`` from its start [length]. Raises InputError where it has none."""
+    chosen = _joints_of(mesh, what, fracture)
+    along, ends = mesh.joint_along[chosen], mesh.points[mesh.joint_bottom[chosen]]
+    low, high = along.min(axis=1), along.max(axis=1)
+    if distance > high.max() * (1.0 + PLACE_ROUND_OFF):
+        raise InputError(f'{what}: at = {distance:.6g}: fracture "{fracture}" is {high.max():.6g} long; give less')
+    found = int(np.argmin(np.maximum(low - distance, distance - high)))
+    share = np.clip((distance - along[found, 0]) / (along[found, 1] - along[found, 0]), 0.0, 1.0)
+    result: Floats = ends[found, 0] + share * (ends[found, 1] - ends[found, 0])
+    return result
 
 
 def _covering(points: Floats, cells: Ints, point: Floats) -> int | None:
@@ -154,24 +212,25 @@ def _in_cell(mesh: SplitMesh, cell: int, point: Floats) -> RockPlace:
     return RockPlace(nearest, point, cells, mesh.cells[cells], within, tuple(shares.tolist()))
 
 
-def _distance_to_fractures(mesh: SplitMesh, point: Floats) -> float:
-    start, end = mesh.points[mesh.joint_bottom].swapaxes(0, 1)
+def _feet(mesh: SplitMesh, point: Floats, joints: Ints | slice) -> tuple[Floats, Floats]:
+    """Where joints (n,) are nearest to a point: the place on each, from 0 to 1, and its distance [length]."""
+    start, end = mesh.points[mesh.joint_bottom[joints]].swapaxes(0, 1)
     step = end - start
     along = np.clip(np.sum((point - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
-    return float(np.linalg.norm(start + along[:, None] * step - point, axis=1).min())
+    return along, np.linalg.norm(start + along[:, None] * step - point, axis=1)
 
 
 def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> FracturePlace | RockPlace:
     """A probe sits on a fracture if ``on`` names one, or if it lies on one; else in the rock. Raises InputError."""
     if on is not None and on in mesh.fractures:
-        return on_fracture(mesh, at, what, on)
+        return along_fracture(mesh, at, what, on)
     if on is not None and on not in mesh.rocks:
         fractures, rocks = (", ".join(names) for names in (mesh.fractures, mesh.rocks))
         raise InputError(f'{what}: on = "{on}": neither a fracture ({fractures}) nor a rock ({rocks})')
     if on is None and len(mesh.flow_origin):
         extent = np.ptp(mesh.points, axis=0).max()
-        if _distance_to_fractures(mesh, coordinates(mesh, at, what)) <= 1e-9 * extent:
-            return on_fracture(mesh, at, what)
+        if _feet(mesh, coordinates(mesh, at, what), slice(None))[1].min() <= 1e-9 * extent:
+            return along_fracture(mesh, at, what)
     return in_rock(mesh, at, what, on)
 
 

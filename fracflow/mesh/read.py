@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +20,7 @@ from fracflow.mesh.plane.near import NearMiss, near_misses, told
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
-from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, natural_snap, polygon_area, tidy
+from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, cut_at, natural_snap, polygon_area, tidy
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh")
@@ -46,6 +46,7 @@ class GeometrySpec:
     growth             of the mesh size per length away from the fractures [1]
     snap               points nearer than this to each other, or to a trace or side, become one with it; of the traces
                        themselves, ``natural_snap``, if None [length]
+    nodes              (n, 2) points of the fractures that are to be nodes, as those of wells [length]
     """
 
     domain: Floats
@@ -57,6 +58,7 @@ class GeometrySpec:
     size_at_tips: float | None = None
     growth: float = GROWTH
     snap: float | None = None
+    nodes: Floats = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False, folder: Path | None = None) -> RawMesh:
@@ -98,6 +100,7 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     domain, sides = np.asarray(geometry.domain, dtype=float), side_names(np.asarray(geometry.domain, dtype=float))
     _check_sizes(geometry, polygon_area(domain))
     network, snap, misses = network_of(geometry)
+    network = cut_at(network, geometry.nodes, snap)
     fine = float(geometry.size_at_fractures or geometry.size)
     is_quads = geometry.cells == "quads"
     coarser = 2 if is_quads else 1  # quads are cut in four in the end

@@ -243,6 +243,22 @@ def parts(mesh: SplitMesh, ties: Ints) -> Ints:
     return components(first, second, len(mesh.points))
 
 
+def ends_on_side(mesh: SplitMesh, side: str) -> Ints:
+    """Flow nodes (n,) on a side: where fractures reach it."""
+    nodes = np.unique(mesh.origin[mesh.side_facets[mesh.side_of == mesh.sides.index(side)]])
+    found: Ints = np.unique(mesh.joint_flow[np.isin(mesh.origin[mesh.joint_bottom], nodes)])
+    return found
+
+
+def joined_ends(mesh: SplitMesh, ends: Ints) -> SplitMesh:
+    """The mesh where flow nodes (n,) are one, the first of them, as if a wide pipe joined them."""
+    number = np.arange(len(mesh.flow_origin))
+    number[ends] = ends[0]
+    kept = number == np.arange(len(number))
+    compact = np.cumsum(kept) - 1
+    return replace(mesh, joint_flow=compact[number[mesh.joint_flow]], flow_origin=mesh.flow_origin[kept])
+
+
 def merged_faces(mesh: SplitMesh, chosen: Bools) -> SplitMesh:
     """The mesh as if there were none of the fractures chosen (f,), which share no node with the others.
 

@@ -164,7 +164,7 @@ def brought(ops: Operators, loads: Loads, old: State, new: State, dt: float, sch
     instants = (new,) if scheme.balance == "end" else (old, new)
     volume = sum(dt / len(instants) * state.forces.conduction.getArray(readonly=True) for state in instants)
     if scheme.storage:
-        volume = volume + _room(ops, old, new)
+        volume = volume + room_between(ops, old, new)
     here = sum(float(np.sum(volume[part.numbers])) for part in kept)
     return given + depth * float(ops.layout.comm.allreduce(here, op=MPI.SUM))
 
@@ -182,11 +182,14 @@ def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, de
 
 def stored(ops: Operators, old: State, new: State, depth: float) -> float:
     """Volume of fluid that fractures of a ``depth`` take up between two states [length^3]. Collective."""
-    return depth * float(ops.layout.comm.allreduce(float(np.sum(_room(ops, old, new))), op=MPI.SUM))
+    return depth * float(ops.layout.comm.allreduce(float(np.sum(room_between(ops, old, new))), op=MPI.SUM))
 
 
-def _room(ops: Operators, old: State, new: State) -> Floats:
-    """Volumes that walls and compression take up between two states, at this rank's flow nodes (n,) [volume per thickness]."""
+def room_between(ops: Operators, old: State, new: State) -> Floats:
+    """Volumes taken up by walls and compression between states, at flow nodes (n,) of a rank [volume per thickness].
+
+    Collective.
+    """
     room, moved = new.pressure.duplicate(), new.motion.displacement.duplicate()
     after, before = (state.motion.displacement.getArray(readonly=True) for state in (new, old))
     moved.setArray(after - before)

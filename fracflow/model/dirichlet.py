@@ -132,11 +132,11 @@ def meeting_supports(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints]) 
             )
 
 
-def refuse_two_pressures(scene: Scene, wells: Mapping[str, int]) -> None:
+def refuse_two_pressures(scene: Scene, wells: Mapping[str, tuple[int, ...]]) -> None:
     """Raise InputError where two wells prescribe pressures at one flow node, unless these are the same."""
     given = [well for well in scene.well if well.pressure is not None and well.name in wells]
     for one, other in combinations(given, 2):
-        if wells[one.name] == wells[other.name] and one.pressure != other.pressure:
+        if not {*wells[one.name]}.isdisjoint(wells[other.name]) and one.pressure != other.pressure:
             raise InputError(
                 f"well.{other.name}: at: sits on the node of well.{one.name}, which prescribes another pressure there:"
                 " move one of them, or leave it out"

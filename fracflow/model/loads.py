@@ -212,23 +212,23 @@ def _swapped(pressure: Pressures) -> Callable[..., Any]:
 
 
 def _well_pressure(
-    blocks: Blocks, scene: Scene, layout: Layout, node: int, well: Well, held: Ints
+    blocks: Blocks, scene: Scene, layout: Layout, nodes: Ints, well: Well, held: Ints
 ) -> tuple[PrescribedValues, Ints]:
     """The pressure kept at a well; "initial" is p0 there."""
-    local = own(layout.flow_starts, blocks.comm.rank, np.array([node]))
+    local = own(layout.flow_starts, blocks.comm.rank, nodes)
     if isinstance(well.pressure, TimeTable):
-        return PrescribedValues(local, well.pressure, well.name), np.union1d(held, [node])
+        return PrescribedValues(local, well.pressure, well.name), np.union1d(held, nodes)
     initial = initial_pressure(scene, blocks.flow.points[local])
-    return PrescribedValues(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, [node])
+    return PrescribedValues(local, lambda time, around=AT_ONCE: initial, well.name), np.union1d(held, nodes)
 
 
 def assemble_loads(
-    blocks: Blocks, scene: Scene, operators: Operators, points: Mapping[str, Ints], well_nodes: Mapping[str, int]
+    blocks: Blocks, scene: Scene, operators: Operators, points: Mapping[str, Ints], well_nodes: Mapping[str, Ints]
 ) -> Loads:
     """Patterns of all loads.
 
     points      name -> split nodes (n,) of a named point
-    well_nodes  name of a well -> PETSc number of its flow node
+    well_nodes  name of a well -> PETSc numbers (n,) of its flow nodes; one, where it has a flow rate
     Collective. Raises InputError, on every rank, for names the mesh does not have.
     """
     comm, starts, layout, expand = blocks.comm, blocks.solid.unknown_starts, operators.layout, operators.expand
@@ -249,12 +249,11 @@ def assemble_loads(
     held = np.zeros(0, dtype=np.int64)
     depth = scene.flow_depth
     for well in scene.well if scene.has_flow else ():
-        node = well_nodes[well.name]
         if well.pressure is not None:
-            here, held = _well_pressure(blocks, scene, layout, node, well, held)
+            here, held = _well_pressure(blocks, scene, layout, well_nodes[well.name], well, held)
             pressures.append(here)
         else:
-            vector = layout.flow_vector()
+            node, vector = int(well_nodes[well.name][0]), layout.flow_vector()
             vector.setValue(node, 1.0 / depth if comm.rank == 0 else 0.0, addv=PETSc.InsertMode.ADD)
             vector.assemble()
             assert well.flow_rate is not None

@@ -209,8 +209,8 @@ class WellPart:
         return asdict(self) | {"apart": self.apart if np.isfinite(self.apart) else None}
 
 
-def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart]:
-    """Components of a network with wells, that of the first well first; ``wells`` name -> flow node. On one process.
+def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[WellPart]:
+    """Components of a network with wells, that of the first well first; ``wells`` name -> flow nodes. On one process.
 
     Whatever the motion of walls, fluid never flows from one to the other.
     """
@@ -221,8 +221,9 @@ def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart
     of_joint = label[mesh.joint_flow[:, 0]]
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=1)
     inside: dict[int, list[str]] = {}
-    for name, node in wells.items():
-        inside.setdefault(int(label[node]), []).append(name)
+    for name, nodes in wells.items():
+        for part in np.unique(label[list(nodes)]).tolist():
+            inside.setdefault(part, []).append(name)
     found = []
     for part, names in inside.items():
         here = of_joint == part
@@ -233,7 +234,7 @@ def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart
     return found
 
 
-def told_apart(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
+def told_apart(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
     """Lines about wells between which nothing can flow; none where all are in one part. On one process."""
     parts = parts_with_wells(mesh, wells)
     if len(parts) < 2:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,10 +15,10 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.facets import components
-from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place, tied_nodes
+from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, point_along, probe_place, tied_nodes
 from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
-from fracflow.mesh.split import split
+from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.dirichlet import meeting_supports, refuse_two_pressures
 from fracflow.model.loads import Loads, assemble_loads
@@ -26,7 +26,7 @@ from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
 from fracflow.scene.scene import Scene
-from fracflow.scene.values import FractureEnd, Position
+from fracflow.scene.values import AlongFracture, FractureEnd, Position
 
 Result = TypeVar("Result")
 
@@ -35,7 +35,7 @@ Result = TypeVar("Result")
 class Placed:
     """Where the scene's names sit on the mesh.
 
-    wells   name -> flow node
+    wells   name -> flow nodes: one, or those of all fracture ends on a side with a pressure
     probes  name -> place
     points  name -> split nodes
     ties    (m, 2) pairs of node * dim + component that move alike
@@ -43,7 +43,7 @@ class Placed:
     apart   parts of the network that have wells and never meet, where there is more than one; on rank 0
     """
 
-    wells: Mapping[str, int]
+    wells: Mapping[str, tuple[int, ...]]
     probes: Mapping[str, FracturePlace | RockPlace]
     points: Mapping[str, Ints]
     ties: Ints
@@ -126,7 +126,27 @@ def read_sized(scene: Scene) -> SplitMesh:
         raw = refined(raw)
     mesh = split(raw)
     scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, tuple(mesh.named_points))
+    joined: dict[int, str] = {}
+    for well in scene.well if scene.has_flow else ():
+        if well.on is not None and well.flow_rate is not None:
+            ends = _ends_on(mesh, well.name, well.on)
+            raw_nodes = mesh.flow_origin[ends].tolist()
+            other = next((joined[node] for node in raw_nodes if joined.get(node, well.on) != well.on), None)
+            if other is not None:
+                raise InputError(
+                    f"well.{well.name}: on: a fracture ends in the corner of {other} and {well.on}; move its end"
+                )
+            joined |= dict.fromkeys(raw_nodes, well.on)
+            mesh = joined_ends(mesh, ends)
     return mesh
+
+
+def _ends_on(mesh: SplitMesh, well: str, side: str) -> Ints:
+    """Flow nodes (n,) of fractures on the side of a well. Raises InputError where there are none."""
+    found = ends_on_side(mesh, side)
+    if not len(found):
+        raise InputError(f'well.{well}: on = "{side}": no fracture reaches that side; give at = a place on a fracture')
+    return found
 
 
 def geometry_of(scene: Scene) -> GeometrySpec:
@@ -143,24 +163,69 @@ def geometry_of(scene: Scene) -> GeometrySpec:
         size_at_tips=geometry.size_at_tips,
         growth=GROWTH if geometry.growth is None else geometry.growth,
         snap=geometry.snap,
+        nodes=_well_places(scene),
     )
+
+
+def _well_places(scene: Scene) -> Floats:
+    """Where wells are that are given by coordinates or along a trace (n, 2): the mesh has a node there [length]."""
+    wells = [well for well in scene.well if scene.has_flow and well.at is not None]
+    given = [_asked(scene, well.at, f"well.{well.name}") for well in wells]
+    return np.array([place for place in given if _is_point(place)]).reshape(-1, 2)
+
+
+def _asked(scene: Scene, where: Position | None, what: str, mesh: SplitMesh | None = None) -> Any:
+    """A place as ``mesh.locate`` takes it: one along a trace as coordinates, of the trace as it is drawn, or as a mesh has it.
+
+    Raises InputError where the trace is shorter, or there is none.
+    """
+    if isinstance(where, FractureEnd):
+        return where.fracture, where.end
+    if not isinstance(where, AlongFracture):
+        return where
+    drawn = scene.geometry.fracture if scene.geometry is not None else ()
+    points = next((np.array(each.points, dtype=float) for each in drawn if each.name == where.fracture), None)
+    if points is None:
+        if mesh is None:
+            return where
+        of_it = mesh.joint_along[mesh.joint_fracture == mesh.fractures.index(where.fracture)]
+        distance = where.distance if where.fraction is None else where.fraction * float(of_it.max())
+        assert distance is not None
+        return tuple(point_along(mesh, where.fracture, distance, what).tolist())
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    distance = where.distance if where.fraction is None else where.fraction * along[-1]
+    assert distance is not None
+    if distance > along[-1] * (1.0 + 1e-9):
+        raise InputError(
+            f'{what}: at = {distance:.6g}: fracture "{where.fracture}" is {along[-1]:.6g} long; give less, or a fraction'
+        )
+    return tuple(float(np.interp(distance, along, part)) for part in points.T)
 
 
 def place(scene: Scene, mesh: SplitMesh) -> Placed:
     """Find wells, probes and points on the mesh. Raises InputError."""
-
-    def at(where: object) -> object:
-        return (where.fracture, where.end) if isinstance(where, FractureEnd) else where
-
-    wells = {w.name: on_fracture(mesh, at(w.at), f"well.{w.name}").flow for w in scene.well} if scene.has_flow else {}  # type: ignore[arg-type]
-    probes = {p.name: probe_place(mesh, at(p.at), f"probe.{p.name}", p.on) for p in scene.probe}  # type: ignore[arg-type]
+    asked = {
+        f"{kind}.{entry.name}": _asked(scene, entry.at, f"{kind}.{entry.name}", mesh)
+        for kind in ("well", "probe")
+        for entry in getattr(scene, kind)
+    }
+    wells = {
+        w.name: (on_fracture(mesh, asked[f"well.{w.name}"], f"well.{w.name}", _fracture_of(w.at)).flow,)
+        if w.on is None
+        else tuple(_ends_on(mesh, w.name, w.on).tolist())
+        for w in scene.well
+        if scene.has_flow
+    }
+    probes = {
+        p.name: probe_place(mesh, asked[f"probe.{p.name}"], f"probe.{p.name}", p.on or _fracture_of(p.at))
+        for p in scene.probe
+    }
     refuse_missing(scene, mesh, probes)
     refuse_lone_wells(scene, mesh, wells)
     refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
-    spots = {f"well.{name}": mesh.points[mesh.flow_origin[node]] for name, node in wells.items()}
+    spots = {f"well.{name}": mesh.points[mesh.flow_origin[nodes[0]]] for name, nodes in wells.items()}
     spots |= {f"probe.{name}": found.point for name, found in probes.items()}
-    asked = {f"{kind}.{entry.name}": entry.at for kind in ("well", "probe") for entry in getattr(scene, kind)}
     return Placed(
         wells,
         probes,
@@ -168,10 +233,15 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         tied_components(scene, mesh),
         (
             *filter(None, (moved(mesh, name, asked[name], spot) for name, spot in spots.items())),
-            *(of_well(mesh, w.name, wells[w.name]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
+            *(of_well(mesh, w.name, wells[w.name][0]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
             *meeting_supports(scene, mesh, points),
         ),
     )
+
+
+def _fracture_of(at: Position | None) -> str | None:
+    """The fracture that a place along its trace is on; None for other places."""
+    return at.fracture if isinstance(at, AlongFracture) else None
 
 
 def of_well(mesh: SplitMesh, name: str, node: int) -> str:
@@ -181,12 +251,18 @@ def of_well(mesh: SplitMesh, name: str, node: int) -> str:
     return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
 
 
+def _is_point(asked: object) -> bool:
+    """Whether a place is given by coordinates, or was made them."""
+    return isinstance(asked, tuple) and not isinstance(asked[0], str)
+
+
 def moved(mesh: SplitMesh, name: str, asked: Position, spot: Floats) -> str:
-    """Say at which node's ``spot`` (dim,) a well or probe sits, and how far from the coordinates asked for; "" if there."""
-    away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) if isinstance(asked, tuple) else 0.0
+    """Say at which ``spot`` (dim,) a well or probe sits, and how far from the coordinates asked for; "" if there."""
+    away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) if _is_point(asked) else 0.0
     if away <= 1e-6 * float(np.ptp(mesh.points, axis=0).max()):
         return ""
-    return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
+    where = "node" if name.startswith("well.") else "fracture"
+    return f"{name} sits on the {where} at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
 
 
 def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
@@ -203,20 +279,20 @@ def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
     return np.concatenate(pairs)
 
 
-def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> None:
+def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> None:
     """Raise InputError where a steady stage would have to pump, by one well alone, into an undrained component."""
     count = len(mesh.flow_origin)
     if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
         return
     label = components(mesh.joint_flow[:, 0], mesh.joint_flow[:, 1], count)
-    drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
+    drained = {int(label[node]) for w in scene.well if w.pressure is not None for node in wells[w.name]}
     held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
     pumped: dict[int, list[str]] = {}
     limited = {w.name for w in scene.well if w.maximum_pressure is not None or w.minimum_pressure is not None}
     for well in scene.well:
         if well.pressure is None:
-            pumped.setdefault(int(label[wells[well.name]]), []).append(well.name)
+            pumped.setdefault(int(label[wells[well.name][0]]), []).append(well.name)
     for component, names in pumped.items():
         if component not in drained and len(names) == 1 and names[0] not in limited:
             inside = np.unique(mesh.joint_fracture[label[mesh.joint_flow[:, 0]] == component])
@@ -238,8 +314,7 @@ def set_up(
     """
     blocks = distribute(mesh, comm, [name for name, rock in scene.rock.items() if rock.rigid], placed.ties, cell_rank)
     operators = with_terms(assemble(blocks, scene), scene)
-    wells = flow_numbers(blocks, np.array(list(placed.wells.values()), dtype=np.int64))
-    numbers = dict(zip(placed.wells, wells.tolist(), strict=True))
+    numbers = {name: flow_numbers(blocks, np.array(nodes, dtype=np.int64)) for name, nodes in placed.wells.items()}
     loads = assemble_loads(blocks, scene, operators, placed.points, numbers)
     if redistributes(scene):
         operators = redistributed(operators, scene, loads, mesh)

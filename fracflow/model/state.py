@@ -108,7 +108,7 @@ class PreviousStep:
     time_step  its length, 0 where there was none [time]
     velocity   the mean velocity over it of the solid unknowns [length/time]
     uptake     the mean rate over it at which compression took up fluid; of a compressible fluid only
-    through    the mean flow rate over it of each well that has a limit [volume rate]
+    through    the mean flow rate over it of each well with a pressure or a limit [volume rate]
     """
 
     time_step: float = 0.0
@@ -121,6 +121,48 @@ class PreviousStep:
         destroy(self.velocity, self.uptake)
 
 
+FRACTURES = ""
+"""Stands for fractures with prescribed pressures among the names of wells."""
+
+
+@dataclass(frozen=True)
+class FluidVolumes:
+    """Volumes since the start, over the whole flow_depth [length^3].
+
+    wells   name -> net volume that a well has brought; under FRACTURES that of prescribed pressures of fractures
+    rates   name -> mean rate of each in the last step, or the rate at its end where that took no time [volume rate]
+    into    what wells have brought: a step of a well counts by its sign
+    out_of  what they have drawn, positive
+    stored  what fractures have taken up in steps with storage, by walls and by compression
+    """
+
+    wells: Mapping[str, float] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
+    into: float = 0.0
+    out_of: float = 0.0
+    stored: float = 0.0
+
+    def after(self, rates: Mapping[str, float], stored: float, dt: float) -> FluidVolumes:
+        """The same after a step of length ``dt`` with mean ``rates``, in which a volume was ``stored``."""
+        brought = [rate * dt for name, rate in rates.items() if name != FRACTURES]
+        return FluidVolumes(
+            {name: self.wells.get(name, 0.0) + rate * dt for name, rate in rates.items()},
+            rates,
+            self.into + sum(each for each in brought if each > 0.0),
+            self.out_of - sum(each for each in brought if each < 0.0),
+            self.stored + stored,
+        )
+
+    def with_rates(self, rates: Mapping[str, float]) -> FluidVolumes:
+        """The same volumes beside other rates."""
+        return replace(self, rates=rates)
+
+    @property
+    def by_fractures(self) -> float:
+        """The volume that prescribed pressures of fractures have brought [length^3]."""
+        return self.wells.get(FRACTURES, 0.0)
+
+
 @dataclass(frozen=True)
 class State:
     """Everything at the end of a step.
@@ -131,6 +173,7 @@ class State:
     friction  (s,) dissipation by friction at each joint section of this rank since the start [energy/area]
     injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
     left      net volume that has left the network by each term since the start, by their names [length^3]
+    volumes   that wells have brought since the start
     adjacent_steps  lengths of the step that led here and of the planned next one, by which jumps in time were sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     max_overpressure  largest pressure, above that at rest, at the end of a step since the start [stress]
@@ -152,7 +195,14 @@ class State:
     max_dissipation: float = 0.0
     injected: float = 0.0
     left: Mapping[str, float] = field(default_factory=dict)
+    volumes: FluidVolumes = FluidVolumes()
     adjacent_steps: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def unaccounted_volume(self) -> float:
+        """The volume that came into the network, less those that went out, are stored, or left by terms [length^3]."""
+        volumes = self.volumes
+        return volumes.into - volumes.out_of + volumes.by_fractures - volumes.stored - sum(self.left.values())
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""

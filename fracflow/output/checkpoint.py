@@ -20,7 +20,7 @@ from fracflow.laws.base import zero_history
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
 from fracflow.model.operators import Operators
-from fracflow.model.state import Forces, Motion, PreviousStep, SectionHistory, Sections, State
+from fracflow.model.state import FluidVolumes, Forces, Motion, PreviousStep, SectionHistory, Sections, State
 from fracflow.storage.sealed import AGAIN, read_sealed, write_sealed
 
 Arrays = dict[str, NDArray[Any]]
@@ -56,6 +56,18 @@ DIMENSIONS = {"strain": 1, "traction": 1, "tangent": 2, "inelastic": 1, "blur": 
 FLOW = {"pressure": "", "conduction": "forces", "source": "forces"}
 
 
+class SavedVolumes(TypedDict):
+    """A ``FluidVolumes``."""
+
+    __pydantic_config__ = ConfigDict(allow_inf_nan=False)  # type: ignore[misc]
+
+    wells: dict[str, float]
+    rates: dict[str, float]
+    into: float
+    out_of: float
+    stored: float
+
+
 class Notes(TypedDict, total=False):
     """The notes of a checkpoint beside its arrays; those named in NOTES must be there.
 
@@ -83,6 +95,7 @@ class Notes(TypedDict, total=False):
     powers: dict[str, float]
     left: dict[str, float]
     through: dict[str, float]
+    volumes: SavedVolumes
     seals: dict[str, str]
 
 
@@ -234,6 +247,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         max_dissipation=notes["power"],
         injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
         left=notes.get("left", {}),
+        volumes=FluidVolumes(**notes.get("volumes", {})),
         adjacent_steps=tuple(notes.get("around", (0.0, 0.0))),
     )
 

@@ -36,10 +36,11 @@ def units_of_run(folder: Path) -> dict[str, str]:
 
 
 def tables(folder: str | Path) -> dict[str, Columns]:
-    """Tables of a run by name: "steps", "energy", "probe_<name>"; each column (steps,), headed "name [unit]".
+    """Tables of a run by name, each column (steps,), headed "name [unit]".
 
-    Every table begins with the time, but "fractures", which has a row a fracture, of the last fields. Raises InputError if
-    there is no history.
+    They are "steps", "energy", "volume", "probe_<name>", "well_<name>" and "fractures". Each begins with the time, but
+    "fractures", which has a row a fracture, of the last fields. Raises InputError if there is
+    no history.
     """
     check_own(Path(folder))
     history, units = read_history(Path(folder) / "history.h5"), units_of_run(Path(folder))
@@ -48,9 +49,9 @@ def tables(folder: str | Path) -> dict[str, Columns]:
         if key == "time":
             continue
         group, _, name = key.partition("/")
-        if group == "probe":
-            probe, _, name = name.rpartition("/")
-            group = f"probe_{probe}"
+        if group in ("probe", "well"):
+            place, _, name = name.rpartition("/")
+            group = f"{group}_{place}"
         table = found.setdefault({"step": "steps"}.get(group, group), {_head("time", "time", units): history["time"]})
         flat, row = values.reshape(len(values), -1), row_of(key)
         kind = "scalar" if values.ndim == 1 else row.kind if row is not None else None

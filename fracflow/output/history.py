@@ -223,7 +223,7 @@ def _read(
     if columns and ("time" not in columns or columns["time"].dtype.kind != "f"):
         raise InputError(f"{path}: {_NO_HISTORY} (it has no time); {_REMEDY}")
     for name, values in columns.items():
-        if values.ndim != 1 and (name == "time" or name.startswith(("step/", "energy/"))):
+        if values.ndim != 1 and (name == "time" or name.startswith(("step/", "energy/", "well/", "volume/"))):
             raise InputError(f"{path}: {_NO_HISTORY} ({name} has {values.ndim} dimensions); {_REMEDY}")
         if 0 in values.shape[1:]:
             raise InputError(f"{path}: {_NO_HISTORY} ({name} has steps without a number); {_REMEDY}")

@@ -16,11 +16,13 @@ from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model import stress as rock
 from fracflow.model.probes import ProbePlace, available
+from fracflow.model.state import State
 from fracflow.output.sampling import Columns, Snapshot
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
 
 Data = dict[str, NDArray[Any]]
+NO_PRESSURE = 1e-9  # of a pressure: a change that is less is none
 
 
 def measured(scene: Scene, mesh: SplitMesh, places: Mapping[str, ProbePlace]) -> dict[str, Sequence[str]]:
@@ -38,7 +40,8 @@ def probe_record(
     """History entries ``probe/NAME/QUANTITY`` of all probes, of the names of their quantities.
 
     On a fracture ``displacement``, velocity and acceleration are those of the top face, the left of the trace. Quantities of
-    joints are means over those that end there. In the rock, strain and stress are means by area over the cells around the
+    joints are means over those that end there. Between two nodes all values are interpolated from the two ends of the joint,
+    those of each wall along that wall. In the rock, strain and stress are means by area over the cells around the
     node, with sigma_0 of the node itself. Inside a cell all values are interpolated from its corners by their shape functions,
     except sigma_0, which is that of the point.
     """
@@ -48,7 +51,7 @@ def probe_record(
         place = places[probe]
         at: OnFracture | InRock
         if isinstance(place, FracturePlace):
-            at, sampled = OnFracture(place, snapshot), snapshot.at_ends(place.joints, place.ends)
+            at, sampled = OnFracture(place, snapshot), snapshot.at_place(place)
         else:
             at, sampled = InRock(scene, mesh, place, snapshot), {}
         for name in wanted:
@@ -56,12 +59,51 @@ def probe_record(
     return record
 
 
+def well_record(scene: Scene, state: State, snapshot: Snapshot, at_rest: Mapping[str, float]) -> dict[str, float]:
+    """History entries ``well/NAME/QUANTITY`` of wells, and ``volume/QUANTITY`` of the fluid in the whole network.
+
+    at_rest  name -> initial pressure of each well [stress]
+    """
+    volumes, record = state.volumes, {}
+    depth = scene.flow_depth
+    for name, (pressure, entering) in snapshot.wells.items():
+        rate = volumes.rates.get(name, entering * depth)
+        at = AtWell(pressure, rate, volumes.wells.get(name, 0.0), at_rest[name])
+        for key, row in quantities("well").items():
+            record[f"well/{name}/{key.removeprefix('well/')}"] = row.formula(at)
+    return record | {key: row.formula(state) for key, row in quantities("network").items()}
+
+
+@dataclass(frozen=True)
+class AtWell:
+    """Values at a well: pressures now and initially [stress], rate and volume over the whole depth."""
+
+    pressure: float
+    rate: float
+    volume: float
+    at_rest: float
+
+    @property
+    def injectivity(self) -> float:
+        """Rate over the rise of pressure; NaN where there is none."""
+        above = self.pressure - self.at_rest
+        is_none = abs(above) <= NO_PRESSURE * max(abs(self.pressure), abs(self.at_rest))
+        return float("nan") if is_none else self.rate / above
+
+
 class OnFracture:
     """Motion (dim,) of the walls at a probe: of the top one, and the displacement of the bottom one."""
 
     def __init__(self, place: FracturePlace, snapshot: Snapshot) -> None:
-        self.displacement, self.velocity, self.acceleration = snapshot.nodes[place.nodes[1]]
-        self.bottom = snapshot.nodes[place.nodes[0]][0]
+        self.displacement, self.velocity, self.acceleration = _combined(place, snapshot, 1)
+        self.bottom = _combined(place, snapshot, 0)[0]
+
+
+def _combined(place: FracturePlace, snapshot: Snapshot, wall: int) -> Floats:
+    """Motion (3, dim) of one wall at a place, 0 the bottom and 1 the top, interpolated between two nodes of that wall."""
+    if not place.within:
+        return snapshot.nodes[place.nodes[wall]]
+    return np.tensordot(place.shares, [snapshot.nodes[end.nodes[wall]] for end in place.within], 1)
 
 
 @dataclass(frozen=True)

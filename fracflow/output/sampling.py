@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -58,6 +58,7 @@ class Sampler:
     always    columns that events need at every step at all joint ends
     columns   these, and those that probes need; the same on all ranks
     fields    columns of the fields of fractures
+    wells     name -> flow nodes (n,) of this rank, their local numbers; none without flow
     """
 
     operators: Operators
@@ -68,10 +69,16 @@ class Sampler:
     always: Columns
     columns: Columns
     fields: Columns
+    wells: Mapping[str, Ints] = field(default_factory=dict)
 
 
-def make_sampler(operators: Operators, scene: Scene, places: Mapping[str, FracturePlace | RockPlace]) -> Sampler:
-    """Find the nodes and joints of the probes on this rank."""
+def make_sampler(
+    operators: Operators,
+    scene: Scene,
+    places: Mapping[str, FracturePlace | RockPlace],
+    wells: Mapping[str, tuple[int, ...]] | None = None,
+) -> Sampler:
+    """Find the nodes and joints of the probes, and the flow nodes of the wells, on this rank."""
     blocks, dim = operators.blocks, operators.blocks.sizes.dim
     on_fractures = [place for place in places.values() if isinstance(place, FracturePlace)]
     joints = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(place.joints for place in on_fractures)]))
@@ -88,6 +95,11 @@ def make_sampler(operators: Operators, scene: Scene, places: Mapping[str, Fractu
         Columns(EVERY_STEP, dim),
         Columns((*EVERY_STEP, *(name for name in there if name in asked and name not in EVERY_STEP)), dim),
         Columns((name for name, row in there.items() if row.field), dim),
+        {
+            name: np.flatnonzero(np.isin(blocks.flow.ids, nodes))
+            for name, nodes in (wells or {}).items()
+            if operators.flow is not None
+        },
     )
 
 
@@ -100,7 +112,7 @@ def _is_anywhere(row: OutputQuantity, scene: Scene, fractures: Sequence[str]) ->
 def _nodes(places: Mapping[str, FracturePlace | RockPlace]) -> Ints:
     """Split nodes that the places need: faces of a fracture; a node of the rock with the corners of its cells."""
     parts = [
-        np.array(p.nodes) if isinstance(p, FracturePlace) else np.append(p.corners.ravel(), p.node)
+        np.array(p.stands_on) if isinstance(p, FracturePlace) else np.append(p.corners.ravel(), p.node)
         for p in places.values()
     ]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *parts]))
@@ -209,6 +221,7 @@ class Snapshot:
     probed  joint -> (2, width of ``columns``) at the joints that end at probes
     nodes   node -> (3, dim) its displacement, velocity and acceleration
     least   number of joint ends that conduct by their minimum aperture, and the most that flows through one
+    wells   name -> pressure of a well, the mean over its nodes [stress], and what enters there [volume rate per thickness]
     """
 
     always: Columns
@@ -217,6 +230,7 @@ class Snapshot:
     probed: Mapping[int, Floats]
     nodes: Mapping[int, Floats]
     least: tuple[int, float] = (0, 0.0)
+    wells: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def column(self, name: str) -> Floats:
         """One quantity of every step at all joint ends (joints, 2), a vector along fractures (joints, 2, dim-1)."""
@@ -227,10 +241,10 @@ class Snapshot:
         """Smallest distance of a status from its threshold."""
         return float(self.column("margin").min(initial=np.inf))
 
-    def at_ends(self, joints: Ints, ends: Ints) -> dict[str, Floats]:
-        """Means of the columns over ``ends`` (n,) of probed ``joints`` (n,), () or (dim-1,) each."""
-        rows = np.array([self.probed[int(joint)][end] for joint, end in zip(joints, ends, strict=True)])
-        mean = rows.mean(axis=0)
+    def at_place(self, place: FracturePlace) -> dict[str, Floats]:
+        """Values () or (dim-1,) of the columns at a place: means over its (k,) joint ends, or interpolated between two."""
+        rows = np.array([self.probed[int(joint)][end] for joint, end in zip(place.joints, place.ends, strict=True)])
+        mean = np.array(place.shares) @ rows if place.within else rows.mean(axis=0)
         return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}
 
 
@@ -245,13 +259,23 @@ def take(sampler: Sampler, state: State) -> Snapshot | None:
         blocks.solid.node_ids[sampler.nodes],
         _motion(sampler, state, sampler.nodes),
     )
-    least = at.at_least()
+    least, wells = at.at_least(), _at_wells(sampler, state)
     parts = blocks.comm.gather(here, root=0)
     if parts is None or ends is None:
         return None
     joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
     nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
-    return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least)
+    return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least, wells)
+
+
+def _at_wells(sampler: Sampler, state: State) -> dict[str, tuple[float, float]]:
+    """Mean pressure of each well, and what enters at its nodes. Collective."""
+    if not sampler.wells:
+        return {}
+    pressure, source = (vector.getArray(readonly=True) for vector in (state.pressure, state.forces.source))
+    here = np.array([[len(n), pressure[n].sum(), source[n].sum()] for n in sampler.wells.values()])
+    count, total, entering = sampler.operators.blocks.comm.allreduce(here, op=MPI.SUM).T
+    return dict(zip(sampler.wells, zip((total / count).tolist(), entering.tolist(), strict=True), strict=True))
 
 
 def all_ends(sampler: Sampler, state: State) -> Floats | None:

@@ -130,14 +130,14 @@ def stress_of_loads(scene: Scene, rock: Fractures) -> float:
     return found + sum(2.0 * rock.impedance * _most(wave) for each in scene.terms for wave in each.waves)
 
 
-def pressure_of_wells(scene: Scene, start: Mapping[str, float]) -> float:
-    """Most that wells change the pressure by, from what there was at the ``start`` at each of them [stress]."""
+def pressure_of_wells(scene: Scene, start: Mapping[str, float | Floats]) -> float:
+    """Most that wells change the pressure by, from what there was at the ``start`` at the nodes (n,) of each [stress]."""
     found = 0.0
     for well in scene.well if scene.has_flow else ():
         given = [limit for limit in (well.maximum_pressure, well.minimum_pressure) if limit is not None]
         if isinstance(well.pressure, TimeTable):
             given += well.pressure.values
-        found = max([found, *(abs(value - start[well.name]) for value in given)])
+        found = max([found, *(float(np.max(np.abs(value - start[well.name]))) for value in given)])
     return found
 
 
@@ -165,8 +165,8 @@ def together(rock: Fractures) -> Floats:
     return found
 
 
-def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float], use: Use) -> LockedFractures:
-    """The fractures that may be tied, by whole groups. Collective if ``use`` is."""
+def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float | Floats], use: Use) -> LockedFractures:
+    """The fractures that may be tied, by whole groups; ``start`` (n,) as in ``pressure_of_wells``. Collective if ``use`` is."""
     scene, groups = facts.scene, len(rock.reach)
     if why := why_none(facts) or ("" if groups else "there are none"):
         return LockedFractures(why=why)

@@ -80,8 +80,8 @@ def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
         return _largest(model, use_of_strength(model, added), count)
 
     mesh, wells = model.mesh, model.placed.wells
-    spots = comm.bcast(None if mesh is None else {n: mesh.points[mesh.flow_origin[at]] for n, at in wells.items()})
-    return choose(facts, known, {name: float(initial_pressure(scene, point)) for name, point in spots.items()}, use)
+    spots = comm.bcast(None if mesh is None else {n: mesh.points[mesh.flow_origin[[*at]]] for n, at in wells.items()})
+    return choose(facts, known, {name: initial_pressure(scene, points) for name, points in spots.items()}, use)
 
 
 def _of_mesh(model: Model) -> Fractures | None:
@@ -95,7 +95,7 @@ def _of_mesh(model: Model) -> Fractures | None:
     group = np.unique(groups(mesh), return_inverse=True)[1].ravel()
     probes = [*placed.probes.values()]
     probed = np.array([node for place in probes for node in place.stands_on], np.int64)
-    wells = mesh.flow_origin[np.array([*placed.wells.values()], dtype=np.int64)]
+    wells = mesh.flow_origin[np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)]
     named = np.union1d(wells, mesh.origin[probed])
     barred = np.array([name in scene.drained for name in mesh.fractures], dtype=bool)
     barred[fracture[np.isin(mesh.flow_origin[mesh.joint_flow], named).any(axis=1)]] = True

@@ -37,7 +37,7 @@ PER_TRIANGLE = 4.0 / 3.0**0.5  # cells of size h in an area h^2
 SAME = 0.99  # sizes that differ by less need no new mesh
 MARGIN = 0.95  # cells of a size asked for differ from it
 
-Build = Callable[[Scene], tuple[SplitMesh, Mapping[str, int]]]
+Build = Callable[[Scene], tuple[SplitMesh, Mapping[str, tuple[int, ...]]]]
 """scene -> its mesh, and the flow nodes of its wells by name"""
 
 
@@ -129,7 +129,7 @@ class Need:
     where: str = ""
 
 
-def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
+def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
     """A line for each length that a mesh does not resolve, except those of the pre-run checks. On one process."""
     view = CheckInput(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)

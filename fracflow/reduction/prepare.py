@@ -31,7 +31,7 @@ def with_sizes(scene: Scene, comm: MPI.Comm) -> Scene:
 
 
 def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
-    def build(trial: Scene) -> tuple[SplitMesh, Mapping[str, int]]:
+    def build(trial: Scene) -> tuple[SplitMesh, Mapping[str, tuple[int, ...]]]:
         mesh = read_sized(trial)
         return mesh, place(trial, mesh).wells
 

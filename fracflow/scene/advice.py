@@ -15,7 +15,7 @@ from fracflow.scene.profiles import Profile
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, TimeTable
 from fracflow.scene.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
-from fracflow.scene.values import FractureEnd
+from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
 AT_ONCE = 1e-3  # of a pressure: less is no jump
@@ -188,7 +188,10 @@ def _jagged(scene: Scene) -> Iterator[str]:
     names = [
         probe.name
         for probe in scene.probe
-        if (probe.quantities is None and (isinstance(probe.at, FractureEnd) or (probe.on or "") in scene.fracture))
+        if (
+            probe.quantities is None
+            and (isinstance(probe.at, FractureEnd | AlongFracture) or (probe.on or "") in scene.fracture)
+        )
         or "slip_rate" in (probe.quantities or ())
     ]
     deforms = any(not rock.rigid for rock in scene.rock.values())

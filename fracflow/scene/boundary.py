@@ -99,12 +99,20 @@ class Load(Table):
 
 
 class Well(Table):
-    """[[well]] A place where fluid is pumped in or out, or its pressure is kept."""
+    """[[well]] A place where fluid is pumped in or out, or its pressure is kept; or all fracture ends on a side.
+
+    On a side a pressure holds at each end. A flow_rate is that of all ends together: they are one node of the network, with
+    one pressure, so each takes its share by its conductance.
+    """
 
     name: Name
     """name of the well"""
-    at: Annotated[Position, At()]
-    """[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}"""
+    at: Annotated[Position, At()] | None = None
+    """[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}; for end may stand at = the
+    distance from its start [length], or fraction = 0 to 1 of its length"""
+    on: Name | None = None
+    """in place of at: a side, of which all fracture ends are the well; a flow_rate is shared by conductance at one
+    pressure"""
     flow_rate: Annotated[TimeTable, Tabled(FLOW_RATE)] | None = None
     """volume pumped in per time, over the whole flow_depth [length**3/time]"""
     pressure: Annotated[TimeTable | str, Tabled(STRESS, "initial")] | None = None
@@ -119,6 +127,10 @@ class Well(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Well:
+        if self.at is None and self.on is None:
+            raise fault("missing; a well needs a place, or on = a side", key="at")
+        if self.at is not None and self.on is not None:
+            raise fault("contradicts at; give one of them", key="on")
         if self.flow_rate is None and self.pressure is None:
             raise fault("missing; a well needs flow_rate or pressure", key="flow_rate")
         if self.flow_rate is not None and self.pressure is not None:
@@ -147,7 +159,8 @@ class Probe(Table):
     name: Name
     """name in the run folder"""
     at: Annotated[Position, At()]
-    """[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}"""
+    """[x, y] [length], the name of a point, or {fracture = "name", end = "start" or "end"}; for end may stand at = the
+    distance from its start [length], or fraction = 0 to 1 of its length"""
     on: Name | None = None
     """fracture or rock that is meant, where several meet at the place"""
     quantities: tuple[Measured, ...] | None = None

@@ -14,7 +14,7 @@ from fracflow.scene.method import LONGEST_NAME
 from fracflow.scene.petsc import refusal
 from fracflow.scene.tables import Tables
 from fracflow.scene.units import COMPRESSIBILITY
-from fracflow.scene.values import FractureEnd, Position
+from fracflow.scene.values import AlongFracture, FractureEnd, Position
 from fracflow.storage.files import PLAIN_TEXT
 
 MOST_STEPS = 1e9
@@ -44,7 +44,9 @@ def contradictions(scene: Tables) -> Iterator[Fault]:
     for option, value in scene.petsc.items():
         if why := refusal(option, value):
             yield ("petsc", option), why
-    in_history = [(("probe", i, "name"), probe.name) for i, probe in enumerate(scene.probe)]
+    in_history = [
+        ((key, i, "name"), entry.name) for key in ("probe", "well") for i, entry in enumerate(getattr(scene, key))
+    ]
     for path, name in (*in_history, *((("control", name), name) for name in scene.control)):
         if not {"", ".", ".."}.isdisjoint(name.split("/")):
             yield path, "is no name for the history, where / divides; put more than dots before and after it"
@@ -163,6 +165,14 @@ def _materials(scene: Tables) -> Iterator[Fault]:
                 f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water"
             )
             yield ("fluid", "compressibility"), why
+    if scene.fluid is not None and scene.fluid.pressure_gradient:
+        for index, well in enumerate(scene.well):
+            if well.on is not None and well.flow_rate is not None:
+                yield (
+                    ("well", index, "flow_rate"),
+                    "contradicts fluid.pressure_gradient: the ends on a side would share one pressure at all depths; give"
+                    ' pressure = "initial", or a well at each end',
+                )
     if scene.fluid is None and scene.well:
         yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
 
@@ -241,7 +251,10 @@ def _used_names(
     for name in scene.initial.rock if scene.initial is not None else ():
         yield "initial.rock", name, rocks
     for well in scene.well:
-        yield from _place(f"well.{well.name}.at", well.at, fractures, points)
+        if well.on is not None:
+            yield f"well.{well.name}.on", well.on, sides
+        else:
+            yield from _place(f"well.{well.name}.at", well.at, fractures, points)
     for probe in scene.probe:
         yield from _place(f"probe.{probe.name}.at", probe.at, fractures, points)
         if probe.on is not None:
@@ -249,9 +262,9 @@ def _used_names(
 
 
 def _place(
-    key: str, at: Position, fractures: Collection[str], points: Collection[str]
+    key: str, at: Position | None, fractures: Collection[str], points: Collection[str]
 ) -> Iterator[tuple[str, str, Collection[str]]]:
-    if isinstance(at, FractureEnd):
+    if isinstance(at, FractureEnd | AlongFracture):
         yield f"{key}.fracture", at.fracture, fractures
     elif isinstance(at, str):
         yield key, at, points

@@ -12,6 +12,8 @@ cell     at.strain, at.stress (m, 4), xx, yy, zz, xy; at.strain_energy, at.kinet
 section  at the ends of joints: at.sections, a ``model.state.Sections`` of arrays (j, 2,      (j, 2), (j, 2, dim-1),
          ...); at.rate (j, 2, dim) of its strain; at.friction (j, 2); at.history(NAME)        (j, 2, dim)
 flow     there too: at.pressure, at.aperture, at.flow_rate (j, 2); at.specific_weight         (j, 2)
+well     at.pressure, at.rate, at.volume, at.injectivity, of one well                         a number
+network  at.volumes, a ``model.state.FluidVolumes``; at.unaccounted                           a number
 run      at.step, an ``advance.step.Step``; at.snapshot, of all joint ends; at.kind           a number
 """
 
@@ -32,15 +34,17 @@ from fracflow.scene.units import (
     ENERGY,
     ENERGY_DENSITY,
     FLOW_RATE,
+    INJECTIVITY,
     LENGTH,
     PLAIN,
     STRESS,
     SURFACE_ENERGY,
     TIME,
     VELOCITY,
+    VOLUME,
 )
 
-Home = Literal["node", "wall", "cell", "section", "flow", "run"]
+Home = Literal["node", "wall", "cell", "section", "flow", "well", "network", "run"]
 Kind = Literal["scalar", "shear", "vector", "tensor"]
 Missing = Callable[[Any, Sequence[Any]], str]
 
@@ -157,6 +161,17 @@ _ROWS = (
       of_slopes=True),
     Q("strain_energy_density", ENERGY_DENSITY, "cell", of("strain_energy"), "stored since the start", default=False),
     Q("kinetic_energy_density", ENERGY_DENSITY, "cell", of("kinetic_energy"), "of the rock", default=False),
+    Q("well/pressure", STRESS, "well", of("pressure"), "at a well; of a side, the mean of its fracture ends"),
+    Q("well/rate", FLOW_RATE, "well", of("rate"), "that a well brings, mean over the step; negative where it draws"),
+    Q("well/volume", VOLUME, "well", of("volume"), "that it has brought since the start, the sum of rate times dt"),
+    Q("well/injectivity", INJECTIVITY, "well", of("injectivity"), "rate over pressure less initial pressure"),
+    Q("volume/injected", VOLUME, "network", of("volumes.into"), "what wells have brought, over the whole flow_depth"),
+    Q("volume/withdrawn", VOLUME, "network", of("volumes.out_of"), "what they have drawn"),
+    Q("volume/stored", VOLUME, "network", of("volumes.stored"), "what fractures have taken up, but for steady stages"),
+    Q("volume/by_fracture_pressures", VOLUME, "network", of("volumes.by_fractures"),
+      "what prescribed pressures of fractures have brought"),
+    Q("volume/unaccounted", VOLUME, "network", of("unaccounted_volume"),
+      "injected less withdrawn, stored and what left by terms, with that of fracture pressures: round-off"),
     Q("time", TIME, "run", of("step.state.time"), "of the state"),
     Q("step/dt", TIME, "run", of("step.dt"), "length of the step"),
     Q("step/stage", PLAIN, "run", of("step.stage"), "number of the stage, from 0"),
@@ -209,12 +224,16 @@ def probed() -> dict[str, OutputQuantity]:
 
 def row_of(key: str) -> OutputQuantity | None:
     """The row behind a key of history.h5; None for energies, controls and keys that no row has."""
+    if key.startswith("well/"):
+        return quantities("well").get(f"well/{key.rpartition('/')[2]}")
     return quantities().get(key.rpartition("/")[2] if key.startswith("probe/") else key)
 
 
 def dimension_of(key: str) -> str:
     """Dimension of a key of history.h5; "1" where no row has it."""
     row = row_of(key)
+    if row is None and key.startswith("volume/"):
+        return VOLUME
     return ENERGY if key.startswith("energy/") else PLAIN if row is None else row.dimension
 
 

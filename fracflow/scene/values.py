@@ -36,7 +36,21 @@ class FractureEnd:
         return asdict(self)
 
 
-Position = tuple[float, float] | str | FractureEnd
+@dataclass(frozen=True)
+class AlongFracture:
+    """A point of a fracture trace, at a distance from its start [length], or at a fraction of its length."""
+
+    fracture: str
+    distance: float | None
+    fraction: float | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """The place as a scene file has it."""
+        place = {"fraction": self.fraction} if self.distance is None else {"at": self.distance}
+        return {"fracture": self.fracture, **place}
+
+
+Position = tuple[float, float] | str | FractureEnd | AlongFracture
 
 
 @dataclass(frozen=True)
@@ -179,10 +193,10 @@ class Displaced(Annotation):
 
 @dataclass(frozen=True)
 class At(Annotation):
-    """Annotation of a place: coordinates, a point named in the mesh, or an end of a fracture."""
+    """Annotation of a place: coordinates, a point named in the mesh, an end of a fracture, or a point along it."""
 
     def read(self, value: object, info: ValidationInfo) -> Position:
-        """Read ``[x, y]``, ``"name"`` or ``{fracture = "name", end = "start"}``."""
+        """Read ``[x, y]``, ``"name"`` or ``{fracture = "name", end = "start"}``, or with ``at`` or ``fraction`` for end."""
         if isinstance(value, str) and value:
             return value
         if isinstance(value, list) and len(value) == 2:
@@ -191,14 +205,27 @@ class At(Annotation):
             if value["end"] not in ("start", "end"):
                 raise fault(f'end = "{value["end"]}" is unknown; allowed: "start", "end"')
             return FractureEnd(value["fracture"], value["end"])
-        raise fault('must be [x, y], the name of a point, or {fracture = "name", end = "start" or "end"}')
+        if isinstance(value, dict) and set(value) == {"fracture", "at"} and isinstance(value["fracture"], str):
+            return AlongFracture(value["fracture"], Quantity(LENGTH, at_least=0.0).read(value["at"], info))
+        if isinstance(value, dict) and set(value) == {"fracture", "fraction"} and isinstance(value["fracture"], str):
+            share = Quantity(at_least=0.0, at_most=1.0).read(value["fraction"], info)
+            return AlongFracture(value["fracture"], None, share)
+        raise fault(
+            'must be [x, y], the name of a point, or {fracture = "name", end = "start" or "end"}; for end may stand at = the'
+            " distance from its start, or fraction = 0 to 1 of its length"
+        )
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         point = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": LENGTH}
         ends = {"fracture": {"type": "string"}, "end": {"enum": ["start", "end"]}}
         end = {"type": "object", "properties": ends, "required": ["fracture", "end"]}
-        return {"anyOf": [point, {"type": "string"}, end]}
+        parts = {"at": {"type": "number", "dimension": LENGTH}, "fraction": {"type": "number"}}
+        along = [
+            {"type": "object", "properties": {"fracture": {"type": "string"}, key: part}, "required": ["fracture", key]}
+            for key, part in parts.items()
+        ]
+        return {"anyOf": [point, {"type": "string"}, end, *along]}
 
 
 @dataclass(frozen=True)

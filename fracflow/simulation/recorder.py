@@ -21,6 +21,7 @@ from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import mesh_root, save_mesh
+from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import State
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile, RunFolder, sampling
@@ -28,7 +29,7 @@ from fracflow.output.catalogue import catalogue_of, instant
 from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_checkpoint
 from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
-from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
+from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
 from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
@@ -76,7 +77,7 @@ class Recorder:
     def __init__(self, model: Model, facts: ReductionInput, folder: Path, comm: MPI.Comm, notes: Notes = None) -> None:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
-        self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
+        self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes, model.placed.wells)
         self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
@@ -243,17 +244,23 @@ class Files:
             self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
         system = model.scene.unit_system
         probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
-        wells = {name: self.mesh.points[self.mesh.flow_origin[n]].tolist() for name, n in model.placed.wells.items()}
+        wells = {name: self.mesh.points[self.mesh.flow_origin[n[0]]].tolist() for name, n in model.placed.wells.items()}
         units = {part: str(getattr(system, part)) for part in ("length", "force", "time")}
         noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
         about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
         about |= {"fracflow": __version__, "energy_noise": noise}
+        points = {name: self.mesh.points[self.mesh.flow_origin[list(n)]] for name, n in model.placed.wells.items()}
+        self.at_rest = {name: float(initial_pressure(model.scene, each).mean()) for name, each in points.items()}
         file, begun = self.folder / "history.h5", before
+        # a history that an earlier version began goes on as it is
+        is_known = begun is None or not begun.rows or "volume/injected" in begun.rows
+        self.has_wells = model.operators.flow is not None and bool(points) and is_known
         self.history = HistoryFile.after(file, begun.rows, begun.attrs) if begun else HistoryFile(file, about)
         self.scene_seal = scene_seal(self.folder.path)
         self._warn(before.notes if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
-        points = self.mesh.points[self.mesh.flow_origin[flow]]
+        raw = self.mesh.origin[self.mesh.joint_bottom.ravel()[np.unique(self.inverse, return_index=True)[1]]]
+        points = self.mesh.points[raw]
         on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
         places = {name: p for name, p in model.placed.probes.items() if isinstance(p, FracturePlace)}
         nearest = {name: self.mesh.fractures[self.mesh.joint_fracture[p.joints[0]]] for name, p in places.items()}
@@ -262,7 +269,7 @@ class Files:
             self.folder / "events.csv",
             FractureNodes(
                 [self.mesh.fractures[f] for f in fracture],
-                self.mesh.flow_origin[flow],
+                raw,
                 points[:, 0],
                 points[:, 1],
                 [named.get((self.mesh.fractures[f], int(n)), "") for f, n in zip(fracture, flow, strict=True)],
@@ -305,6 +312,7 @@ class Files:
         notes |= {"through": dict(state.previous_step.through)}
         notes |= {"drive": state.max_overpressure, "power": state.max_dissipation, "injected": state.injected}
         notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.adjacent_steps)}
+        notes |= {"volumes": asdict(state.volumes)}
         memory = {"events": self.events.memory(), "fracflow": __version__}
         memory |= {"catalogue": self.catalogue.memory() if self.catalogue is not None else {}}
         seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
@@ -322,6 +330,7 @@ class Files:
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}
         record |= {f"volume/{name}": value for name, value in state.left.items()}
+        record |= well_record(self.scene, state, snapshot, self.at_rest) if self.has_wells else {}
         places = self.placed.probes
         self.history.append(record | probe_record(self.scene, self.mesh, places, self.measured, snapshot))
 

@@ -130,7 +130,7 @@ def _spots(scene: Scene, folder: Path) -> dict[str, Spot]:
     spots: dict[str, Spot] = {}
     for well in scene.well:
         if isinstance(well.at, tuple) and well.name in placed.wells:
-            spots[f"well.{well.name}"] = _pair(mesh.points[mesh.flow_origin[placed.wells[well.name]]]), None
+            spots[f"well.{well.name}"] = _pair(mesh.points[mesh.flow_origin[placed.wells[well.name][0]]]), None
     for probe in scene.probe:
         found = placed.probes[probe.name]
         rock = mesh.rocks[mesh.cell_rock[found.cells[0]]] if isinstance(found, RockPlace) else None

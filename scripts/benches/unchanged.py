@@ -100,8 +100,8 @@ def differences(one: Path, other: Path) -> Iterator[tuple[str, float]]:
     if not (one / "history.h5").exists() or not (other / "history.h5").exists():
         return
     before, after = read_history(one / "history.h5"), read_history(other / "history.h5")
-    for key in sorted(before.keys() ^ after.keys()):
-        yield f"{key} in one only", np.inf
+    for key in sorted(before.keys() - after.keys()):  # a quantity that is new is no difference
+        yield f"{key} is gone", np.inf
     kinds: dict[str, float] = {}
     for key in before.keys() & after.keys():
         if before[key].shape != after[key].shape:

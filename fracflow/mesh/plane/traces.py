@@ -83,6 +83,27 @@ def tidy(domain: Floats, sides: Sequence[str], traces: Sequence[Trace], snap: fl
     return network
 
 
+def cut_at(network: TraceNetwork, places: Floats, snap: float) -> TraceNetwork:
+    """The network with a point where traces are nearest to each place (n, 2); one within ``snap`` of it stands for it."""
+    points, edges, owner = network.points, network.edges, network.owner
+    for place in places:
+        own = np.flatnonzero(owner >= 0)
+        if not len(own) or np.linalg.norm(points[edges[own]] - place, axis=2).min() <= snap:
+            continue
+        start, step = points[edges[own, 0]], np.diff(points[edges[own]], axis=1)[:, 0]
+        along = np.clip(np.sum((place - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
+        feet = start + along[:, None] * step
+        near = int(np.argmin(np.linalg.norm(feet - place, axis=1)))
+        edge, foot = int(own[near]), feet[near]
+        if np.linalg.norm(points[edges[edge]] - foot, axis=1).min() > snap:
+            here = len(points)
+            points = np.append(points, foot[None], axis=0)
+            halves = [[edges[edge, 0], here], [here, edges[edge, 1]]]
+            edges = np.concatenate([edges[:edge], halves, edges[edge + 1 :]])
+            owner = np.insert(owner, edge, owner[edge])
+    return replace(network, points=points, edges=edges, owner=owner)
+
+
 @dataclass(frozen=True)
 class _Labels:
     """The names of owners in messages."""
