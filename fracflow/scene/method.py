@@ -203,6 +203,10 @@ class Output(Table):
         default=None, description="width of events of a stage auto across the plane, for magnitudes [length]"
     )
     pictures: StrictBool = Field(default=True, description="draw pictures for the report page")
+    vtkhdf: StrictBool = Field(
+        default=True,
+        description="write fields.vtkhdf beside the XDMF files, all fields in one file for ParaView 5.12 or later",
+    )
 
 
 class Trace(Table):
@@ -251,9 +255,12 @@ class Geometry(Table):
 
 
 class Mesh(Table):
-    """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
+    """[mesh] A Gmsh geometry or a mesh; its physical groups, or sets, name rocks, fractures, sides and points."""
 
-    file: FileName = Field(description=".geo or .msh file, relative to the scene")
+    file: FileName = Field(
+        description=".geo or .msh file of Gmsh, or a mesh of another program: .inp (Abaqus), .vtu, .e or .exo (Exodus), .xdmf"
+        " with its .h5 beside it; relative to the scene"
+    )
     refine: Refine = Field(default=0, description=REFINED)
 
 

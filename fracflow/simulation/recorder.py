@@ -30,6 +30,7 @@ from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
+from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
@@ -299,6 +300,7 @@ class Files:
         self.fractures = FieldWriter(
             self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
         )
+        self.vtkhdf = VtkHdf(self.folder.path, [self.rock, self.fractures]) if self.scene.output.vtkhdf else None
         self._tell([*self.rock.left_out, *self.fractures.left_out])
 
     def _tell(self, lines: list[str]) -> None:
@@ -369,6 +371,8 @@ class Files:
         self.history.close()
         if not self.is_ended:
             self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
+            if self.vtkhdf is not None:
+                self.vtkhdf.close()
         self.is_ended = True
 
     def drop_extra(self, index: int | None) -> None:
@@ -376,6 +380,8 @@ class Files:
         if self.extra is not None and self.extra != index:
             self.rock.drop(self.extra)
             self.fractures.drop(self.extra)
+            if self.vtkhdf is not None:
+                self.vtkhdf.update(is_last=True)  # its data have gone
         self.extra = index
 
     def fields(self, index: int, state: State, values: Mapping[str, Any], motion: Floats | None) -> None:
@@ -384,6 +390,8 @@ class Files:
             point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
             self.rock.write(index, state.time, point_data, cell_data)
         self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
+        if self.vtkhdf is not None:
+            self.vtkhdf.update()
 
 
 class Recorded(NamedTuple):

@@ -20,6 +20,7 @@ import gmsh
 import numpy as np
 
 from fracflow.mesh.files.msh2 import read_msh2
+from fracflow.mesh.files.others import read_other
 
 GRACE = 5  # seconds of CPU time
 PR_SET_PDEATHSIG = 1  # of prctl
@@ -32,7 +33,10 @@ def main(folder: Path) -> int:
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     keep_within(job["seconds"], job["memory"], job["parent"])
     try:
-        arrays = read_msh2(Path(job["msh2"])) if "msh2" in job else with_gmsh(job)
+        if "meshio" in job:
+            arrays = read_other(Path(job["meshio"]))
+        else:
+            arrays = read_msh2(Path(job["msh2"])) if "msh2" in job else with_gmsh(job)
     except Exception as error:
         (folder / "error.txt").write_text(str(error) or type(error).__name__, encoding="utf-8")
         return 1
