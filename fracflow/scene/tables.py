@@ -32,6 +32,7 @@ from fracflow.scene.method import (
     with_default_fracture,
     with_preset,
 )
+from fracflow.scene.site import Site
 from fracflow.scene.terms import TablesOfLaws, TermTable
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import UnitSystem
@@ -59,6 +60,7 @@ class Tables(TablesOfLaws):
         default_factory=Accuracy, description="how accurate results are to be; when iterations have converged"
     )
     output: Output = Field(default_factory=Output, description="what a run writes")
+    site: Site | None = Field(default=None, description="where on Earth the scene lies, and when it begins")
     geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
     mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")
     rock: dict[str, Rock] = Field(default_factory=dict, description="rocks by name")

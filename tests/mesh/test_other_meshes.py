@@ -178,7 +178,7 @@ BAD = {
         "is no readable HDF5 file",
     ),
     "another file": ("m.inp", text("m.inp", "*NODE\n1, 0, 0\n*include, input=/etc/passwd\n"), "includes another file"),
-    "no names": ("m.vtu", without_names("m.vtu"), "its cells have no names: it needs sets of cells"),
+    "no names": ("m.vtu", without_names("m.vtu"), "its cells have no names: give rocks, fractures and sides sets"),
     "no names in Abaqus": ("m.inp", without_names("m.inp"), "its cells have no names"),
     "several arrays": ("m.vtu", two_arrays, r"several arrays of whole numbers \(a, b\): keep one"),
     **{f"half of {name}": (name, cut_off(name), "cut off|no readable") for name in ("m.vtu", "m.e", "m.xdmf")},

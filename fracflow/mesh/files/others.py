@@ -22,7 +22,9 @@ from fracflow.storage.files import shown_plain
 FORMATS = {".inp": "abaqus", ".vtu": "vtu", ".e": "exodus", ".exo": "exodus", ".xdmf": "xdmf"}
 PREFERRED = ("gmsh:physical", "medit:ref", "cell_tags")  # of several data of cells
 DEEPEST, MOST_NAMES = 16, 100_000  # of an HDF5 file
-NO_NAMES = "its cells have no names: it needs sets of cells, or one array of whole numbers on them, for rocks, fractures and sides"
+NO_NAMES = (
+    "its cells have no names: give rocks, fractures and sides sets of cells, or one array of whole numbers on them"
+)
 
 Set = tuple[str, int, NDArray[Any]]  # name, block, rows of its cells
 Rows = NDArray[np.int64]
