@@ -58,7 +58,7 @@ def tables(folder: str | Path) -> dict[str, Columns]:
 
 
 def frame(columns: Columns, units: Mapping[str, str] | None = None) -> Any:
-    """A pandas table of columns (n, ...), with their units in its ``attrs`` where ``units`` are given, as ``unit_of`` takes them.
+    """A pandas table of columns (n, ...), with their units in its ``attrs`` where ``units`` are given (``unit_of``).
 
     Raises InputError without pandas.
     """
