@@ -16,22 +16,28 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow.mesh.files.msh2 import CORNERS, DIMS, MESHIO_KINDS
 from fracflow.storage.files import shown_plain
 
 FORMATS = {".inp": "abaqus", ".vtu": "vtu", ".e": "exodus", ".exo": "exodus", ".xdmf": "xdmf"}
 PREFERRED = ("gmsh:physical", "medit:ref", "cell_tags")  # of several data of cells
 DEEPEST, MOST_NAMES = 16, 100_000  # of an HDF5 file
+MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
+DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
+CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
 NO_NAMES = (
     "its cells have no names: give rocks, fractures and sides sets of cells, or one array of whole numbers on them"
 )
 
 Set = tuple[str, int, NDArray[Any]]  # name, block, rows of its cells
 Rows = NDArray[np.int64]
+Found = tuple[NDArray[Any], dict[str, list[Rows]], dict[str, list[Rows]], list[str], list[tuple[int, int, str]]]
 
 
-def read_other(path: Path) -> dict[str, Any]:
-    """All points, elements and groups, as ``gmsh_worker.dump`` gives them. Raises ValueError of one line."""
+def read_other(path: Path) -> Found:
+    """Points, nodes and members of each kind, other types, and tag, dimension and name of the groups.
+
+    Raises ValueError of one line.
+    """
     form = FORMATS[path.suffix]
     if form in ("vtu", "xdmf"):
         check_xml(path)
@@ -57,7 +63,7 @@ def read_other(path: Path) -> dict[str, Any]:
     sets = [*_sets(mesh)] or [*_tagged(mesh)] or blocks
     if not sets:
         raise ValueError(NO_NAMES)
-    return _arrays(mesh, sets)
+    return _elements(mesh, sets)
 
 
 def _sets(mesh: Any) -> Iterator[Set]:
@@ -109,10 +115,10 @@ def _exodus_blocks(path: Path, mesh: Any) -> list[Set]:
     return [(name, block, np.arange(len(mesh.cells[block].data))) for block, name in enumerate(found)]
 
 
-def _arrays(mesh: Any, sets: list[Set]) -> dict[str, Any]:
+def _elements(mesh: Any, sets: list[Set]) -> Found:
     others = sorted({block.type for block in mesh.cells} - MESHIO_KINDS.keys())
-    nodes: dict[str, list[Rows]] = {kind: [np.zeros((0, CORNERS[kind]), np.int64)] for kind in CORNERS}
-    members: dict[str, list[Rows]] = {kind: [np.zeros((0, 2), np.int64)] for kind in CORNERS}
+    nodes: dict[str, list[Rows]] = {kind: [] for kind in CORNERS}
+    members: dict[str, list[Rows]] = {kind: [] for kind in CORNERS}
     first, groups = {}, dict[tuple[int, str], int]()
 
     def add(kind: str, name: str, rows: Rows) -> None:
@@ -139,15 +145,8 @@ def _arrays(mesh: Any, sets: list[Set]) -> dict[str, Any]:
                 raise ValueError(shown_plain(f'the set "{name}" has a node that the file does not have'))
             add("point", name, np.array([sum(map(len, nodes["point"]))]))
             nodes["point"].append(place)
-    return {
-        "points": np.asarray(mesh.points, dtype=float),
-        **{kind: np.concatenate(rows) for kind, rows in nodes.items()},
-        **{f"{kind}_member": np.concatenate(rows) for kind, rows in members.items()},
-        "other": np.array(others, dtype=np.str_),
-        "group_dim": np.array([dim for dim, _ in groups], dtype=np.int64),
-        "group_tag": np.arange(1, len(groups) + 1),
-        "group_name": np.array([name for _, name in groups], dtype=np.str_),
-    }
+    named = [(tag, dim, name) for tag, (dim, name) in enumerate(groups, start=1)]
+    return np.asarray(mesh.points, dtype=float), nodes, members, others, named
 
 
 def check_xml(path: Path) -> None:
