@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.storage.files import shown_plain
+from fracflow.storage.worker import check_leads_nowhere
 
 FORMATS = {".inp": "abaqus", ".vtu": "vtu", ".e": "exodus", ".exo": "exodus", ".xdmf": "xdmf"}
 PREFERRED = ("gmsh:physical", "medit:ref", "cell_tags")  # of several data of cells
-DEEPEST, MOST_NAMES = 16, 100_000  # of an HDF5 file
 MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
 DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
 CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
@@ -43,11 +43,11 @@ def read_other(path: Path) -> Found:
         check_xml(path)
     if form == "xdmf":
         for beside in heavy_files(path):
-            check_h5(beside)
+            check_leads_nowhere(beside)
     elif form == "abaqus":
         check_abaqus(path)
     elif form == "exodus" and path.open("rb").read(4) == b"\x89HDF":
-        check_h5(path)
+        check_leads_nowhere(path)
     import meshio  # imports much
 
     try:
@@ -186,30 +186,6 @@ def heavy_files(path: Path) -> list[Path]:
         elif form != "XML":
             raise ValueError("has data in binary files; save it with HDF5")
     return sorted(found)
-
-
-def check_h5(path: Path) -> None:
-    """Raise ValueError for an HDF5 file that leads to others."""
-    import h5py
-
-    left = iter(range(MOST_NAMES))
-
-    def look(group: Any, depth: int) -> None:
-        for name in group:
-            link = group.id.links.get_info(os.fsencode(name)).type
-            if link != h5py.h5l.TYPE_HARD or depth > DEEPEST or next(left, None) is None:
-                raise ValueError(shown_plain(f"{path.name}: {name[:200]} is a link, or one of too many names"))
-            item = group[name]
-            if isinstance(item, h5py.Group):
-                look(item, depth + 1)
-            elif isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
-                raise ValueError(shown_plain(f"{path.name}: {name[:200]} is stored in other files"))
-
-    try:
-        with h5py.File(path, "r") as file:
-            look(file, 0)
-    except (OSError, RuntimeError, KeyError):
-        raise ValueError(f"{path.name}: is no readable HDF5 file") from None
 
 
 def check_abaqus(path: Path) -> None:
