@@ -173,9 +173,9 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
 class Committed(Backing):
     """A file that changes from one whole state to the next: what is written counts when it is committed.
 
-    It is written where no name leads to it. ``publish`` puts a copy in the place of PATH, whole and as HDF5 closes a file:
-    any reader may open PATH at any time, and keeps what it has opened. Changes that are committed after that are put down
-    whole in PATH.redo, one after another; PATH with these laid over it (``writes_of``) is the last state, after a kill too.
+    It is written where no name leads to it. ``publish`` puts a copy in the place of PATH, whole and as HDF5 closes a file.
+    Any reader may open PATH at any time, and keeps what it has opened. Changes that are committed after that are put down
+    whole in PATH.redo, one after another. PATH with these laid over it (``writes_of``) is the last state, after a kill too.
     """
 
     def __init__(self, path: Path) -> None:
