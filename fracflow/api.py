@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.output.events import COLUMNS, read_events
-from fracflow.output.export import export_csv
+from fracflow.output.export import export_csv, frame
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history, read_units
+from fracflow.output.quakeml import export_quakeml
 from fracflow.output.status import read_status
 from fracflow.storage.files import read_text
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from fracflow.output.convergence import Row
     from fracflow.scene.scene import Scene
 
@@ -162,6 +165,23 @@ class Run:
     def scene(self) -> Scene:
         """The scene as it was run, with every default."""
         return load(self.folder / "scene.toml")
+
+    def frame(self, table: str = "history") -> DataFrame:
+        """A pandas table: "history" has a row a state, "events" a row an event.
+
+        Columns of the history are the keys of history.h5, time first; of vectors and tensors there is one a component, such
+        as "probe/NAME/displacement_x". ``frame().attrs["units"]`` has the unit of each. Raises InputError without pandas.
+        """
+        if table == "events":
+            rows = self.events
+            return frame({name: rows[name] for name in rows.dtype.names or ()})
+        if table != "history":
+            raise InputError(f'Run.frame: "{table}" is no table; name "history" or "events"')
+        return frame({"time": self.times, **self.history}, self.units)
+
+    def export_quakeml(self, file: str | Path) -> int:
+        """Write the events as QuakeML and return their number; see ``fracflow export --quakeml``."""
+        return export_quakeml(self.folder, file)
 
     def export_csv(self, output: str | Path | None = None) -> list[Path]:
         """Write the histories as CSV and return the files; see ``fracflow export --csv``."""

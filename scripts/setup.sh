@@ -35,14 +35,14 @@ _fracflow_install_system() {
   return 1
 }
 
-_fracflow_stamp() {
-  (cd "$_fracflow_root" && { cat scripts/constraints.txt scripts/setup.sh pyproject.toml
+_fracflow_stamp() { # of files with what pip brings
+  (cd "$_fracflow_root" && { cat "$@" scripts/setup.sh pyproject.toml
     pwd; /usr/bin/python3 --version; dpkg-query -W -f '${Version}\n' python3-numpy; } | sha256sum | cut -d' ' -f1)
 }
 
 _fracflow_install_python() {
   local venv=$_fracflow_root/.venv stamp pin numpy
-  stamp=$(_fracflow_stamp)
+  stamp=$(_fracflow_stamp scripts/constraints.txt)
   [ "$(cat "$venv/.fracflow-stamp" 2>/dev/null)" = "$stamp" ] && return 0
   echo "setup: preparing $venv"
   # The system's own Python by its full path: its petsc4py works with no other.
@@ -62,6 +62,22 @@ _fracflow_install_python() {
   "$venv/bin/python" -c 'from fracflow._petsc import PETSc; import h5py, scipy, gmsh' ||
     { echo "setup: the packages in $venv do not import together" >&2; return 1; }
   echo "$stamp" >"$venv/.fracflow-stamp"
+}
+
+_fracflow_install_tests() { # what tests need beside; scripts/test calls it
+  local venv=$_fracflow_root/.venv stamp pin status
+  stamp=$(_fracflow_stamp scripts/constraints.txt scripts/constraints-test.txt)
+  [ "$(cat "$venv/.fracflow-test-stamp" 2>/dev/null)" = "$stamp" ] && return 0
+  echo "setup: adding to $venv what tests need"
+  pin=$(mktemp) || return 1
+  { cat "$_fracflow_root/scripts/constraints.txt"
+    /usr/bin/python3 -c 'import numpy, scipy; print(f"numpy=={numpy.__version__}\nscipy=={scipy.__version__}")'; } >"$pin"
+  "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
+    -r "$_fracflow_root/scripts/constraints-test.txt" -c "$pin" </dev/null
+  status=$?
+  rm -f "$pin"
+  [ $status = 0 ] || { echo "setup: pip could not add to $venv what scripts/constraints-test.txt names" >&2; return 1; }
+  echo "$stamp" >"$venv/.fracflow-test-stamp"
 }
 
 _fracflow_petsc_dir() {

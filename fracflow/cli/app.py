@@ -216,14 +216,21 @@ def export(
         Path | None,
         typer.Option("-o", "--output", help="a folder, by default FOLDER/csv; or NAME.csv, all in one table"),
     ] = None,
+    quakeml: Annotated[
+        Path | None,
+        typer.Option("--quakeml", metavar="FILE", help="the events as QuakeML 1.2, placed by [site] of the scene"),
+    ] = None,
 ) -> None:
-    """Write the history of a run for other programs: steps, energies and each probe."""
+    """Write a run for other programs: steps, energies and each probe as CSV, the catalogue of events as QuakeML."""
     from fracflow.output.export import export_csv
+    from fracflow.output.quakeml import export_quakeml
 
-    if not as_csv:
-        raise InputError("export: no format is named; give --csv")
-    for path in export_csv(folder, output):
+    if not as_csv and quakeml is None:
+        raise InputError("export: no format is named; give --csv or --quakeml FILE")
+    for path in export_csv(folder, output) if as_csv else ():
         typer.echo(str(path))
+    if quakeml is not None:
+        typer.echo(f"{quakeml}: {export_quakeml(folder, quakeml)} events")
 
 
 @app.command()

@@ -13,8 +13,9 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh
 from fracflow.mesh.files.geo_check import check_geo
-from fracflow.mesh.files.gmsh import open_checked, open_msh, run_worker
+from fracflow.mesh.files.gmsh import open_checked, open_msh, open_other, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
+from fracflow.mesh.files.others import FORMATS
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.plane.near import NearMiss, near_misses, told
 from fracflow.mesh.plane.quads import all_quads
@@ -23,7 +24,7 @@ from fracflow.mesh.plane.sizes import Source, sources
 from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, cut_at, natural_snap, polygon_area, tidy
 from fracflow.storage.files import check_regular, read_bytes
 
-SUFFIXES = (".geo", ".msh")
+SUFFIXES = (".geo", ".msh", *FORMATS)
 LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
@@ -62,20 +63,24 @@ class GeometrySpec:
 
 
 def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False, folder: Path | None = None) -> RawMesh:
-    """Read a Gmsh geometry (.geo) or mesh (.msh 2.2 or 4.1).
+    """Read a Gmsh geometry (.geo) or mesh (.msh 2.2 or 4.1), or a mesh of another program (.inp, .vtu, .e, .exo, .xdmf).
 
-    A physical curve is a fracture if ``fractures`` has its name, or has "default" and the curve lies inside
+    A physical curve, or set of edges, is a fracture if ``fractures`` has its name, or has "default" and the curve lies inside
     the mesh; else it is a side. A .geo is a program. Without ``trust`` only statements that make geometry are read
     (``geo_check``). Files that it includes must lie in ``folder``, or in its own where it lies elsewhere. Raises InputError,
     naming the file, for what cannot be read or has no meaning.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
-        raise InputError(f'{path}: unknown kind of file "{path.suffix}"; give a Gmsh .geo or .msh')
+        raise InputError(
+            f'{path}: unknown kind of file "{path.suffix}"; give a Gmsh .geo or .msh, or {", ".join(FORMATS)}'
+        )
     check_regular(path, "mesh.file names it from the scene's folder", LARGEST)
     notes: tuple[str, ...] = ()
     if path.suffix == ".msh":
         elements = open_msh(path)
+    elif path.suffix in FORMATS:
+        elements = open_other(path)
     else:
         if read_bytes(path, "mesh.file names it from the scene's folder").rpartition(b"\n")[2].strip():
             # Gmsh says nothing and leaves the line out.

@@ -71,6 +71,30 @@ def _by_fracture(folder: Path, units: Mapping[str, str]) -> dict[str, Columns]:
     return {"fractures": columns | {"state": np.array(table.state, dtype=object)}}
 
 
+def frame(columns: Columns, units: Mapping[str, str] | None = None) -> Any:
+    """A pandas table of columns (n, ...), with their units in its ``attrs`` where ``units`` are given (``unit_of``).
+
+    Raises InputError without pandas.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise InputError("Run.frame needs the package pandas: pip install pandas") from None
+    if units is None:
+        return pandas.DataFrame(columns)
+    flat: Columns = {}
+    found: dict[str, str] = {}
+    for key, values in columns.items():
+        row, parts = row_of(key), values.reshape(len(values), -1)
+        kind = "scalar" if values.ndim == 1 else row.kind if row is not None else None
+        names = component_names(key, kind, parts.shape[1])
+        flat |= dict(zip(names, parts.T, strict=True))
+        found |= dict.fromkeys(names, unit_of(key, units))
+    table = pandas.DataFrame(flat)
+    table.attrs["units"] = found
+    return table
+
+
 def export_csv(folder: str | Path, output: str | Path | None = None) -> list[Path]:
     """Write the history of a run as CSV and return the files.
 

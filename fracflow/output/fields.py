@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import step_of, to_json, write_atomic
-from fracflow.storage.sealed import Sealed, read_sealed, write_sealed
+from fracflow.storage.reader import Layout
+from fracflow.storage.sealed import Sealed, layout_of, read_sealed, write_sealed
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -32,7 +33,7 @@ class FieldWriter:
     attrs   metadata stored with the mesh, e.g. names behind cell data; lists and mappings as JSON
     resume  keep the steps that are there; otherwise they are removed
 
-    ``left_out`` are lines on files of steps that cannot be read.
+    ``left_out`` are lines on files of steps that cannot be read, ``steps`` time and layout of those that are there.
     """
 
     def __init__(
@@ -49,10 +50,12 @@ class FieldWriter:
         if not resume:
             for _, path in list_steps(self.folder, name):
                 path.unlink()
+        self.points, self.cells = _padded(points, 3), np.asarray(cells, np.int64)
+        self.steps: dict[int, tuple[float, Layout]] = {}
         self._counts = (len(points), len(cells))
         topology, kind = _topology(np.asarray(cells))
-        self._mesh = (kind, topology, _padded(points, 3))
-        arrays = {"points": self._mesh[2], "cells": np.asarray(cells, np.int64), "topology": topology}
+        self._mesh = (kind, topology, self.points)
+        arrays = {"points": self.points, "cells": self.cells, "topology": topology}
         _write(self.folder / "fields" / f"{name}_mesh.h5", arrays, attrs or {})
         self._grids, self.left_out = self._known()
         self._write_index()
@@ -62,10 +65,22 @@ class FieldWriter:
         found, left_out = {}, []
         for index, path in list_steps(self.folder, self.name):
             try:
-                found[index] = self._grid(path, *_read_flat(path))
+                found[index] = self._known_step(index, path, *_read_flat(path))
             except InputError as error:
                 left_out.append(f"{str(error).partition(';')[0]}: left out of {self.name}.xdmf")
         return found, left_out
+
+    def file(self, index: int) -> str:
+        """Name of the file of a step, in the folder "fields"."""
+        return f"{self.name}_{index:06d}.h5"
+
+    def _known_step(self, index: int, path: Path, time: float, *data: Data) -> str:
+        """Keep what a step has; its entry of the index."""
+        arrays = {
+            f"{place}/{key}": each for place, part in zip(_CENTRES, data, strict=True) for key, each in part.items()
+        }
+        self.steps[index] = (time, layout_of(arrays))
+        return self._grid(path, time, *data)
 
     def write(
         self,
@@ -86,17 +101,18 @@ class FieldWriter:
                 if len(arrays[f"{place}/{key}"]) != count:
                     got = len(arrays[f"{place}/{key}"])
                     raise ValueError(f"field {key} of {self.name}: {got} rows, should be {count} {place}s")
-        path = self.folder / "fields" / f"{self.name}_{index:06d}.h5"
+        path = self.folder / "fields" / self.file(index)
         _write(path, arrays, {"time": float(time)})
-        self._grids[index] = self._grid(path, float(time), *_by_place(arrays))
+        self._grids[index] = self._known_step(index, path, float(time), *_by_place(arrays))
         self._write_index()
         return path
 
     def drop(self, index: int) -> None:
         """Take the fields of one step away, where there are any."""
         if self._grids.pop(index, None) is not None:
+            del self.steps[index]
             self._write_index()
-            (self.folder / "fields" / f"{self.name}_{index:06d}.h5").unlink(missing_ok=True)
+            (self.folder / "fields" / self.file(index)).unlink(missing_ok=True)
 
     def _grid(self, path: Path, time: float, *data: Data) -> str:
         places = zip(_CENTRES, data, strict=True)

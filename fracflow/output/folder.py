@@ -31,6 +31,7 @@ _OWN_FILES = (
     "log.txt",
     "report.html",
     "*.xdmf",
+    "fields.vtkhdf",
     "fields/*.h5",
     "pictures/*.png",
     "csv/*.csv",

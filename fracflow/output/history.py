@@ -1,9 +1,8 @@
-"""history.h5: one row a step in every dataset, readable while the run goes on and after a kill."""
+"""history.h5: one row a step in every dataset, readable by any program while the run goes on, and after a kill."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import to_json
-from fracflow.storage.files import part_of
 from fracflow.storage.hdf5 import Committed, complete, uninterrupted
 from fracflow.storage.reader import Found, read_h5
 from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
@@ -30,20 +28,20 @@ class HistoryFile:
     path   file to write; replaced if it exists
     attrs  metadata of the run (units, versions, ...); all but strings and numbers are stored as JSON
 
-    ``time`` is the last dataset that a record is written to: a step that has its time is complete. Until the first
-    record the file is PATH.part, for HDF5 could not read it after a kill. Each record is committed as a whole: beside the
-    file is PATH.redo until it is closed, which ``read_history`` looks at. Records are sealed one by one, in a chain. Raises
+    lag    whether the file may be behind by as many records as keep that at 1 % of the time; else it has them all
+
+    The file is there from the first record on. It is replaced by another one, never changed: whoever opens it finds whole
+    records, those up to the last time that it was replaced. Each record is committed as a whole: those since then are in
+    PATH.redo, until the file is closed; ``read_history`` has them all. Records are sealed one by one, in a chain. Raises
     OSError where a record cannot be written.
     """
 
     @uninterrupted()
-    def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None) -> None:
-        self.path = Path(path)
-        self._part = part_of(self.path)
+    def __init__(self, path: str | Path, attrs: Mapping[str, Any] | None = None, lag: bool = True) -> None:
+        self.path, self._lag = Path(path), lag
         if self.path.exists():
             complete(self.path)
-        self._disk, self._is_shown = Committed(self._part), False
-        self._disk.path = self.path
+        self._disk = Committed(self.path)
         self._file = h5py.File(self._disk, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
         self._rows, self._last, self._goes_on = 0, b"", False
@@ -97,12 +95,12 @@ class HistoryFile:
 
     @uninterrupted()
     def close(self) -> None:
-        """Close the file, if it is open; a closed history needs no SWMR reader. Raises OSError."""
+        """Close the file, if it is open, with all records in it. Raises OSError."""
         if self._disk.file < 0:
             return
         try:
             self._file.close()
-            self._show()
+            self._show(is_last=True)
         finally:
             self._disk.close()
         self._disk.check()
@@ -113,12 +111,10 @@ class HistoryFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _show(self) -> None:
+    def _show(self, is_last: bool = False) -> None:
         self._disk.commit()
-        if not self._is_shown:  # whole from its first record on
-            os.replace(self._part, self.path)
-            self._disk.protect(self.path)
-            self._is_shown = True
+        if is_last or not self._lag or not self._disk.is_published or self._disk.is_due:
+            self._disk.publish()
 
     def _create(self, columns: Mapping[str, NDArray[Any]]) -> None:
         if "time" not in columns or SEAL in columns:

@@ -177,6 +177,8 @@ class Output(Table):
     """width of events of a stage auto across the plane, for magnitudes [length]"""
     pictures: StrictBool = True
     """draw pictures for the report page"""
+    vtkhdf: StrictBool = True
+    """write fields.vtkhdf beside the XDMF files, all fields in one file for ParaView 5.12 or later"""
 
 
 class Trace(Table):
@@ -215,10 +217,11 @@ class Geometry(Table):
 
 
 class Mesh(Table):
-    """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
+    """[mesh] A Gmsh geometry or a mesh; its physical groups, or sets, name rocks, fractures, sides and points."""
 
     file: FileName
-    """.geo or .msh file, relative to the scene"""
+    """.geo or .msh file of Gmsh, or a mesh of another program: .inp (Abaqus), .vtu, .e or .exo (Exodus), .xdmf with its
+    .h5 beside it; relative to the scene"""
     refine: Refine = Field(default=0, description=REFINED)
 
 

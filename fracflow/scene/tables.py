@@ -26,6 +26,7 @@ from fracflow.scene.method import (
     with_default_fracture,
     with_preset,
 )
+from fracflow.scene.site import Site
 from fracflow.scene.terms import Absorbing, TablesOfLaws, TermTable
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import UnitSystem
@@ -51,6 +52,8 @@ class Tables(TablesOfLaws):
     """how accurate results are to be; when iterations have converged"""
     output: Output = Field(default_factory=Output)
     """what a run writes"""
+    site: Site | None = None
+    """where on Earth the scene lies, and when it begins"""
     geometry: Geometry | None = None
     """domain and fracture traces; or give mesh"""
     mesh: Mesh | None = None

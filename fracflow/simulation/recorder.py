@@ -32,6 +32,7 @@ from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
 from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
+from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
@@ -290,6 +291,7 @@ class Files:
         lines = np.arange(len(ends)).reshape(-1, 2)
         names = {"fractures": list(self.mesh.fractures)}
         self.fractures = FieldWriter(path, "fractures", ends, lines, names, resumes)
+        self.vtkhdf = VtkHdf(path, [self.rock, self.fractures]) if self.scene.output.vtkhdf else None
         self._warn([*self.rock.left_out, *self.fractures.left_out])
 
     def _warn(self, lines: list[str]) -> None:
@@ -358,6 +360,8 @@ class Files:
         self.history.close()
         if not self.is_ended:
             self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
+            if self.vtkhdf is not None:
+                self.vtkhdf.close()
         self.is_ended = True
 
     def drop_extra(self, index: int | None) -> None:
@@ -365,6 +369,8 @@ class Files:
         if self.extra is not None and self.extra != index:
             self.rock.drop(self.extra)
             self.fractures.drop(self.extra)
+            if self.vtkhdf is not None:
+                self.vtkhdf.update(is_last=True)  # its data have gone
         self.extra = index
 
     def fields(self, index: int, state: State, values: Mapping[str, Any], motion: Floats | None) -> None:
@@ -373,6 +379,8 @@ class Files:
             point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
             self.rock.write(index, state.time, point_data, cell_data)
         self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
+        if self.vtkhdf is not None:
+            self.vtkhdf.update()
 
 
 class Recorded(NamedTuple):

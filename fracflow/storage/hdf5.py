@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import struct
+import time
 import zlib
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
@@ -16,13 +17,16 @@ from pathlib import Path
 
 import h5py
 
-from fracflow.storage.files import open_fresh, open_own, replacing
+from fracflow.storage.files import CHUNK, open_fresh, open_own, part_of, replacing
 
+SHARE = 100.0  # of the CPU time that it takes to bring a file up to date, and a tenth of the time, lie between two such times
+LONGEST_REDO = 16 << 20  # bytes of changes beside it
 Writes = list[tuple[int, bytes]]  # offset in the file, and bytes
 _MAGIC = b"FRACREDO"
 _HEAD, _WRITE = struct.Struct("<8sIQ"), struct.Struct("<QQ")  # magic, checksum, length; offset, length
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 1 << 16  # bytes: metadata, not arrays
+_ROWS = 1 << 10  # bytes of a write that are compared with those that are there
 _LARGEST, _GROWS = 1 << 28, 1 << 28  # bytes of a change, and by how many it may lengthen its file
 _SUPERBLOCK, _VERSION, _FLAGS, _END = 48, 8, 11, 28  # bytes of the head of a file, and where in it things are
 _WRITING, _SHARED = 1, 4  # flags of a file that is written, and may be read meanwhile
@@ -169,33 +173,47 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
 class Committed(Backing):
     """A file that changes from one whole state to the next: what is written counts when it is committed.
 
-    Changes are first written to PATH.redo, whole, then in place. After a kill, or half a write on a full disk,
-    ``writes_of`` has what is missing in PATH. Until ``protect`` PATH itself is written as it comes.
+    It is written where no name leads to it. ``publish`` puts a copy in the place of PATH, whole and as HDF5 closes a file.
+    Any reader may open PATH at any time, and keeps what it has opened. Changes that are committed after that are put down
+    whole in PATH.redo, one after another. PATH with these laid over it (``writes_of``) is the last state, after a kill too.
     """
 
     def __init__(self, path: Path) -> None:
         """Make the file, empty. Raises OSError."""
-        super().__init__(path)
-        self._redo = -1
+        super().__init__(part_of(path))
+        self.path, self._rest = path, 0.0
+        self._try(part_of(path).unlink)
+        self._redo, self._put_down, self._published = -1, 0, 0.0
 
-    def protect(self, path: Path) -> None:
-        """From here on the file, now at ``path``, has PATH.redo. Raises OSError."""
-        self.check()
-        self.path = path
-        self._redo = open_fresh(redo_of(path))
+    @property
+    def is_published(self) -> bool:
+        """Whether PATH has a state of it."""
+        return self._redo >= 0
+
+    @property
+    def is_due(self) -> bool:
+        """Whether PATH may be brought up to date at a share of the time since it was, or PATH.redo has grown long."""
+        return self._put_down > LONGEST_REDO or time.monotonic() - self._published > self._rest
 
     def commit(self) -> None:
         """Let what was written count. Raises OSError; then the file stays as it was."""
         self.check()
-        if self._writes and self._redo >= 0:
+        if self._writes:
             writes, self._writes = self._writes, []
             self._try(lambda: self._commit(writes))
         self.check()
 
+    def publish(self) -> None:
+        """Bring PATH up to date, and begin PATH.redo anew. Raises OSError."""
+        began, used = time.monotonic(), time.process_time()
+        self.check()
+        self._try(self._copy)
+        self.check()
+        self._published = time.monotonic()
+        self._rest = max(SHARE * (time.process_time() - used), 0.1 * SHARE * (self._published - began))
+
     def truncate(self, size: int | None = None) -> int:
-        """Cut or lengthen the file; one that is protected stays as long as it is."""
-        if self._redo < 0:
-            return super().truncate(size)
+        """Cut or lengthen the file in the next state; what is beyond stays there unseen."""
         self.size = self._at if size is None else size
         return self.size
 
@@ -209,19 +227,43 @@ class Committed(Backing):
         super().close()
 
     def _put(self, offset: int, data: bytes) -> None:
-        if offset == 0:
-            data = _marked(data)
-        if self._redo < 0:
-            super()._put(offset, data)
-        else:
-            self._writes.append((offset, data))
+        self._writes.append((offset, data))
 
     def _commit(self, writes: Writes) -> None:
-        body = b"".join(_WRITE.pack(offset, len(data)) + data for offset, data in writes)
-        write_all(self._redo, _HEAD.pack(_MAGIC, zlib.crc32(body), len(body)) + body, 0)
+        changes = []
         for offset, data in writes:
+            if self._redo >= 0:
+                at, changed = self._changed(offset, data) if len(data) >= _ROWS else (offset, data)
+                changes.append(_WRITE.pack(at, len(changed)) + changed if changed else b"")
             write_all(self.file, data, offset)
-        os.ftruncate(self._redo, 0)
+        if self._redo >= 0:
+            body = b"".join(changes)
+            change = _HEAD.pack(_MAGIC, zlib.crc32(body), len(body)) + body
+            write_all(self._redo, change, self._put_down)
+            self._put_down += len(change)
+
+    def _changed(self, offset: int, data: bytes) -> tuple[int, bytes]:
+        """The bytes of a write from the first to the last that differs: of a table that grows, its new row."""
+        old = os.pread(self.file, len(data), offset)
+        if len(old) < len(data):
+            return offset, data
+        differs = int.from_bytes(old, "little") ^ int.from_bytes(data, "little")
+        first = max(0, (differs & -differs).bit_length() - 1) // 8
+        return offset + first, data[first : (differs.bit_length() + 7) // 8]
+
+    def _copy(self) -> None:
+        with replacing(self.path) as part:
+            copy = open_fresh(part)
+            try:
+                os.ftruncate(copy, self.size)
+                for at in range(0, self.size, CHUNK):
+                    write_all(copy, os.pread(self.file, min(CHUNK, self.size - at), at), at)
+                write_all(copy, _closed(os.pread(self.file, _SUPERBLOCK, 0), self.size), 0)
+            finally:
+                os.close(copy)
+        before, self._redo, self._put_down = self._redo, open_fresh(redo_of(self.path)), 0
+        if before >= 0:
+            os.close(before)
 
 
 class Completed(Backing):
@@ -232,12 +274,16 @@ class Completed(Backing):
 
     def __init__(self, path: Path) -> None:
         """Open the file. Raises OSError."""
-        self._begin(path, writes_of(path))
-        self.file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        while True:
+            self.file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._begin(path, writes_of(path))
+            if os.path.samestat(os.fstat(self.file), os.stat(path)):
+                break
+            os.close(self.file)  # its writer has put another in its place meanwhile
         self.size = max([os.fstat(self.file).st_size, *(offset + len(data) for offset, data in self._writes)])
         head = bytearray(os.pread(self.file, _SUPERBLOCK, 0).ljust(_SUPERBLOCK, b"\0"))
         lay_over(memoryview(head), 0, self._writes)
-        last = (0, _marked(bytes(head), self.size)[: self.size])
+        last = (0, _closed(bytes(head), self.size, bool(self._writes))[: self.size])
         self._writes = without_overlap([*self._writes, last])
         self._ends = [offset + len(data) for offset, data in self._writes]
 
@@ -290,25 +336,34 @@ def redo_of(path: Path) -> Path:
 
 
 def writes_of(path: Path) -> Writes:
-    """The last change of a file, where it was put down whole and may not be in its place; else none."""
+    """The changes of a file since it was published that were put down whole; none where there is no such list."""
     try:
         with open(os.open(redo_of(path), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-            found = file.read(_LARGEST)
+            found = memoryview(file.read(_LARGEST))
         end = os.stat(path).st_size + _GROWS
     except OSError:
         return []
-    if len(found) < _HEAD.size:
-        return []
-    magic, checksum, length = _HEAD.unpack_from(found)
-    body = memoryview(found)[_HEAD.size : _HEAD.size + length]
-    if magic != _MAGIC or len(body) != length or zlib.crc32(body) != checksum:
-        return []
+    writes: Writes = []
+    while len(found) >= _HEAD.size:
+        magic, checksum, length = _HEAD.unpack_from(found)
+        body, found = found[_HEAD.size : _HEAD.size + length], found[_HEAD.size + length :]
+        if magic != _MAGIC or len(body) != length or zlib.crc32(body) != checksum:
+            break
+        change = _writes_in(body, end)
+        if change is None:
+            break
+        writes += change
+    return writes
+
+
+def _writes_in(body: memoryview, end: int) -> Writes | None:
+    """The writes of one change; None where it is none of ours."""
     writes, at = [], 0
-    while at + _WRITE.size <= length:
+    while at + _WRITE.size <= len(body):
         offset, size = _WRITE.unpack_from(body, at)
         at += _WRITE.size + size
-        if not size or at > length or offset + size > end:  # no change of ours
-            return []
+        if not size or at > len(body) or offset + size > end:
+            return None
         writes.append((offset, bytes(body[at - size : at])))
     return writes
 
@@ -325,17 +380,16 @@ def complete(path: Path) -> None:
     redo_of(path).unlink(missing_ok=True)
 
 
-def _marked(superblock: bytes, size: int | None = None) -> bytes:
-    """The head of a file with both flags that let readers in, of which HDF5 sets one here; or with none, and a size."""
+def _closed(superblock: bytes, size: int, has_grown: bool = False) -> bytes:
+    """The head of a file of ``size`` bytes as HDF5 closes it, where it has it open or the file ``has_grown`` since."""
     is_ours = len(superblock) == _SUPERBLOCK and superblock.startswith(_SIGNATURE) and superblock[_VERSION] >= 3
-    if not is_ours or not superblock[_FLAGS] & _SHARED:
+    if not is_ours or not (has_grown or superblock[_FLAGS] & _SHARED):
         return superblock
     head = bytearray(superblock[:-4])
-    if size is None:
-        head[_FLAGS] |= _WRITING
-    else:
-        head[_FLAGS] &= ~(_WRITING | _SHARED)
-        struct.pack_into("<Q", head, _END, size)
+    if struct.pack("<I", _lookup3(bytes(head))) != superblock[-4:]:  # damaged
+        return superblock
+    head[_FLAGS] &= ~(_WRITING | _SHARED)
+    struct.pack_into("<Q", head, _END, size)
     return bytes(head) + struct.pack("<I", _lookup3(bytes(head)))
 
 

@@ -30,7 +30,7 @@ Layout = dict[str, tuple[str, tuple[int, ...]]]
 PATIENCE = 10.0  # seconds for a small file
 START = 120.0  # seconds until the process is ready: a cluster may fetch its libraries through a busy network
 SLOWEST = 5e6  # bytes a second of a large one
-_OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name would be taken for a rank
+OF_RANKS = ("OMPI_", "PMIX_", "PMI_", "SLURM_")  # a process that they name would be taken for a rank
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Reader:
         if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
             return self._process
         self.close()
-        kept = {name: value for name, value in os.environ.items() if not name.startswith(_OF_RANKS)}
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(OF_RANKS)}
         kept |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "HDF5_USE_FILE_LOCKING": "FALSE"}
         try:
             self._process = subprocess.Popen(

@@ -28,9 +28,11 @@ import h5py
 import numpy as np
 
 from fracflow.storage import hdf5 as files_hdf
+from fracflow.storage.files import shown_plain
 
 LEAST = 16  # bytes that a name takes in a file; where more are met, groups are in each other many times over
 DEEPEST = 16  # groups in each other
+MOST_NAMES = 100_000  # in a file of another program
 ATTEMPTS = 5  # at a file whose writer is under way, which may change it in between
 PAUSE = 0.05  # seconds between them
 _SIZE = "/proc/self/statm"
@@ -116,6 +118,28 @@ def _datasets(group: h5py.Group, prefix: str, depth: int, left: Iterator[int]) -
             yield key, _plain(key, item)
         else:
             raise Refused(f"{key} is no dataset")
+
+
+def check_leads_nowhere(path: Path) -> None:
+    """Raise ValueError for an HDF5 file of another program that leads to other files, or is none."""
+    left = iter(range(MOST_NAMES))
+
+    def look(group: h5py.Group, depth: int) -> None:
+        for name in group:
+            link = group.id.links.get_info(os.fsencode(name)).type
+            if link != h5py.h5l.TYPE_HARD or depth > DEEPEST or next(left, None) is None:
+                raise ValueError(shown_plain(f"{path.name}: {name[:200]} is a link, or one of too many names"))
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                look(item, depth + 1)
+            elif isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+                raise ValueError(shown_plain(f"{path.name}: {name[:200]} is stored in other files"))
+
+    try:
+        with h5py.File(path, "r") as file:
+            look(file, 0)
+    except (OSError, RuntimeError, KeyError):
+        raise ValueError(f"{path.name}: is no readable HDF5 file") from None
 
 
 def _plain(key: str, dataset: h5py.Dataset) -> h5py.Dataset:

@@ -138,7 +138,7 @@ def test_a_trusted_run_goes_on_without_its_geo(tmp_path):
 
 def test_an_endless_loop_ends_with_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("FRACFLOW_GMSH_SECONDS", "1")
-    path = write(tmp_path / "a.geo", "For i In {0:1000000000}\nx = i;\nEndFor\n" + SQUARE)
+    path = write(tmp_path / "a.geo", "n = 1000000000;\nFor i In {0:n}\nx = i;\nEndFor\n" + SQUARE)
     refused(path, r"a\.geo: Gmsh did not end within 1 s of CPU time; .*FRACFLOW_GMSH_SECONDS")
     monkeypatch.setattr(gmsh.Limits, "wall", 0.2)
     path = write(tmp_path / "b.geo", f'SystemCall "sleep 60; touch {tmp_path}/slept";\n' + SQUARE)
@@ -175,7 +175,7 @@ def test_a_limit_that_is_no_number(tmp_path, monkeypatch, name, value):
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_gmsh_ends_with_those_who_called_it(tmp_path, sent):
-    path = write(tmp_path / "a.geo", "For i In {0:1000000000}\nx = i;\nEndFor\n" + SQUARE)
+    path = write(tmp_path / "a.geo", "n = 1000000000;\nFor i In {0:n}\nx = i;\nEndFor\n" + SQUARE)
     code = f"from fracflow.mesh.read import read_mesh; read_mesh({str(path)!r}, ())"
     caller = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
     children = f"/proc/{caller.pid}/task/{caller.pid}/children"

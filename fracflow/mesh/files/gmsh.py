@@ -1,4 +1,4 @@
-"""Gmsh in a process of its own, talked to by files; its errors and crashes become one line."""
+"""Gmsh, or meshio, in a process of its own, talked to by files; its errors and crashes become one line."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from fracflow.errors import MOST_TOLD, InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
+from fracflow.mesh.files.others import FORMATS, beside
+from fracflow.storage.reader import OF_RANKS
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]
 SECONDS, MEMORY = ("FRACFLOW_GMSH_SECONDS", 600), ("FRACFLOW_GMSH_GIB", 8)  # variables, and what holds without them
@@ -82,6 +84,12 @@ def open_msh(path: Path) -> Elements:
     return run_worker(job, str(path), sources={"mesh.msh": path})
 
 
+def open_other(path: Path) -> Elements:
+    """Read a mesh of another program by meshio. Raises InputError with its first error."""
+    job = {"meshio": str(path.absolute()), "bytes": sum(beside(path).values())}
+    return run_worker(job, str(path))
+
+
 @dataclass(frozen=True)
 class Limits:
     """Limits of the process of Gmsh: CPU time [s], memory and the size of a file it writes [bytes]."""
@@ -125,7 +133,9 @@ def run_worker(
         return _work(job, what, texts or {}, sources or {})
     except OSError as error:
         where = error.filename or tempfile.gettempdir()
-        raise InputError(f"{what}: Gmsh cannot be run: {where}: {error.strerror}; make room, or set TMPDIR") from None
+        raise InputError(
+            f"{what}: {_name(what)} cannot be run: {where}: {error.strerror}; make room, or set TMPDIR"
+        ) from None
 
 
 def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path]) -> Elements:
@@ -142,7 +152,7 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
         if code is None or code == -signal.SIGXCPU:
             why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"
             remedy = f"let it make fewer cells, or set {SECONDS[0]} to more seconds"
-            raise InputError(f"{what}: Gmsh did not end within {why}; {remedy}")
+            raise InputError(f"{what}: {_name(what)} did not end within {why}; {remedy}")
         report = folder / "error.txt"
         if report.exists():
             line = report.read_text(encoding="utf-8", errors="replace")[:LONGEST_REPORT]
@@ -151,8 +161,8 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             raise InputError(f"{what}: {line}; {_remedy(what, line, allowed)}")
         if code or not (folder / "mesh.npz").exists():
             last = (said.strip().splitlines() or ["it ended without a mesh"])[-1]
-            how = f"Gmsh crashed (signal {-code})" if code < 0 else f"Gmsh failed: {last}"
-            raise Crashed(f"{what}: {how}; {_remedy(what, said, allowed)}", -code)
+            how = f"crashed (signal {-code})" if code < 0 else f"failed: {last}"
+            raise Crashed(f"{what}: {_name(what)} {how}; {_remedy(what, said, allowed)}", -code)
         with np.load(folder / "mesh.npz") as arrays:
             return Elements(
                 points=arrays["points"],
@@ -175,7 +185,12 @@ def _run(folder: Path, allowed: Limits) -> tuple[int | None, str]:
         worker = subprocess.Popen(
             [sys.executable, "-m", "fracflow.mesh.files.gmsh_worker", str(folder)],
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"},
+            env={
+                **{name: value for name, value in os.environ.items() if not name.startswith(OF_RANKS)},
+                "PYTHONPATH": os.pathsep.join(paths),
+                "OPENBLAS_NUM_THREADS": "1",
+                "HDF5_USE_FILE_LOCKING": "FALSE",
+            },
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=said,
@@ -200,4 +215,13 @@ def _remedy(what: str, said: str, allowed: Limits) -> str:
         return f"it may use {allowed.memory / 2**30:.3g} GiB; let it make fewer cells, or set {MEMORY[0]} to more GiB"
     if what.endswith(".msh"):
         return "save it again from Gmsh"
+    if "netCDF4" in said:
+        return "pip install netCDF4"
+    if Path(what).suffix in FORMATS:
+        return "save it again, or as a Gmsh .msh"
     return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
+
+
+def _name(what: str) -> str:
+    """Of the library that reads it."""
+    return "meshio" if Path(what).suffix in FORMATS else "Gmsh"

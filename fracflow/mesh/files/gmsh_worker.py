@@ -19,12 +19,11 @@ from typing import Any
 import gmsh
 import numpy as np
 
+from fracflow.mesh.files.others import CORNERS, DIMS, MESHIO_KINDS, read_other
+
 GRACE = 5  # seconds of CPU time
 PR_SET_PDEATHSIG = 1  # of prctl
 KINDS = {15: "point", 1: "line", 2: "triangle", 3: "quad"}  # Gmsh's element types
-MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
-DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
-CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
 FRONTAL, RIGHT_ANGLED = 6, 8  # its algorithms: for triangles, and for triangles that make good quads in pairs
 
 
@@ -33,7 +32,10 @@ def main(folder: Path) -> int:
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     keep_within(job["seconds"], job["memory"], job["parent"])
     try:
-        arrays = read_msh2(Path(job["msh2"])) if "msh2" in job else with_gmsh(job)
+        if "meshio" in job:
+            arrays = _arrays(*read_other(Path(job["meshio"])))
+        else:
+            arrays = read_msh2(Path(job["msh2"])) if "msh2" in job else with_gmsh(job)
     except Exception as error:
         (folder / "error.txt").write_text(str(error) or type(error).__name__, encoding="utf-8")
         return 1
