@@ -29,10 +29,12 @@ from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_ch
 from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
+from fracflow.output.profiles import ProfileFile, Timetable, intervals
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
+from fracflow.scene.scene import Scene
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import read_bytes
@@ -40,6 +42,11 @@ from fracflow.storage.sealed import AGAIN, digest
 
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
 EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
+
+
+def kind_of(step: Step, scene: Scene) -> int:
+    """The regime of a step as ``step/kind`` has it."""
+    return KINDS[step.regime or scene.stage[step.stage].kind]
 
 
 class Before:
@@ -80,6 +87,8 @@ class Recorder:
         self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved = self.totals.steps
+        self.profiles = Timetable(**self.totals.profiles)
+        self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
         self._folder, self._tell_saved = folder, None
         self._notices = Notices(model, self.totals, self.log)
         self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
@@ -121,6 +130,7 @@ class Recorder:
             self._write(lambda: self._append(step, snapshot))
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
+        self._profile(step)
         self.totals.add(step.report)
         self._notices.of(step)
 
@@ -154,6 +164,18 @@ class Recorder:
             self._fields(step, index, whole)
         if (files := self.files) is not None:
             self._write(lambda: files.drop_extra(index if is_extra else None))
+
+    def _profile(self, step: Step) -> None:
+        """Write the profiles of a state where they are due. Collective."""
+        time, kind = step.state.time, kind_of(step, self.model.scene)
+        if not self.model.operators.blocks.sizes.joints or not self.profiles.is_due(time, kind, self._profiles):
+            return
+        ends = sampling.all_ends(self.sampler, step.state)
+        if (files := self.files) is not None and ends is not None:
+            values = fracture_fields(self.sampler.fields, ends)
+            self._write(lambda: files.profiles.append(time, self.totals.steps, values))
+        self.profiles.add(time, kind)
+        self.totals.profiles = asdict(self.profiles)
 
     def _wants_fields(self, index: int) -> bool:
         every = self.model.scene.output.fields_every
@@ -207,8 +229,9 @@ class Recorder:
         """Close the files, whatever happened."""
         if (files := self.files) is not None:
             self._write(files.end)
-            with suppress(OSError):
-                files.history.close()
+            for file in (files.history, files.profiles):
+                with suppress(OSError):
+                    file.close()
             files.folder.close()
 
 
@@ -263,6 +286,8 @@ class Files:
         path = self.folder / "history.h5"
         old = (before.rows, before.attrs) if before is not None else None
         self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
+        self.profiles = ProfileFile(self.folder.path, 0 if notes is None else notes["totals"].get("profiles", {}).get("rows", 0))
+        self._tell([self.profiles.lost] if self.profiles.lost else [])
         self.scene_seal = scene_seal(self.folder.path)
         self._tell(before.told if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
@@ -333,7 +358,7 @@ class Files:
         # a step that is cut where a status changes ends with the change; else the change is somewhere in the step
         began = state.time if self.time is None or step.report.located else self.time
         self.time = state.time
-        at = Recorded(step, snapshot, KINDS[step.regime or self.scene.stage[step.stage].kind])
+        at = Recorded(step, snapshot, kind_of(step, self.scene))
         record = {row.name: row.formula(at) for row in quantities("run").values()}
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}
@@ -367,6 +392,7 @@ class Files:
     def end(self) -> None:
         """Close history and events. Raises OSError."""
         self.history.close()
+        self.profiles.close()
         if not self.is_ended:
             self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
         self.is_ended = True
