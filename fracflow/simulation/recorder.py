@@ -286,7 +286,9 @@ class Files:
         path = self.folder / "history.h5"
         old = (before.rows, before.attrs) if before is not None else None
         self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
-        self.profiles = ProfileFile(self.folder.path, 0 if notes is None else notes["totals"].get("profiles", {}).get("rows", 0))
+        self.profiles = ProfileFile(
+            self.folder.path, 0 if notes is None else notes["totals"].get("profiles", {}).get("rows", 0)
+        )
         self._tell([self.profiles.lost] if self.profiles.lost else [])
         self.scene_seal = scene_seal(self.folder.path)
         self._tell(before.told if before is not None else [])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fracflow.output.statistics import completeness, front_diffusivity, gutenberg_richter, largest_moment
+from fracflow.run_report.statistics import completeness, front_diffusivity, gutenberg_richter, largest_moment
 
 pytestmark = pytest.mark.serial
 
@@ -46,7 +46,9 @@ def test_b_by_hand():
     assert found.error == pytest.approx(2.302585 * found.b**2 * math.sqrt(0.825 / 90.0), rel=1e-6)
 
 
-@pytest.mark.parametrize("values", [[], [1.0] * 30, np.linspace(0, 1, 9), [math.nan] * 20], ids=["none", "one", "few", "nan"])
+@pytest.mark.parametrize(
+    "values", [[], [1.0] * 30, np.linspace(0, 1, 9), [math.nan] * 20], ids=["none", "one", "few", "nan"]
+)
 def test_too_few_or_equal_magnitudes_have_no_b(values):
     assert gutenberg_richter(values) is None
 

@@ -26,7 +26,7 @@ function ticks(low, high, most, log) {
   if (log) {
     const first = Math.floor(low), last = Math.ceil(high), every = Math.max(1, Math.ceil((last - first) / most)), found = [];
     for (let p = first; p <= last; p += 1)
-      for (const m of last - first < 3 ? [1, 2, 5] : [1]) {
+      for (const m of high - low < 1.2 ? [1, 2, 3, 4, 6, 8] : last - first < 4 ? [1, 2, 5] : [1]) {
         const at = p + Math.log10(m);
         if (at >= low - 1e-9 && at <= high + 1e-9 && (p - first) % every === 0) found.push(at);
       }
@@ -63,14 +63,14 @@ function draw(figure, chart) {
     return { ...s, points: points.filter((p) => p.every((v) => v !== null && isFinite(v))) };
   });
   const height = Math.round(Math.min(340, Math.max(230, width * 0.42)));
-  let [x0, x1] = limits(scaled.map((s) => s.points.map((p) => p[0])), chart.logX);
+  let [x0, x1] = limits([...scaled.map((s) => s.points.map((p) => p[0])), chart.span || []], chart.logX);
   let [y0, y1] = limits(scaled.map((s) => s.points.map((p) => p[1])), chart.logY);
   const dotted = scaled.some((s) => s.look === "dots");
-  if (dotted) { const pad = (x1 - x0) * 0.03; x0 -= chart.logX || x0 - pad < 0 && x0 >= 0 ? Math.min(pad, x0 < 0 ? pad : x0) : pad; x1 += pad; }
+  if (dotted && !chart.span) { const pad = (x1 - x0) * 0.03; x0 -= chart.logX || x0 - pad < 0 && x0 >= 0 ? Math.min(pad, x0 < 0 ? pad : x0) : pad; x1 += pad; }
   const pad = (y1 - y0) * 0.05;
   y0 = y0 >= 0 && y0 < 0.4 * y1 && !chart.logY ? 0 : y0 - pad;
   y1 += pad;
-  const yTicks = ticks(y0, y1, Math.round(height / 55), chart.logY), label = (v, log) => shown(log ? Number((10 ** v).toPrecision(6)) : Number(v.toPrecision(9)));
+  const yTicks = ticks(y0, y1, Math.round(height / 55), chart.logY), label = (v, log) => (log && y1 - y0 > 4 ? `10${raised(Math.round(v))}` : shown(log ? Number((10 ** v).toPrecision(6)) : Number(v.toPrecision(9))));
   const yTexts = yTicks.map((v) => label(v, chart.logY)), left = 14 + 7.2 * Math.max(...yTexts.map((t) => t.length), 1);
   const right = 14, top = 24, bottom = 40;
   const px = (x) => left + ((x - x0) / (x1 - x0)) * (width - left - right), py = (y) => height - bottom - ((y - y0) / (y1 - y0)) * (height - top - bottom);
@@ -99,7 +99,7 @@ function draw(figure, chart) {
       if (s.points.length === 1) add(svg, "circle", { cx: px(s.points[0][0]), cy: py(s.points[0][1]), r: 3.5, fill: ink, class: "mark" });
     }
     const entry = document.createElement("span"), line = document.createElement("i"), name = document.createElement("span");
-    entry.style.color = ink; name.textContent = s.name; entry.append(line, name); legend.append(entry);
+    entry.style.color = ink; line.className = s.look; name.textContent = s.name; entry.append(line, name); legend.append(entry);
   });
   box.replaceChildren(...(scaled.length > 1 || !dotted ? [legend, svg] : [svg]));
 }
@@ -134,6 +134,12 @@ if (map) {
   map.lines = unpack(map.edges);
   if (map.times) {
     map.at = unpack(map.points);
+    const xs = [...map.at.filter((_, i) => i % 2 === 0), ...map.wells.map((w) => w[1])], ys = [...map.at.filter((_, i) => i % 2), ...map.wells.map((w) => w[2])];
+    const [x0, x1] = limits([xs], false), [y0, y1] = limits([ys], false), room = 0.12 * Math.max(x1 - x0, y1 - y0);
+    const focus = [Math.max(0, x0 - room), Math.max(0, y0 - room), Math.min(map.extent[0], x1 + room), Math.min(map.extent[1], y1 + room)];
+    focus[2] -= focus[0]; focus[3] -= focus[1];
+    if (focus[2] * focus[3] < 0.7 * map.extent[0] * map.extent[1]) map.focus = focus;
+    byId("whole-rock").hidden = !map.focus;
     for (const field of Object.values(map.fields)) field.shares = unpack(field.values);
   }
 }
@@ -142,10 +148,10 @@ const time = (k) => (map.times[k] === null ? "" : `${shown(map.times[k], 6)} ${m
 function drawMap() {
   const canvas = document.querySelector("#chart-map canvas"), width = canvas.clientWidth;
   if (!width) return;
-  const [wide, high] = map.extent, pad = 22;
+  const [ox, oy, wide, high] = map.focus && !byId("whole").checked ? map.focus : [0, 0, ...map.extent], pad = 22;
   const scale = Math.min((width - 2 * pad) / Math.max(wide, 1e-9), Math.max(260, Math.min(620, window.innerHeight * 0.75)) / Math.max(high, 0.05));
   const height = Math.round(high * scale + 2 * pad), pen = paint(canvas, height), shift = (width - wide * scale) / 2;
-  const x = (v) => shift + v * scale, y = (v) => height - pad - v * scale;
+  const x = (v) => shift + (v - ox) * scale, y = (v) => height - pad - (v - oy) * scale;
   map.view = { x, y };
   pen.strokeStyle = css("--line"); pen.lineWidth = 0.6; pen.beginPath();
   for (let i = 0; i < map.lines.length; i += 4) { pen.moveTo(x(map.lines[i]), y(map.lines[i + 1])); pen.lineTo(x(map.lines[i + 2]), y(map.lines[i + 3])); }
@@ -212,7 +218,7 @@ function drawProfile() {
   const of = (k) => Array.from(field.shares.slice(k * count + from, k * count + to), (s) => (isNaN(s) ? null : field.low + s * (field.high - field.low)));
   const k = Number(byId("slider").value), x = map.along.slice(from, to);
   const series = [{ name: `${name}, ${time(k)}`, look: "line", x, y: of(k) }, { name: time(0), look: "dash", x, y: of(0) }];
-  draw(figure, { title: name, x: `distance [${map.unit}]`, y: field.label, series });
+  draw(figure, { title: name, x: map.unit ? `distance [${map.unit}]` : "distance", y: field.label, series });
 }
 
 function drawHeat(figure) {
@@ -220,18 +226,20 @@ function drawHeat(figure) {
   if (!canvas.clientWidth) return;
   const field = map.fields[figure.dataset.field], [, from, to] = map.fractures[figure.dataset.fracture], count = map.at.length / 2;
   const times = map.times, last = times.length - 1, moves = times[last] > times[0], pen = paint(canvas, 128), width = canvas.clientWidth, high = 104, left = 34;
-  const x = (k) => left + (moves ? (times[k] - times[0]) / (times[last] - times[0]) : k / last) * (width - left - 2);
-  const far = map.along[to - 1] || 1;
-  for (let k = 0; k <= last; k += 1) {
-    const begin = x(k), end = k < last ? x(k + 1) : width - 1;
-    if (end - begin < 0.02 && k < last) continue;
-    for (let i = from; i + 1 < to; i += 1) {
-      const share = (field.shares[k * count + i] + field.shares[k * count + i + 1]) / 2;
-      if (isNaN(share)) continue;
-      pen.fillStyle = `rgb(${shade(share)})`;
-      pen.fillRect(begin, high * (1 - map.along[i + 1] / far), Math.max(end - begin, 0.6) + 0.4, (high * (map.along[i + 1] - map.along[i])) / far + 0.4);
+  const far = map.along[to - 1] || 1, ratio = canvas.width / width, w = Math.max(1, Math.round((width - left - 2) * ratio)), h = Math.round(high * ratio);
+  const image = pen.createImageData(w, h);
+  for (let a = 0, k = 0; a < w; a += 1) {
+    const now = (a + 0.5) / w;
+    while (k < last && (moves ? (times[k + 1] - times[0]) / (times[last] - times[0]) : (k + 1) / (last + 1)) <= now) k += 1;
+    for (let b = 0, i = from; b < h; b += 1) {
+      const s = ((b + 0.5) / h) * far;
+      while (i < to - 2 && map.along[i + 1] < s) i += 1;
+      const part = (s - map.along[i]) / (map.along[i + 1] - map.along[i] || 1), one = field.shares[k * count + i];
+      const share = one + (field.shares[k * count + i + 1] - one) * part;
+      if (!isNaN(share)) image.data.set([...shade(share), 255], 4 * ((h - 1 - b) * w + a));
     }
   }
+  pen.putImageData(image, Math.round(left * ratio), 0);
   pen.fillStyle = css("--ink"); pen.font = "11px system-ui, sans-serif"; pen.textAlign = "right"; pen.textBaseline = "top";
   pen.fillText(shown(far, 3), left - 4, 0); pen.textBaseline = "bottom"; pen.fillText(`0 ${map.unit}`, left - 4, high);
   pen.textBaseline = "top"; pen.textAlign = "left"; pen.fillText(moves ? shown(times[0], 3) : "first state", left, high + 5);
@@ -257,7 +265,7 @@ function drawState() {
 
 if (map && map.times) {
   const slider = byId("slider"), play = byId("play");
-  for (const id of ["slider", "quantity", "fracture"]) byId(id).addEventListener("input", drawState);
+  for (const id of ["slider", "quantity", "fracture", "whole"]) byId(id).addEventListener("input", drawState);
   let timer = null;
   play.addEventListener("click", () => {
     if (timer) { clearInterval(timer); timer = null; play.textContent = "play"; return; }

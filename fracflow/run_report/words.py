@@ -10,20 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from fracflow.output.report import VOLUME, RunReport
-from fracflow.output.report_map import Frames
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
+from fracflow.run_report.data import VOLUME, RunReport, number
+from fracflow.run_report.map import Frames
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import DENSITY, FLOW_RATE, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
+from fracflow.scene.units import DENSITY, ENERGY, FLOW_RATE, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
 from fracflow.storage.files import shown_plain
 
 OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
 _ROUTINE = re.compile(
-    r"^(check|card|plan|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.snap|incipient failure|\d+ steps,)"
-    r"|an event begins|limit point:|at rest|trials rejected|first failure|time .*: (a pause|resumed)"
+    r"^(check|card|plan|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.snap)"
+    r"|^(incipient failure|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure|time .*: (a pause|resumed)"
 )
 
 
@@ -69,7 +69,10 @@ def key_numbers(run: RunReport, frames: Frames | None) -> list[tuple[str, str]]:
     found.append(("states on record", str(len(run.times))))
     if frames is not None:
         found.append(("fractures", str(len(frames.names))))
-        for name, word, dimension in (("pressure", "highest pressure", STRESS), ("plastic_slip", "largest slip", LENGTH)):
+        for name, word, dimension in (
+            ("pressure", "highest pressure", STRESS),
+            ("plastic_slip", "largest slip", LENGTH),
+        ):
             if name in frames.fields:
                 found.append((word, run.shown(float(np.nanmax(frames.fields[name])), dimension, 3)))
     if any(stage.kind == "auto" for stage in run.scene.stage) if run.scene else run.catalogue:
@@ -89,13 +92,16 @@ def warnings_of(run: RunReport) -> Iterator[tuple[str, str]]:
         if each.get("out_of_range"):
             value, limit = each.get("value_text", ""), each.get("limit_text", "")
             head = f"check of {each.get('name', '')}"
-            yield head, f"{each.get('where', '')}: {value}, limit {limit or 'none'}. {each.get('remedy', '')}"
+            yield head, f"{each.get('where', '')}: {value}, limit {limit or 'none'}; {each.get('remedy', '')}"
     for each in run.plan:
         if each.get("undone"):
             yield f"plan: {each.get('part', '')}", f"taken back during the run: {each['undone']}"
     left = energy_left(run)
     if left is not None and left > OPEN:
-        yield "energy balance", f"{left:.1e} of its largest entry is left over; results are not known better than that"
+        yield (
+            "energy balance",
+            f"{number(left, 2)} of its largest entry is left over; results are not known better than that",
+        )
     yield from (("log", line) for line in log_lines(run.log))
 
 
@@ -132,12 +138,9 @@ def energy_table(run: RunReport) -> str:
             values = run.history.get(f"energy/{name}")
             if values is None or not len(values) or (group != "difference" and not np.any(values)):
                 continue
-            cells = (run.shown(float(size), ENERGY_OF, 4) for size in (values[-1], np.nanmax(np.abs(values))))
+            cells = (run.shown(float(size), ENERGY, 4) for size in (values[-1], np.nanmax(np.abs(values))))
             rows.append((group, name.replace("_", " "), *cells))
-    return table(("group", "entry", "at the end", "largest"), rows)
-
-
-ENERGY_OF = "force*length/length"
+    return table(("", "entry", "at the end", "largest"), rows, "small")
 
 
 def scene_in_words(run: RunReport) -> list[str]:
@@ -149,27 +152,28 @@ def scene_in_words(run: RunReport) -> list[str]:
     lines = [_domain(run, scene)]
     for name, rock in scene.rock.items():
         if rock.rigid:
-            lines.append(f"Rock {name}: rigid.")
+            lines.append(f'Rock "{name}": rigid.')
             continue
         parts = [f"Young's modulus {shown(rock.youngs_modulus, STRESS)}", f"Poisson's ratio {rock.poissons_ratio:g}"]
-        parts += [f"density {_own(run, rock.density, DENSITY)}"] if rock.density is not None else []
-        lines.append(f"Rock {name}: {', '.join(parts)}.")
+        parts += [f"density {run.shown(_number(rock.density), DENSITY)}"] if rock.density is not None else []
+        lines.append(f'Rock "{name}": {", ".join(parts)}.')
     if scene.initial_stress is not None:
         parts = [
-            f"σ{axis} = {shown(_number(getattr(scene.initial_stress, axis, None)), STRESS)}" for axis in ("xx", "yy", "zz", "xy")
+            f"σ{axis} = {shown(_number(getattr(scene.initial_stress, axis, None)), STRESS)}"
+            for axis in ("xx", "yy", "zz", "xy")
         ]
         lines.append(f"Stress in the rock at the start: {', '.join(parts)} (compression is negative).")
     if scene.fluid is not None:
         fluid = scene.fluid
-        parts = [f"viscosity {_own(run, fluid.viscosity, VISCOSITY)}"]
+        parts = [f"viscosity {run.shown(_number(fluid.viscosity), VISCOSITY)}"]
         if (pressure := _number(fluid.initial_pressure)) is not None:
             parts.append(f"pressure at the start {shown(pressure, STRESS)}")
         parts.append(f"depth of the flow out of the plane {shown(_number(fluid.flow_depth), LENGTH)}")
         lines.append(f"Fluid: {', '.join(parts)}.")
     for name, kind in scene.fracture.items():
-        who = "Fractures without a table of their own" if name == "default" else f"Fracture {name}"
+        who = "Fractures without a table of their own" if name == "default" else f'Fracture "{name}"'
         lines.append(f"{who}: {_fracture(run, kind)}.")
-    lines += [f"Well {well.name}: {_well(run, well)}." for well in scene.well]
+    lines += [f'Well "{well.name}": {_well(run, well)}.' for well in scene.well]
     for support in scene.support:
         lines.append(f"Held in {' and '.join(support.components)}: {', '.join(map(str, support.on))}.")
     for term in scene.terms:
@@ -177,19 +181,12 @@ def scene_in_words(run: RunReport) -> list[str]:
             lines.append(f"Sides that absorb waves: {', '.join(map(str, term.on))}.")
     if scene.load:
         lines.append(f"Loads: {len(scene.load)}, in the scene file at the end of this page.")
-    return [*lines, *(_stage(run, number, stage) for number, stage in enumerate(scene.stage, 1))]
+    return [*lines, *(_stage(run, order, stage) for order, stage in enumerate(scene.stage, 1))]
 
 
 def _number(value: Any) -> float | None:
     """A plain number of a scene, None for a profile or a table."""
     return float(value) if isinstance(value, int | float) else None
-
-
-def _own(run: RunReport, value: Any, dimension: str) -> str:
-    from fracflow.scene.units import unit_text
-
-    number = _number(value)
-    return "varies" if number is None else f"{number:.4g} {unit_text(dimension, run.units, is_printed=True)}".rstrip()
 
 
 def _domain(run: RunReport, scene: Scene) -> str:
@@ -208,15 +205,15 @@ def _fracture(run: RunReport, kind: Any) -> str:
         ("normal_stiffness", "normal stiffness", STIFFNESS), ("shear_stiffness", "shear stiffness", STIFFNESS),
         ("aperture", "aperture", LENGTH), ("cohesion", "cohesion", STRESS),
         ("friction_coefficient", "friction", "1"), ("dynamic_friction_coefficient", "friction once weakened", "1"),
-        ("slip_weakening_distance", "weakens over a slip of", LENGTH), ("stick_slip_ratio", "strength left while slipping", "1"),
+        ("slip_weakening_distance", "weakens over a slip of", LENGTH),
+        ("stick_slip_ratio", "strength left while slipping", "1"),
     )  # fmt: skip
     for key, word, dimension in rows:
         value = getattr(kind, key, None)
         if value is None or value == 0.0:
             continue
-        plain = dimension in (LENGTH, STRESS)
-        number = _number(value)
-        parts.append(f"{word} {run.shown(number, dimension) if plain and number is not None else _own(run, value, dimension)}")
+        one = _number(value)
+        parts.append(f"{word} {'varies along it' if one is None else run.shown(one, dimension)}")
     return ", ".join(parts)
 
 
@@ -226,7 +223,8 @@ def _tabled(run: RunReport, value: Any, dimension: str) -> str:
         return str(value) if isinstance(value, str) else run.shown(_number(value), dimension)
     if len(value.times) == 1 or value.spread == 0.0:
         return run.shown(value.values[0], dimension)
-    steps = [f"{run.shown(v, dimension)} {'from' if value.interpolation == 'step' else 'at'} {run.clock_text(t)}"
+    since = "from" if value.interpolation == "step" else "at"
+    steps = [f"{run.shown(v, dimension)} {since} {run.clock_text(t)}"
              for t, v in zip(value.times[:8], value.values[:8], strict=True)]  # fmt: skip
     return ", ".join(steps) + (", and more" if len(value.times) > 8 else "")
 
@@ -246,7 +244,7 @@ def _well(run: RunReport, well: Any) -> str:
     return ", ".join(parts) or "no rate or pressure"
 
 
-def _stage(run: RunReport, number: int, stage: Any) -> str:
+def _stage(run: RunReport, order: int, stage: Any) -> str:
     kinds = {
         "equilibrate": "finds the state at rest",
         "steady": "steady, without storage and inertia",
@@ -263,7 +261,7 @@ def _stage(run: RunReport, number: int, stage: Any) -> str:
         parts.append(f"of {run.shown(stage.dynamic_time_step, TIME)} with inertia")
     parts += [f"{stage.steps} steps"] if stage.steps else []
     parts += [f"until {run.shown(stage.end, TIME)}"] if stage.end else []
-    return f"Stage {number}, {stage.title}: {'; '.join(parts)}."
+    return f"Stage {order}, {stage.title}: {'; '.join(parts)}."
 
 
 def mesh_line(run: RunReport) -> str:
@@ -274,8 +272,10 @@ def mesh_line(run: RunReport) -> str:
     lengths = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom[:, :2]], axis=1)[:, 0], axis=-1)
     text = f"{len(mesh.cells)} cells, {len(mesh.points)} nodes, {len(mesh.joint_bottom)} joint elements"
     if len(lengths):
-        few, usual, most = (run.shown(float(size), LENGTH, 3) for size in (lengths.min(), np.median(lengths), lengths.max()))
-        text += f" of {few} to {most}, in the middle {usual}"
+        few, usual, most = (
+            run.shown(float(size), LENGTH, 3) for size in (lengths.min(), np.median(lengths), lengths.max())
+        )
+        text += f" of {few} to {most}, median {usual}"
     return f"{text}."
 
 
@@ -284,12 +284,21 @@ def fracture_table(run: RunReport, frames: Frames | None) -> str:
     if frames is None:
         return ""
     rows, heads = [], ["fracture", "length", "direction", "joints"]
-    words = {"pressure": ("highest pressure", STRESS), "aperture": ("widest aperture", LENGTH), "plastic_slip": ("largest slip", LENGTH)}
+    words = {
+        "pressure": ("highest pressure", STRESS),
+        "aperture": ("widest aperture", LENGTH),
+        "plastic_slip": ("largest slip", LENGTH),
+    }
     shown = {name: words[name] for name in frames.fields}
     for name, part in zip(frames.names, frames.ends, strict=True):
         ends = frames.points[part][[0, -1]]
         angle = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1])) % 180.0
-        cells = [name, run.shown(float(frames.along[part][-1]), LENGTH), f"{angle:.0f}°", str(part.stop - part.start - 1)]
+        cells = [
+            name,
+            run.shown(float(frames.along[part][-1]), LENGTH),
+            f"{angle:.0f}°",
+            str(part.stop - part.start - 1),
+        ]
         for key, (_, dimension) in shown.items():
             values = frames.fields[key][:, part]
             cells.append(run.shown(float(np.nanmax(values)) if np.isfinite(values).any() else None, dimension, 3))
@@ -299,8 +308,9 @@ def fracture_table(run: RunReport, frames: Frames | None) -> str:
 
 def plan_table(run: RunReport) -> str:
     """The parts that are modelled or left out, these first."""
+
     def short(value: Any) -> str:
-        return f"{value:.3g}" if isinstance(value, float) else str(value)
+        return number(value, 3) if isinstance(value, float) else str(value)
 
     rows = []
     for each in sorted(run.plan, key=lambda each: not each.get("left_out")):

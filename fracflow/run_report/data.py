@@ -22,7 +22,18 @@ from fracflow.output.history import read_attributes, read_history, read_table, r
 from fracflow.output.reader import LARGEST
 from fracflow.output.status import Status, read_status
 from fracflow.scene.scene import Scene, load
-from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, TIME, VELOCITY, unit_text
+from fracflow.scene.units import (
+    DENSITY,
+    ENERGY,
+    FLOW_RATE,
+    LENGTH,
+    STIFFNESS,
+    STRESS,
+    TIME,
+    VELOCITY,
+    VISCOSITY,
+    unit_text,
+)
 from fracflow.storage.files import read_text, shown_plain
 
 Floats = NDArray[np.float64]
@@ -39,9 +50,26 @@ _UNITS: dict[str, tuple[tuple[float, float, str], ...]] = {
     ENERGY: ((1e9, 1e9, "GJ/m"), (1e6, 1e6, "MJ/m"), (1e3, 1e3, "kJ/m"), (0.0, 1.0, "J/m")),
     FLOW_RATE: ((0.1, 1.0, "m³/s"), (1e-4, 1e-3, "L/s"), (1e-7, 1e-6, "mL/s"), (0.0, 1e-9, "µL/s")),
     VOLUME: ((1.0, 1.0, "m³"), (1e-3, 1e-3, "L"), (0.0, 1e-6, "mL")),
+    DENSITY: ((0.0, 1.0, "kg/m³"),),
+    VISCOSITY: ((0.5, 1.0, "Pa s"), (0.0, 1e-3, "mPa s")),
+    STIFFNESS: ((1e8, 1e9, "GPa/m"), (1e5, 1e6, "MPa/m"), (0.0, 1.0, "N/m³")),
     VELOCITY: ((0.1, 1.0, "m/s"), (1e-4, 1e-3, "mm/s"), (1e-7, 1e-6, "µm/s"), (0.0, 1e-9, "nm/s")),
 }  # fmt: skip
 """Dimension -> for numbers from a size on, the size of the unit in SI and its name; the largest first."""
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A number to so many digits, with a power of ten where it is very large or small."""
+    text = f"{value:.{digits - 1}e}"
+    front, _, power = text.partition("e")
+    if value == 0.0 or not math.isfinite(value) or -4 < int(power) < 5:
+        text = f"{float(text):.{max(0, digits - 1 - int(power)) if math.isfinite(value) else 0}f}" if value else "0"
+        text = text.rstrip("0").rstrip(".") if "." in text else text
+    else:
+        raised = "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(sign)] if sign.isdigit() else "⁻" for sign in str(int(power)))
+        front = front.rstrip("0").rstrip(".") if "." in front else front
+        text = f"{front}×10{raised}"
+    return text.replace("-", "−")
 
 
 @dataclass(frozen=True)
@@ -78,7 +106,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart with the labels of its axes."""
+    """A chart with the labels of its axes; ``span`` is what x reaches over at least."""
 
     title: str
     x: str
@@ -87,6 +115,7 @@ class Chart:
     log_x: bool = False
     log_y: bool = False
     note: str = ""
+    span: tuple[float, float] | None = None
 
     def as_record(self) -> dict[str, Any]:
         """For the page: points that are no numbers left out, digits that no eye sees too."""
@@ -94,7 +123,8 @@ class Chart:
         for one in self.series:
             x, y = thinned(np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
             lines.append({"name": one.name, "look": one.look, "x": rounded(x), "y": rounded(y)})
-        axes = {"x": self.x, "y": self.y, "logX": self.log_x, "logY": self.log_y}
+        axes: dict[str, Any] = {"x": self.x, "y": self.y, "logX": self.log_x, "logY": self.log_y}
+        axes |= {"span": rounded(self.span)} if self.span else {}
         return {"title": self.title, **axes, "series": [line for line in lines if line["x"]]}
 
     @property
@@ -182,11 +212,17 @@ class RunReport:
         if value is None or not math.isfinite(value):
             return "–"
         unit = self.unit(dimension, [value])
-        return f"{value * unit.factor:.{digits}g} {unit.name}".rstrip().replace("-", "−")
+        return f"{number(value * unit.factor, digits)} {unit.name}".rstrip() if value else "0"
 
     def clock_text(self, time: float) -> str:
         """A time in the unit of the axes."""
-        return f"{time * self.clock.factor:.4g} {self.clock.name}".rstrip()
+        return f"{number(time * self.clock.factor)} {self.clock.name}".rstrip()
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """The time that has passed, in the unit of the axes."""
+        time = self.times * self.clock.factor
+        return (float(time[0]), float(time[-1])) if len(time) and time[-1] > time[0] else None
 
     def axis(self) -> tuple[Floats, str]:
         """Abscissa (s,) of the settled histories: time, or the number of the state if no time passes."""
@@ -195,7 +231,9 @@ class RunReport:
             return time * self.clock.factor, self.clock.label("time")
         return np.arange(len(self.times), dtype=float)[self.settled], "state"
 
-    def over_time(self, title: str, word: str, dimension: str, lines: Mapping[str, NDArray[Any]], most: int = 8) -> Chart:
+    def over_time(
+        self, title: str, word: str, dimension: str, lines: Mapping[str, NDArray[Any]], most: int = 8
+    ) -> Chart:
         """A chart of histories (n,), at most so many: those that change most."""
         x, label = self.axis()
         cut = {name: np.asarray(values, dtype=float)[self.settled] for name, values in lines.items()}
@@ -214,7 +252,9 @@ class RunReport:
         except InputError as error:
             self.faults.append(shown_plain(" ".join(str(error).split())))
         except (OSError, ValueError, LookupError, TypeError, RecursionError, AttributeError) as error:
-            self.faults.append(shown_plain(f"{self.folder}: a part could not be read: {' '.join(str(error).split())[:300]}"))
+            self.faults.append(
+                shown_plain(f"{self.folder}: a part could not be read: {' '.join(str(error).split())[:300]}")
+            )
         return otherwise
 
 

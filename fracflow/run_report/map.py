@@ -16,7 +16,7 @@ from fracflow.mesh.data import SplitMesh
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.profiles import KEPT, read_profiles
 from fracflow.output.reader import LARGEST
-from fracflow.output.report import RunReport, rounded
+from fracflow.run_report.data import RunReport, rounded
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.storage.files import steers
 
@@ -72,8 +72,14 @@ def read_frames(run: RunReport) -> Frames | None:
     names = json.loads(about["fractures"]) if "fractures" in about else []
     highest = int(fracture.max(initial=-1)) + 1
     if len(fracture) != len(cells) or fracture.min(initial=0) < 0:
-        raise InputError(f"{run.folder / 'fields'}: the fractures of its pieces do not fit them; put back a copy of the files")
-    if not isinstance(names, list) or len(names) < highest or not all(isinstance(n, str) and not steers(n) for n in names):
+        raise InputError(
+            f"{run.folder / 'fields'}: the fractures of its pieces do not fit them; put back a copy of the files"
+        )
+    if (
+        not isinstance(names, list)
+        or len(names) < highest
+        or not all(isinstance(n, str) and not steers(n) for n in names)
+    ):
         names = [f"fracture {i + 1}" for i in range(highest)]
     rows, sums, ends, along = _traces(points[:, :2], cells, fracture, len(names))
     numbers = sorted(states)
@@ -92,7 +98,9 @@ def read_frames(run: RunReport) -> Frames | None:
     where = np.stack([np.bincount(rows, points[sums, i], len(along)) for i in range(2)], axis=1)
     where /= np.bincount(rows, minlength=len(along))[:, None]
     if not np.isfinite(where).all() or np.abs(where).max(initial=0.0) > LARGEST:
-        raise InputError(f"{run.folder / 'fields'}: points of the fractures are no numbers; put back a copy of the files")
+        raise InputError(
+            f"{run.folder / 'fields'}: points of the fractures are no numbers; put back a copy of the files"
+        )
     used = [i for i in range(len(names)) if ends[i].stop > ends[i].start]
     times = np.array([states[number][0] for number in numbers])
     return Frames(times, np.array(numbers), [names[i] for i in used], [ends[i] for i in used], where, along, fields)
@@ -201,7 +209,11 @@ def map_record(run: RunReport, frames: Frames | None) -> dict[str, Any] | None:
         unit = run.unit(dimension, table)
         finite = table[np.isfinite(table)]
         limits = float(finite.min()), float(finite.max())
-        about = {"label": unit.label(name.replace("_", " ")), "low": limits[0] * unit.factor, "high": limits[1] * unit.factor}
+        about = {
+            "label": unit.label(name.replace("_", " ")),
+            "low": limits[0] * unit.factor,
+            "high": limits[1] * unit.factor,
+        }
         scaled[name] = about | {"values": packed(table.ravel(), *limits)}
     slips = [event for event in run.events if event["kind"] == "slip"][:MOST_EVENTS]
     big = sorted(run.catalogue, key=lambda event: event["start"])[-MOST_EVENTS:]
@@ -216,9 +228,12 @@ def map_record(run: RunReport, frames: Frames | None) -> dict[str, Any] | None:
         "times": [when(time) for time in frames.times.tolist()],
         "steps": frames.steps.tolist(),
         "fields": scaled,
-        "slips": [[*rounded((np.array([e["x"], e["y"]]) - low) / size), when(e["start"]), when(e["end"])] for e in slips],
+        "slips": [
+            [*rounded((np.array([e["x"], e["y"]]) - low) / size), when(e["start"]), when(e["end"])] for e in slips
+        ],
         "events": [
-            [*rounded((np.array([e["x"], e["y"]]) - low) / size), when(e["start"]), e["magnitude"], e["fracture"]] for e in big
+            [*rounded((np.array([e["x"], e["y"]]) - low) / size), when(e["start"]), e["magnitude"], e["fracture"]]
+            for e in big
         ],
     }
 

@@ -45,7 +45,7 @@ def completeness(magnitudes: ArrayLike, width: float = BIN) -> float:
 
 
 def gutenberg_richter(magnitudes: ArrayLike, width: float = BIN) -> GutenbergRichter | None:
-    """b = log10(e)/(mean M - M_c) of the magnitudes (n,) above completeness; None below ten, or all the same.
+    """B = log10(e)/(mean M - M_c) of the magnitudes (n,) above completeness; None below ten, or all the same.
 
     The magnitudes are not rounded, so M_c is the lower edge of its bin without Utsu's half bin.
     """
