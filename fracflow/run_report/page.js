@@ -223,7 +223,7 @@ function drawProfile() {
 
 function drawHeat(figure) {
   const canvas = figure.querySelector("canvas");
-  if (!canvas.clientWidth) return;
+  if (!canvas.clientWidth || (figure.checkVisibility && !figure.checkVisibility())) return;
   const field = map.fields[figure.dataset.field], [, from, to] = map.fractures[figure.dataset.fracture], count = map.at.length / 2;
   const times = map.times, last = times.length - 1, moves = times[last] > times[0], pen = paint(canvas, 128), width = canvas.clientWidth, high = 104, left = 34;
   const far = map.along[to - 1] || 1, ratio = canvas.width / width, w = Math.max(1, Math.round((width - left - 2) * ratio)), h = Math.round(high * ratio);

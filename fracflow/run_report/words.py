@@ -23,7 +23,7 @@ STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storag
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
 _ROUTINE = re.compile(
     r"^(check|card|plan|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.snap)"
-    r"|^(incipient failure|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure|time .*: (a pause|resumed)"
+    r"|^(incipient failure|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
 )
 
 

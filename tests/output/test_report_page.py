@@ -156,7 +156,7 @@ def test_sixty_three_fractures_fit_below_5_mb_and_no_two_names_overlap(tmp_path,
     for i, one in enumerate(names):
         others = np.delete(names, i, axis=0)
         assert not ((others[:, :2] < one[2:]) & (one[:2] < others[:, 2:])).all(axis=1).any()
-    shown = "[...document.querySelectorAll('.heat')].filter(h => h.offsetParent).length"
+    shown = "[...document.querySelectorAll('.heat')].filter(h => h.checkVisibility()).length"
     assert browser.value(shown) == 3 * 9
     browser.value("document.querySelectorAll('#along details').forEach(d => { d.open = true; })")
     assert browser.value(shown) == 3 * 63 and browser.faults == []
