@@ -245,8 +245,8 @@ class RunReport:
         series = [Series(name, x, unit.factor * values) for name, values in shown.items()]
         return Chart(title, label, unit.label(word), series, note=more)
 
-    def attempt(self, read: Callable[[], T], otherwise: T) -> T:
-        """What ``read`` gives; where it cannot, ``otherwise`` and a line in ``faults``."""
+    def attempt(self, read: Callable[[], T], otherwise: Any) -> T:
+        """The result of ``read``; where it fails, ``otherwise`` and a line in ``faults``."""
         try:
             return read()
         except InputError as error:
@@ -255,7 +255,8 @@ class RunReport:
             self.faults.append(
                 shown_plain(f"{self.folder}: a part could not be read: {' '.join(str(error).split())[:300]}")
             )
-        return otherwise
+        result: T = otherwise
+        return result
 
 
 def read_run(folder: str | Path) -> RunReport:

@@ -6,6 +6,7 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,12 @@ from fracflow.scene.units import LENGTH, STRESS
 from fracflow.storage.files import steers
 
 Floats = NDArray[np.float64]
+Data = Mapping[str, NDArray[Any]]
 
 MOST_VALUES = 600_000  # of the map, two bytes each
 MOST_EDGES = 30_000  # of the mesh on the map
 MOST_EVENTS = 5_000
+MOST_FILES = 60  # of fields that are read
 
 
 @dataclass(frozen=True)
@@ -32,8 +35,10 @@ class Frames:
     """Fields along the fractures at some states.
 
     times, steps  (k,)
-    names         of the fractures, with ``ends``: a slice of the m nodes for each
-    points, along (m, 2), (m,) nodes in the order of each trace, and their distance from its start [length]
+    names         of the fractures
+    ends          a slice of the nodes for each of them
+    points        (m, 2) nodes in the order of each trace [length]
+    along         (m,) their distance from its start [length]
     fields        name -> (k, m); nan where a state has none
     """
 
@@ -47,63 +52,71 @@ class Frames:
 
 
 def read_frames(run: RunReport) -> Frames | None:
-    """Profiles, and fields of the fractures at other states; thinned to what a page may hold."""
-    if not (run.folder / "fields" / "fractures_mesh.h5").is_file():
+    """Profiles, and fields of the fractures at other states, thinned to fit a page; None where there are none.
+
+    Raises InputError for fields that do not fit their mesh.
+    """
+    folder = run.folder / "fields"
+    if not (folder / "fractures_mesh.h5").is_file():
         return None
     points, cells, about = read_mesh(run.folder, "fractures")
-    states: dict[int, tuple[float, Mapping[str, NDArray[Any]]]] = {}
-    fracture = np.zeros(len(cells), dtype=np.int64)
-    steps = list_steps(run.folder, "fractures")
-    kept = {steps[i][0] for i in np.unique(np.linspace(0, len(steps) - 1, 60).astype(int))} if steps else set()
-    for number, path in steps:
-        if number not in kept:
-            continue
-        found = run.attempt(lambda path=path: read_step(path), None)
-        if found is None:
-            continue
-        states[number] = (found[0], found[1])
-        fracture = np.asarray(found[2].get("fracture", fracture), dtype=np.int64)
-    profiles = run.attempt(lambda: read_profiles(run.folder), {})
-    for row in range(len(profiles.get("time", ()))):
-        values = {name: array[row] for name, array in profiles.items() if name not in ("time", "step")}
-        states.setdefault(int(profiles["step"][row]), (float(profiles["time"][row]), values))
+    states, fracture = _states(run, len(cells))
     if not states or not len(cells) or cells.shape[1] != 2:
         return None
-    names = json.loads(about["fractures"]) if "fractures" in about else []
-    highest = int(fracture.max(initial=-1)) + 1
     if len(fracture) != len(cells) or fracture.min(initial=0) < 0:
-        raise InputError(
-            f"{run.folder / 'fields'}: the fractures of its pieces do not fit them; put back a copy of the files"
-        )
-    if (
-        not isinstance(names, list)
-        or len(names) < highest
-        or not all(isinstance(n, str) and not steers(n) for n in names)
-    ):
-        names = [f"fracture {i + 1}" for i in range(highest)]
-    rows, sums, ends, along = _traces(points[:, :2], cells, fracture, len(names))
+        raise InputError(f"{folder}: the fractures of its pieces do not fit them; put back a copy of the files")
+    names = _names(about, int(fracture.max(initial=-1)) + 1)
+    rows, ends_of, parts, along = _traces(points[:, :2], cells, fracture, len(names))
+    meeting = np.bincount(rows, minlength=len(along))  # ends at each node
+
+    def at_nodes(values: Floats) -> Floats:
+        return np.asarray(np.bincount(rows, values[ends_of], len(along)) / meeting)
+
+    where = np.stack([at_nodes(points[:, i]) for i in range(2)], axis=1)
+    if not np.isfinite(where).all() or np.abs(where).max(initial=0.0) > LARGEST:
+        raise InputError(f"{folder}: points of the fractures are no numbers; put back a copy of the files")
     numbers = sorted(states)
     chosen = _spread([states[n][0] for n in numbers], max(2, MOST_VALUES // max(1, 3 * len(along))))
     numbers = [numbers[i] for i in chosen]
     fields: dict[str, Floats] = {}
     for name in KEPT:
-        table = np.full((len(numbers), len(along)), np.nan)
+        values = np.full((len(numbers), len(along)), np.nan)
         for k, number in enumerate(numbers):
-            values = states[number][1].get(name)
-            if values is not None and values.shape == (len(points),):
-                sizes = np.abs(values) if name == "plastic_slip" else values
-                table[k] = np.bincount(rows, sizes[sums], len(along)) / np.bincount(rows, minlength=len(along))
-        if np.isfinite(table).any():
-            fields[name] = table
-    where = np.stack([np.bincount(rows, points[sums, i], len(along)) for i in range(2)], axis=1)
-    where /= np.bincount(rows, minlength=len(along))[:, None]
-    if not np.isfinite(where).all() or np.abs(where).max(initial=0.0) > LARGEST:
-        raise InputError(
-            f"{run.folder / 'fields'}: points of the fractures are no numbers; put back a copy of the files"
-        )
-    used = [i for i in range(len(names)) if ends[i].stop > ends[i].start]
+            found = states[number][1].get(name, np.zeros(0))
+            if found.shape == (len(points),):
+                values[k] = at_nodes(np.abs(found) if name == "plastic_slip" else found)
+        if np.isfinite(values).any():
+            fields[name] = values
+    used = [i for i in range(len(names)) if parts[i].stop > parts[i].start]
     times = np.array([states[number][0] for number in numbers])
-    return Frames(times, np.array(numbers), [names[i] for i in used], [ends[i] for i in used], where, along, fields)
+    return Frames(times, np.array(numbers), [names[i] for i in used], [parts[i] for i in used], where, along, fields)
+
+
+def _states(run: RunReport, pieces: int) -> tuple[dict[int, tuple[float, Data]], NDArray[np.int64]]:
+    """Time and fields of each state on disk by its number, and the fracture (pieces,) of each piece."""
+    states: dict[int, tuple[float, Data]] = {}
+    fracture = np.zeros(pieces, dtype=np.int64)
+    steps = list_steps(run.folder, "fractures")
+    for k in np.unique(np.linspace(0, len(steps) - 1, min(len(steps), MOST_FILES)).astype(int)).tolist():
+        number, path = steps[k]
+        found = run.attempt(partial(read_step, path), None)
+        if found is not None:
+            states[number] = (found[0], found[1])
+            fracture = np.asarray(found[2].get("fracture", fracture), dtype=np.int64)
+    profiles = run.attempt(lambda: read_profiles(run.folder), {})
+    for row in range(len(profiles.get("time", ()))):
+        values = {name: array[row] for name, array in profiles.items() if name not in ("time", "step")}
+        states.setdefault(int(profiles["step"][row]), (float(profiles["time"][row]), values))
+    return states, fracture
+
+
+def _names(about: Mapping[str, Any], count: int) -> list[str]:
+    """Names of the fractures in the mesh of the fields; numbers where there are none that fit."""
+    names = json.loads(about["fractures"]) if "fractures" in about else []
+    is_whole = isinstance(names, list) and len(names) >= count
+    if is_whole and all(isinstance(name, str) and not steers(name) for name in names):
+        return list(names)
+    return [f"fracture {i + 1}" for i in range(count)]
 
 
 def _traces(

@@ -279,8 +279,8 @@ def _energy(run: RunReport, charts: Charts) -> str:
     changes = {name: entries[name] - entries[name][start] for name in (*STORED, *LOST) if name in entries}
     scale = max((float(np.nanmax(np.abs(values[start:]))) for values in changes.values()), default=0.0)
     lines = {name.replace("_", " "): v for name, v in changes.items() if np.nanmax(np.abs(v[start:])) > 1e-3 * scale}
-    work = sum(values for name, values in entries.items() if name.startswith("work_"))
-    shown = {**lines, "all work": work - work[start]} if scale > 0.0 and not np.isscalar(work) else lines
+    work = np.sum([values for name, values in entries.items() if name.startswith("work_")] or [0.0 * run.times], axis=0)
+    shown = {**lines, "all work": work - work[start]} if scale > 0.0 else lines
     chart = run.over_time("Change of the entries, per thickness", "energy", ENERGY, shown, most=9)
     text = figure(charts, "energy", chart)
     if (left := energy_left(run)) is not None:

@@ -45,7 +45,7 @@ def completeness(magnitudes: ArrayLike, width: float = BIN) -> float:
 
 
 def gutenberg_richter(magnitudes: ArrayLike, width: float = BIN) -> GutenbergRichter | None:
-    """B = log10(e)/(mean M - M_c) of the magnitudes (n,) above completeness; None below ten, or all the same.
+    """The b = log10(e)/(mean M - M_c) of the magnitudes (n,) above completeness; None below ten, or all the same.
 
     The magnitudes are not rounded, so M_c is the lower edge of its bin without Utsu's half bin.
     """
@@ -65,7 +65,7 @@ def gutenberg_richter(magnitudes: ArrayLike, width: float = BIN) -> GutenbergRic
 
 
 def largest_moment(shear_modulus: float, volume: ArrayLike) -> NDArray[np.float64]:
-    """(McGarr 2014) Bound G dV of the largest moment [force length] after a net injected volume dV [length^3]."""
+    """(McGarr 2014) Bound G dV of the largest moment (n,) [force length] after net injected volumes dV (n,) [length^3]."""
     return shear_modulus * np.maximum(np.asarray(volume, dtype=float), 0.0)
 
 

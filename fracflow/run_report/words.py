@@ -337,8 +337,8 @@ def event_table(run: RunReport, events: Sequence[Mapping[str, Any]]) -> str:
     for event in events:
         size = "–" if event["magnitude"] is None else f"{event['magnitude']:.2f}".replace("-", "−")
         lasted = None if event["end"] is None else event["end"] - event["start"]
-        numbers = (run.shown(event["length"], LENGTH, 3), run.shown(event["mean_slip"], LENGTH, 3))
-        numbers += (run.shown(event["stress_drop"], STRESS, 3), run.shown(event["injected"], VOLUME, 3))
+        sizes = (("length", LENGTH), ("mean_slip", LENGTH), ("stress_drop", STRESS), ("injected", VOLUME))
+        numbers = [run.shown(event[name], dimension, 3) for name, dimension in sizes]
         rows.append((run.clock_text(event["start"]), size, event["fracture"], run.shown(lasted, TIME, 3), *numbers))
     heads = ("begins", "magnitude", "begins on", "lasts", "length", "mean slip", "stress drop", "net volume before")
     return table(heads, rows, "wide")
