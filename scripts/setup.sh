@@ -58,7 +58,7 @@ _fracflow_install_python() {
   numpy=$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)') || return 1
   pin=$(mktemp) || return 1
   { cat "$_fracflow_root/scripts/constraints.txt"; echo "numpy==$numpy"; } >"$pin"
-  "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
+  "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input --no-warn-conflicts \
     -r "$_fracflow_root/scripts/constraints.txt" ${tests:+-r "$_fracflow_root/$tests"} -c "$pin" </dev/null &&
     "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
       --no-deps --no-build-isolation -e "$_fracflow_root" </dev/null

@@ -37,7 +37,7 @@ def events_of(run: RunReport, charts: Charts) -> str:
     time = np.array([event["start"] for event in events]) * run.clock.factor
     sizes = np.array([np.nan if event["magnitude"] is None else event["magnitude"] for event in events])
     clock = run.clock.label("time")
-    text = f"<p>{len(events)} events, from the first section that slides to the last that sticks.</p>"
+    text = f"<p>{len(events)} event{'s' * (len(events) != 1)}, from the first section that slides to the last that sticks.</p>"
     if np.isfinite(sizes).any():
         text += figure(
             charts,

@@ -186,12 +186,16 @@ function drawMap() {
     pen.fillStyle = "#56b4e9"; pen.beginPath(); pen.moveTo(x(px) - 6, y(py) - 10); pen.lineTo(x(px) + 6, y(py) - 10); pen.lineTo(x(px), y(py)); pen.closePath(); pen.fill(); pen.stroke();
     taken.push([x(px) - 7, y(py) - 11, x(px) + 7, y(py)]);
   }
+  const traces = [];
+  for (let i = 0; map.at && i < map.at.length; i += 2) traces.push([x(map.at[i]) - 3, y(map.at[i + 1]) - 3, x(map.at[i]) + 3, y(map.at[i + 1]) + 3]);
+  const hits = (box) => (t) => t[0] < box[2] && box[0] < t[2] && t[1] < box[3] && box[1] < t[3];
   const name = (text, places) => {
     const short = text.length > 28 ? `${text.slice(0, 27)}…` : text, half = pen.measureText(short).width / 2 + 2;
-    for (const [cx, cy] of places) {
+    // beside the traces where there is room, else over them
+    for (const [[cx, cy], isFree] of [...places.map((p) => [p, true]), ...places.map((p) => [p, false])]) {
       const box = [cx - half, cy - 8, cx + half, cy + 8];
       if (box[0] < 0 || box[2] > width || box[1] < 0 || box[3] > height) continue;
-      if (taken.some((t) => t[0] < box[2] && box[0] < t[2] && t[1] < box[3] && box[1] < t[3])) continue;
+      if (taken.some(hits(box)) || (isFree && traces.some(hits(box)))) continue;
       taken.push(box); pen.textAlign = "center"; pen.lineWidth = 3.5; pen.strokeStyle = css("--back"); pen.strokeText(short, cx, cy); pen.fillStyle = css("--ink"); pen.fillText(short, cx, cy);
       return true;
     }

@@ -22,7 +22,7 @@ OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the 
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
 _ROUTINE = re.compile(
-    r"^(check|card|plan|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.snap)"
+    r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.snap)"
     r"|^(incipient failure|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
 )
 
@@ -131,12 +131,12 @@ def energy_table(run: RunReport) -> str:
     """The entries of the energy balance, in groups."""
     groups: list[tuple[str, list[str]]] = [("stored", [*STORED]), ("lost", [*LOST])]
     groups.append(("work", sorted(key[7:] for key in run.history if key.startswith("energy/work_"))))
-    groups.append(("difference", ["residual", "residual_closed"]))
+    groups.append(("left over", ["residual", "residual_closed"]))
     rows = []
     for group, names in groups:
         for name in names:
             values = run.history.get(f"energy/{name}")
-            if values is None or not len(values) or (group != "difference" and not np.any(values)):
+            if values is None or not len(values) or (group != "left over" and not np.any(values)):
                 continue
             cells = (run.shown(float(size), ENERGY, 4) for size in (values[-1], np.nanmax(np.abs(values))))
             rows.append((group, name.replace("_", " "), *cells))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from fracflow.output.profiles import MOST, ProfileFile, Timetable, read_profiles
 from fracflow.run_report import write_report
 from fracflow.run_report.data import number, read_run, thinned, unit_for
 from fracflow.run_report.map import _traces, read_frames
+from fracflow.simulation.run import resume, run
 
 pytestmark = pytest.mark.serial
 
@@ -177,6 +181,25 @@ def test_a_stopped_run_says_so_and_how_to_repeat_it(stopped, browser, tmp_path):
     assert browser.faults == []
 
 
+def test_a_run_under_way_has_a_page(stopped, tmp_path, browser):
+    """Written by another process, as a person would, which needs no PETSc."""
+    seen = []
+
+    def progress(_):
+        seen.append(None)
+        if len(seen) == 4:
+            code = "import sys; sys.modules['petsc4py'] = None; from fracflow.run_report import write_report;"
+            code += f" path, faults = write_report({str(tmp_path / 'out')!r}); assert not faults, faults"
+            subprocess.run([sys.executable, "-c", code], check=True)
+            browser.open(tmp_path / "out" / "report.html")
+            seen[-1] = browser.value("document.body.innerText"), drawn(browser)[0]
+
+    run(fracflow.load(stopped / "scene.toml"), tmp_path / "out", progress=progress)
+    text, charts = seen[3]
+    assert "Under way, at 24 h so far." in text
+    assert {"energy", "profile"} <= set(charts) and all(charts.values()) and browser.faults == []
+
+
 @pytest.mark.parametrize(
     "lacking",
     [
@@ -192,8 +215,6 @@ def test_a_stopped_run_says_so_and_how_to_repeat_it(stopped, browser, tmp_path):
 )
 def test_a_page_says_what_is_damaged_and_shows_the_rest(stopped, tmp_path, lacking):
     for kind in ("damaged", "missing"):
-        import shutil
-
         folder = tmp_path / kind
         shutil.copytree(stopped, folder)
         if kind == "damaged":
@@ -239,8 +260,6 @@ def test_the_command_names_its_page_and_refuses_other_folders(stopped, tmp_path,
 
 
 def test_profiles_are_those_of_the_states_and_survive_a_resume(stopped, tmp_path):
-    import shutil
-
     folder = tmp_path / "out"
     shutil.copytree(stopped, folder)
     before = read_profiles(folder)
@@ -248,8 +267,6 @@ def test_profiles_are_those_of_the_states_and_survive_a_resume(stopped, tmp_path
     assert before["time"].tolist() == history["time"][before["step"]].tolist()
     assert before["pressure"].shape == (len(before["time"]), 2 * len(mesh.joint_bottom))
     assert np.abs(before["plastic_slip"]).max(axis=1).tolist()[0] == 0.0 < np.abs(before["plastic_slip"][-1]).max()
-    from fracflow.simulation.run import resume, run
-
     resume(folder)
     run(fracflow.load(stopped / "scene.toml"), tmp_path / "whole")
     mine, whole = read_profiles(folder), read_profiles(tmp_path / "whole")
