@@ -107,7 +107,7 @@ def pixels(browser):
 
 
 def test_every_plot_is_there_and_the_slider_moves_the_map(tmp_path, browser):
-    path, faults = write_report(made_up(tmp_path))
+    path, faults = write_report(made_up(tmp_path, name=f"F {HOSTILE} "))
     assert len(faults) == 1 and "scene.toml" in faults[0]
     browser.open(path)
     charts, canvases = drawn(browser)
