@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from fracflow.errors import InputError
 
@@ -64,6 +65,8 @@ try:
     from petsc4py import PETSc
 
     PETSc.Options().delValue("skip_petscrc")
+    # PETSc frees its own communicator with the last object on it. Kept, ranks never disagree on whether it is there.
+    _WORLD = PETSc.COMM_WORLD.duplicate()
 
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGPIPE, _on_broken_pipe)  # PETSc takes `| head` for a crash
@@ -74,4 +77,12 @@ except ImportError as error:
         "install python3-petsc4py and python3-mpi4py, or source scripts/setup.sh"
     ) from error
 
-__all__ = ["MPI", "PETSc", "find_petsc_dir"]
+
+def destroy(*things: Any) -> None:
+    """Free PETSc objects, and others that own some; None is passed over. Collective."""
+    for thing in things:
+        if thing is not None:
+            thing.destroy()
+
+
+__all__ = ["MPI", "PETSc", "destroy", "find_petsc_dir"]

@@ -65,9 +65,8 @@ class Run:
     @property
     def probes(self) -> tuple[str, ...]:
         """Names of the probes, in alphabetical order."""
-        return tuple(
-            sorted({key[len("probe/") :].rpartition("/")[0] for key in self.history if key.startswith("probe/")})
-        )
+        keys = (key.removeprefix("probe/") for key in self.history if key.startswith("probe/"))
+        return tuple(sorted({key.rpartition("/")[0] for key in keys}))
 
     def probe(self, name: str) -> Arrays:
         """Histories of a probe by quantity. Raises InputError for an unknown name.

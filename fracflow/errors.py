@@ -65,9 +65,8 @@ class DiskError(Exception):
     @classmethod
     def of(cls, error: OSError, where: object, remedy: str = "") -> DiskError:
         """The error of the system on a file, or of any below ``where``, and a remedy."""
-        return cls(
-            f"{error.filename or where}: {error.strerror or error}; {remedy or 'make room, or look at the disk'}"
-        )
+        remedy = remedy or "make room, or look at the disk"
+        return cls(f"{error.filename or where}: {error.strerror or error}; {remedy}")
 
 
 class Interrupted(Exception):

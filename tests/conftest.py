@@ -9,6 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import kept_meshes
 import pytest
 from hypothesis import settings
 
@@ -22,6 +23,9 @@ PATIENCE_AFTER_FAILURE = 30.0
 APPLICATIONS = {"bench", "failures", "reference", "report", "resume", "stability", "stepping"}
 """Folders of whole runs: on one and two ranks; tests/parallel and tests/resume compare some of them on three."""
 EVERY_CASE = {"resume"}  # of them, each of whose cases is another kind of state to take apart and put together
+
+MESHES_ANEW = {"mesh", "safety"}
+"""Folders of tests of Gmsh itself, its process and its limits: there each mesh is made anew."""
 
 # Ranks must draw the same examples, and a failure must come back on the next run.
 settings.register_profile("fracflow", derandomize=True, deadline=None, database=None)
@@ -40,6 +44,7 @@ def meet(patience: float, reason: str) -> None:
 
 @pytest.hookimpl(tryfirst=True)  # pytest's own tmp_path reads basetemp when it is configured
 def pytest_configure(config):
+    kept_meshes.prepare()
     if SIZE == 1:
         return
     root = WORLD.bcast(tempfile.mkdtemp(prefix="fracflow-tests-") if RANK == 0 else None)
@@ -109,6 +114,11 @@ def pytest_runtest_makereport(item, call):
         report.outcome, report.longrepr = "failed", "\n".join(texts)
     elif len(set(outcomes)) > 1:
         report.outcome, report.longrepr = "failed", f"outcomes differ between ranks: {outcomes}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    kept_meshes.use(item.path.relative_to(Path(__file__).parent).parts[0] not in MESHES_ANEW)
 
 
 @pytest.hookimpl(trylast=True)

@@ -12,6 +12,7 @@ import sys
 import tokenize
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -41,12 +42,25 @@ KINDS = ("what", "long", *dict.fromkeys(DIALECT.values()))
 
 
 def texts(source: str) -> Iterator[str]:
-    """Docstrings, also those of attributes, comments and messages of a file, a paragraph or an entry of a list each."""
+    """Docstrings, also those of attributes, comments and messages of a file, a paragraph or an entry of a list each.
+
+    The docstring below a key of a class is its meaning, which messages and the schema have: it counts as a message.
+    """
     tree = ast.parse(source)
+    bodies = [node.body for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    below = {
+        id(line.value)
+        for body in bodies
+        for key, line in pairwise(body)
+        if isinstance(key, ast.AnnAssign) and isinstance(line, ast.Expr)
+    }
     docs = {
         id(node.value): node.value.value
         for node in ast.walk(tree)
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+        and id(node.value) not in below
     }
     for text in docs.values():
         for paragraph in re.split(r"\n\s*\n", text):

@@ -1,43 +1,117 @@
-"""The stage auto: large steps without inertia, wave steps while something moves, and back, any number of times."""
+"""The stage auto: large steps without inertia, wave steps while something moves, and back, any number of times.
+
+Waves that come in excite the rock, and loads and supports that jump or change their rate fast. A load whose rate changes at
+once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static response (Biggs 1964, 2.3); changes within a
+period may add up.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import pi
 
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc
 from fracflow.advance.error_control import step_error
 from fracflow.advance.events import EventLocated
-from fracflow.advance.excitation import excitations, next_kink, why_inertia
 from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
 from fracflow.advance.prescribed_times import prescribed
-from fracflow.advance.regime import (
-    LONG,
-    RADIATED,
-    SETTLED,
-    EventState,
-    Slipped,
-    Tried,
-    begin,
-    may_rest,
-    slipped,
-    weak_waves,
-)
+from fracflow.advance.regime import LONG, RADIATED, SETTLED, EventState, Tried, begin, may_rest, slipped, weak_waves
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
 from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.errors import NotConverged, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import TimeTable
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
 from fracflow.solve.request import LoadStep, StepRequest
 
+LARGEST = PETSc.NormType.INFINITY
+SHAKES = 0.1  # of the range of a load: a vibration that a stage auto does not leave out
+WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest period"
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A time span, or an instant, in which the rock is excited, and the cause."""
+
+    start: float
+    end: float
+    why: str
+
+
+def excitations(scene: Scene, period: float) -> tuple[Excitation, ...]:
+    """All of a scene's spans, by their start; ``period`` is the longest period of vibration of its rock."""
+    waves = [wave for each in scene.terms for wave in each.waves]
+    loads = [table for table in scene.driving_tables if table not in waves]
+    found = [span for table in waves for span in _arrivals(table)]
+    found += [span for table in loads for span in _rate_jumps(table, period)]
+    return tuple(sorted(found, key=lambda span: span.start))
+
+
+def _arrivals(table: TimeTable) -> Iterator[Excitation]:
+    times, values = np.array(table.times), np.array(table.values)
+    ends = [*times[1:], np.inf]
+    for n, (start, end) in enumerate(zip(times, ends, strict=True)):
+        after = values[min(n + 1, len(values) - 1)] if table.interpolation == "linear" else values[n]
+        if values[n] != 0.0 or (after != 0.0 and end > start):
+            yield Excitation(float(start), float(end), WAVE)
+
+
+def _rate_jumps(table: TimeTable, period: float) -> Iterator[Excitation]:
+    at, _ = table.jumps
+    yield from (Excitation(float(time), float(time), LOAD) for time in at)
+    if table.interpolation == "step" or table.spread == 0.0:
+        return
+    times, values = np.array(table.times), np.array(table.values)
+    length = np.diff(times)
+    moves = length > 0.0
+    rates = np.diff(values)[moves] / length[moves]
+    changes = np.abs(np.diff(rates, prepend=0.0, append=0.0)) * period / (2.0 * pi * table.spread)
+    at = np.append(times[:-1][moves], times[1:][moves][-1])
+    total, last = np.concatenate([[0.0], np.cumsum(changes)]), np.searchsorted(at, at + period, side="right")
+    for n in np.flatnonzero((total[last] - total[:-1] > SHAKES) & (changes > 0.0)):
+        yield Excitation(float(at[n]), float(at[last[n] - 1]), LOAD)
+
+
+def why_inertia(old: State, new: State, period: float, left: float, most: float) -> str:
+    """Why a step planned without inertia needs it: joints slip or open, or a large vibration; else empty. Collective.
+
+    ``left`` and the vibration as in ``swing``, which may come to ``most``.
+    """
+    before, after = old.sections, new.sections
+    changed = np.any(after.is_open != before.is_open) | np.any(after.is_sliding)
+    changed |= np.any(after.inelastic[:, :-1] != before.inelastic[:, :-1])
+    if new.motion.velocity.comm.tompi4py().allreduce(bool(changed), op=MPI.LOR):
+        return "joints slip or open"
+    found = swing(old, new, period, left)
+    return f"a vibration of {found:.3g} of the displacement would be left out, above {most:g}" if found > most else ""
+
+
+def swing(old: State, new: State, period: float, left: float) -> float:
+    """Amplitude of the vibration that a step without inertia leaves out, over the displacement to come [1]. Collective.
+
+    A rate that changes by r sets off r T/(2 pi), and stopping again as much; ``left`` is how long loads go on at their rate
+    """
+    change = new.motion.velocity.copy()
+    change.axpy(-1.0, old.motion.velocity)
+    kick, rate = float(change.norm(LARGEST)), float(new.motion.velocity.norm(LARGEST))
+    change.destroy()
+    reach = float(new.motion.displacement.norm(LARGEST)) + rate * left
+    return kick * period / (pi * reach) if reach > 0.0 else 0.0
+
+
 NEAR = 1e-9  # of a step: times so near are one
 TIME_ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
-TOLD = 4  # trials rejected on the way to one step from which on the log reports them
+REPORTED = 4  # trials rejected on the way to one step from which on the log reports them
 REST, WAVES = "quasi-static", "dynamic"
 
 
@@ -52,86 +126,75 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
     """
     model, stage = stepping.model, stepping.model.scene.stage[number]
     goes_on = bool(progress) and "moving" not in progress
-    course, place = (
-        (EventState.of(progress), SubstepCursor.of(progress))
-        if goes_on
-        else (begin(model, state, stage), SubstepCursor())
-    )
-    regimes = _Regimes(stepping, number, log, course, place)
+    event = EventState.of(progress) if goes_on else begin(model, state, stage)
+    place = SubstepCursor.of(progress) if goes_on else SubstepCursor()
+    regimes = _Regimes(stepping, number, log, event, place)
     if not goes_on:
         log(
-            f"stage {stage.title}: longest period {course.period:.6g}, steps with inertia {course.least:.6g},"
+            f"stage {stage.title}: longest period {event.period:.6g}, steps with inertia {event.least:.6g},"
             f" without at most {stage.time_step:.6g}"
         )
     if "moving" in progress:
-        weak, known = weak_waves(model, state, course.period), progress.get("moves", 0.0) > 0.0
+        weak, known = weak_waves(model, state, event.period), progress.get("moves", 0.0) > 0.0
         if known or state.energy["kinetic"] > weak:
             log(f"time {state.time:.9g}: begins in motion")
-            course = course.onset(state, course.period, weak)
-            course = (
-                replace(course, **{name: progress[name] for name in ("creep", "peak", "loud")}) if known else course
-            )
+            kept = {name: progress[name] for name in ("creep", "peak", "loud")} if known else {}
+            event = replace(event.onset(state, event.period, weak), **kept)
         else:
             state = stepping.enter(state, regimes.still)
-            yield Step(state, number, 0.0, StepReport(), course.as_progress(), REST)
-    assert stage.end is not None
+            yield Step(state, number, 0.0, StepReport(), event.as_progress(), REST)
     spent, waves = StepReport(), regimes.waves
-    while waves.place.fraction or stage.end - state.time > max(NEAR * course.least, TIME_ROUND_OFF * abs(stage.end)):
-        if course.moves:
-            if not waves.place.fraction and course.is_quiet(state, stage) and not regimes.is_excited(state.time):
-                settled, course, trials = regimes.return_to_quasi_static(state, course)
+    while waves.place.fraction or regimes.end - state.time > max(NEAR * event.least, TIME_ROUND_OFF * abs(regimes.end)):
+        if event.moves:
+            if not waves.place.fraction and event.is_quiet(state, stage) and not regimes.is_excited(state.time):
+                settled, event, trials = regimes.return_to_quasi_static(state, event)
                 yield from (Step(state, number, 0.0, StepReport(), trial=trial) for trial in trials)
                 if settled is not None:
                     state, waves.place = settled, SubstepCursor()
-                    yield Step(state, number, 0.0, regimes.counted(StepReport()), course.as_progress(), REST)
+                    yield Step(state, number, 0.0, regimes.counted(StepReport()), event.as_progress(), REST)
                     continue
-            before, step = state.time, regimes.wave_step(state, course)
+            before, step = state.time, regimes.wave_step(state, event)
             found = waves.advance(state, step.part(state.controls, waves.place.fraction, 1.0))
             state = found.state
-            course = replace(course.moved_to(state, stage.at_rest), count=course.count + (found.reached == 1.0))
-            if told := course.is_unstable(
-                before, state.time, any(term.absorbs for term in model.scene.terms), regimes.moving.damps
-            ):
-                log(f"time {state.time:.9g}: {told}")
+            event = replace(event.moved_to(state, stage.at_rest), count=event.count + (found.reached == 1.0))
+            absorbs = any(term.absorbs for term in model.scene.terms)
+            if line := event.is_unstable(before, state.time, absorbs, regimes.moving.damps):
+                log(f"time {state.time:.9g}: {line}")
             report = regimes.counted(found.report)
-            yield Step(state, number, found.length, report, course.as_progress(waves.place), WAVES)
+            yield Step(state, number, found.length, report, event.as_progress(waves.place), WAVES)
             continue
         if why := regimes.is_excited(state.time):
             log(f"time {state.time:.9g}: an event begins: {why}")
         else:
-            tried = regimes.slow_step(state, course)
+            tried = regimes.slow_step(state, event)
             if tried.state is not None:
-                course, state = regimes.accepted(state.time, course, tried, spent), tried.state
+                event, state = regimes.accepted(state.time, event, tried, spent), tried.state
                 report, spent = tried.report.after_trials(spent), StepReport()
-                yield Step(state, number, tried.length, report, course.as_progress(), REST)
+                yield Step(state, number, tried.length, report, event.as_progress(), REST)
                 continue
             spent = spent.with_rejected(tried.newton)
             yield Step(state, number, 0.0, StepReport(), trial=Trial(state.time, tried.length, tried.why))
-            if min(tried.length, course.step) > course.least * (1.0 + NEAR):
-                course = replace(course, step=max(0.5 * tried.length, course.least), calm=0.0)
+            if min(tried.length, event.step) > event.least * (1.0 + NEAR):
+                event = replace(event, step=max(0.5 * tried.length, event.least), calm=0.0)
                 continue
-            regimes.tell_onset(state, course.trials + spent.rejected, tried.why)
-        entered = stepping.enter(state, regimes.moving, course.least)
+            regimes.log_onset(state, event.trials + spent.rejected, tried.why)
+        entered = stepping.enter(state, regimes.moving, event.least)
         period = longest_period(model.operators, model.loads, state.sections)
-        course = course.onset(entered, period, weak_waves(model, state, period))
-        yield Step(entered, number, 0.0, spent, course.as_progress(), WAVES)
+        event = event.onset(entered, period, weak_waves(model, state, period))
+        yield Step(entered, number, 0.0, spent, event.as_progress(), WAVES)
         state, spent = entered, StepReport()
-
-
-def in_words(spent: StepReport) -> str:
-    """Number of rejected trials and their cost, in words."""
-    return f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
 
 
 class _Regimes:
     """Steps of both regimes of one stage."""
 
-    def __init__(self, stepping: Stepping, number: int, log: Log, course: EventState, place: SubstepCursor) -> None:
-        model, scene, least = stepping.model, stepping.model.scene, course.least
+    def __init__(self, stepping: Stepping, number: int, log: Log, event: EventState, place: SubstepCursor) -> None:
+        model, scene, least = stepping.model, stepping.model.scene, event.least
+        self.end, self.longest = scene.stage[number].end or 0.0, scene.stage[number].time_step or 0.0
         self.stepping, self.model, self.log, self.scene, self.stage = stepping, model, log, scene, scene.stage[number]
         self.prescribed = prescribed(scene, inertia=False, splits=True, share=scene.accuracy.tolerance or SEEN)
         self.still, self.moving = (stepper_of(scene, self.stage, kind) for kind in (REST, WAVES))
-        stepping.explicit.tell(self.moving, least)
+        stepping.explicit.log_steps(self.moving, least)
         locates = stepping.explicit.locates(self.moving, least) and scene.method.events != "at-step-ends"
         if not self.moving.explicit:
             stepping.couplings.expect(self.moving, least)
@@ -142,60 +205,49 @@ class _Regimes:
         slow = model.slow.get(number)
         self.most = None if slow is None else slow.error
         self.decision = "" if slow is None else slow.name
-        self.period = course.period
+        self.period = event.period
         self.vain = StepReport()
         self.coarse: dict[str, tuple[str, ...]] | None = None
-        self.shaken = () if self.most is not None else excitations(scene, course.period)
+        self.shaken = () if self.most is not None else excitations(scene, event.period)
         shakes = {span.start for span in self.shaken}
         self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
 
-    def slow_step(self, state: State, course: EventState) -> Tried:
+    def slow_step(self, state: State, event: EventState) -> Tried:
         """A step without inertia of the planned length, or the reason why it may not be taken. Collective."""
-        assert self.stage.end is not None
-        time, jumps = self._target(state.time, course.step)
-        ends = jumps or time >= self.stage.end
-        ahead = 0.0 if ends else self._target(time, course.step)[0] - time
+        time, jumps = self._target(state.time, event.step)
+        ends = jumps or time >= self.end
+        ahead = 0.0 if ends else self._target(time, event.step)[0] - time
         return replace(self._attempt(state, time, ahead=ahead), jumps=jumps)
 
-    def accepted(self, time: float, course: EventState, tried: Tried, spent: StepReport) -> EventState:
-        """The course after a step without inertia from a time, with the trials rejected on the way to it."""
-        assert self.stage.time_step is not None and tried.state is not None
-        if spent.rejected >= TOLD:
-            self.log(f"time {time:.9g}: {in_words(spent)}; the step of {tried.length:.3g} is taken")
-        course = replace(course, calm=course.calm + 1.0, trials=course.trials + spent.rejected)
-        if course.calm > CALM and tried.may_double:
-            course = replace(course, step=min(2.0 * course.step, max(self.stage.time_step, course.least)), calm=0.0)
+    def accepted(self, time: float, event: EventState, tried: Tried, spent: StepReport) -> EventState:
+        """The event after a step without inertia from a time, with the trials rejected on the way to it."""
+        if spent.rejected >= REPORTED:
+            rejected = f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
+            self.log(f"time {time:.9g}: {rejected}; the step of {tried.length:.3g} is taken")
+        event = replace(event, calm=event.calm + 1.0, trials=event.trials + spent.rejected)
+        if event.calm > CALM and tried.may_double:
+            event = replace(event, step=min(2.0 * event.step, max(self.longest, event.least)), calm=0.0)
         if tried.jumps:
-            after = self.stage.time_step * 0.5**self.scene.accuracy.max_halvings
-            course = replace(course, step=max(min(course.step, after), course.least), calm=0.0)
-        return course
+            after = self.longest * 0.5**self.scene.accuracy.max_halvings
+            event = replace(event, step=max(min(event.step, after), event.least), calm=0.0)
+        return event
 
-    def tell_onset(self, state: State, trials: float, why: str) -> None:
+    def log_onset(self, state: State, trials: float, why: str) -> None:
         """Log that an event begins as no step without inertia may be taken. Collective."""
         done = f"an event begins, after {trials:.0f} trials rejected"
         self.log(f"time {state.time:.9g}: {done}: {why}{self._coarse(state)}")
         if patch := patch_at_limit(self.model, state):
-            self.log(f"time {state.time:.9g}: limit point: {patch.told(self.scene)}")
-
-    def _where(self, slip: Slipped) -> str:
-        """Fracture and place of the section that slips the most against its strength. Collective."""
-        return places_of(self.model.operators.blocks, slip.worst, self.model.operators.joints.natural)
+            self.log(f"time {state.time:.9g}: limit point: {patch.describe(self.scene)}")
 
     def _coarse(self, state: State) -> str:
         """Which fractures slide whose lengths of slip the mesh does not resolve, in words; empty if none. Collective."""
         if self.coarse is None:
-            model, comm = self.model, self.model.operators.layout.comm
-            found = on_root(
-                comm,
-                lambda: coarse_of_slip(model.scene, model.mesh, model.placed.wells) if model.mesh is not None else {},
-            )
+            model, comm, mesh = self.model, self.model.operators.layout.comm, self.model.mesh
+            found = on_root(comm, lambda: coarse_of_slip(model.scene, mesh, model.placed.wells) if mesh else {})
             self.coarse = comm.bcast(found, root=0)
         slides = fractures_of(self.model.operators.blocks, state.sections.is_sliding).split(", ")
-        said = [
-            f"{what} in {of_fractures(here)}"
-            for what, names in self.coarse.items()
-            if (here := [name for name in names if name in slides])
-        ]
+        here = {what: [name for name in names if name in slides] for what, names in self.coarse.items()}
+        said = [f"{what} in {of_fractures(names)}" for what, names in here.items() if names]
         return f"; of what slides the mesh does not resolve {', '.join(said)}" if said else ""
 
     def counted(self, report: StepReport) -> StepReport:
@@ -205,19 +257,16 @@ class _Regimes:
 
     def is_excited(self, time: float) -> str:
         """The excitation that begins at a time or has not ended; empty if there is none."""
-        assert self.stage.time_step is not None
-        slack = max(3.0 * NEAR * self.stage.time_step, 3e-11 * abs(time))  # steps end just before a jump
-        now = (
-            span.why for span in self.shaken if span.start <= time + slack and time < max(span.end, span.start + slack)
-        )
-        return next(now, "")
+        slack = max(3.0 * NEAR * self.longest, 3e-11 * abs(time))  # steps end just before a jump
+        spans = (span for span in self.shaken if span.start <= time + slack)
+        return next((span.why for span in spans if time < max(span.end, span.start + slack)), "")
 
     def _must_not_matter(self, old: State, new: State) -> None:
         """Raise ReductionInvalid, on every rank, where a step needs the inertia that the plan leaves out. Collective."""
         if self.most is None:
             return
-        assert self.stage.end is not None
-        left = next_kink(self.scene, new.time, self.stage.end) - new.time
+        kinks = (time for table in self.scene.time_tables for time in table.times if time > new.time)
+        left = min([self.end, *kinks]) - new.time  # to where a rate changes next
         if why := why_inertia(old, new, self.period, left, self.most):
             new.destroy()
             raise ReductionInvalid(self.decision, old.time, why)
@@ -227,9 +276,8 @@ class _Regimes:
 
         Or else at the next corner of its table, which may be the peak of a pulse, or with the stage.
         """
-        assert self.stage.end is not None and self.stage.time_step is not None
-        least = NEAR * self.stage.time_step
-        ends = [(self.stage.end, False)] if time + step > self.stage.end - NEAR * step else [(time + step, False)]
+        least = NEAR * self.longest
+        ends = [(self.end, False)] if time + step > self.end - NEAR * step else [(time + step, False)]
         for jump in self.scene.jump_times:
             slack = max(least, 1e-11 * abs(jump))  # tables are sampled from the left there
             if time < jump - 2.0 * slack and ends[0][0] > jump - 2.0 * slack:
@@ -241,28 +289,16 @@ class _Regimes:
         return end, jumps
 
     def _attempt(
-        self,
-        state: State,
-        time: float,
-        radiated: float = RADIATED,
-        iterations: int = BRIEF,
-        ahead: float | None = None,
+        self, state: State, time: float, radiated: float = RADIATED, iterations: int = BRIEF, ahead: float | None = None
     ) -> Tried:
         """A step without inertia whose slip radiates at most a share of the strength, or why there is none. Collective.
 
         iterations  as ``StepRequest.max_iterations``
         ahead       length of the step after it, as it is foreseen
         """
-        dt, allowed = time - state.time, self.scene.accuracy.step_error
-        request = StepRequest(
-            time,
-            dt,
-            state.controls,
-            self.model.loads,
-            next_length=ahead,
-            expects_failure=True,
-            max_iterations=iterations,
-        )
+        dt, allowed, ops = time - state.time, self.scene.accuracy.step_error, self.model.operators
+        request = StepRequest(time, dt, state.controls, self.model.loads, next_length=ahead)
+        request = replace(request, expects_failure=True, max_iterations=iterations)
         try:
             new, report = self.stepping.step(state, request, self.still)
         except NotConverged as failure:
@@ -273,33 +309,32 @@ class _Regimes:
         slip = slipped(self.model, state, new, dt)
         why = slip.why_not(radiated)
         if not why and allowed is not None and state.motion.velocity.norm() > 0.0:
-            error = step_error(self.model.operators, self.still, dt, state, new)
+            error = step_error(ops, self.still, dt, state, new)
             why = f"an error of {error:.3g}" if error > allowed else ""
         elif why:
-            why += f", most in {self._where(slip)}"
+            why += f", most in {places_of(ops.blocks, slip.worst, ops.joints.natural)}"
         if not why:
             return Tried("", report.newton, new, report, slip.may_double, dt)
         new.destroy()
         return Tried(why, report.newton, length=dt)
 
-    def wave_step(self, state: State, course: EventState) -> LoadStep:
+    def wave_step(self, state: State, event: EventState) -> LoadStep:
         """The step with inertia that a state is in."""
-        assert self.stage.end is not None
-        start = course.begun + course.count * course.least
-        whole = min(course.least, self.stage.end - start)
+        start = event.begun + event.count * event.least
+        whole = min(event.least, self.end - start)
         return LoadStep(start, 1, whole, whole, whole, state.controls, self.model.loads, in_halves=False)
 
-    def return_to_quasi_static(self, state: State, course: EventState) -> tuple[State | None, EventState, list[Trial]]:
+    def return_to_quasi_static(self, state: State, event: EventState) -> tuple[State | None, EventState, list[Trial]]:
         """The state taken over without inertia, if a step without inertia keeps the sliding sections; and the step tried.
 
         Collective.
         """
         trials: list[Trial] = []
         if not may_rest(self.model, state):
-            return None, course, trials
-        entered, still, lasted = self.stepping.enter(state, self.still), course.at_rest(), state.time - course.begun
+            return None, event, trials
+        entered, still, lasted = self.stepping.enter(state, self.still), event.at_rest(), state.time - event.begun
         # long after motion has stopped, Newton's method may fail only because the step is so long
-        for length in (still.step, course.least) if lasted > LONG * course.period else (still.step,):
+        for length in (still.step, event.least) if lasted > LONG * event.period else (still.step,):
             time = self._target(entered.time, length)[0]
             tried = self._attempt(entered, time, SETTLED * RADIATED, self.scene.accuracy.max_iterations)
             if tried.state is not None:
@@ -310,4 +345,4 @@ class _Regimes:
             trials.append(Trial(state.time, time - state.time, why))
         entered.destroy()
         self.log(f"time {state.time:.9g}: not at rest yet: without inertia there is {why}")
-        return None, replace(course, loud=state.time), trials
+        return None, replace(event, loud=state.time), trials

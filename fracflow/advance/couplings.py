@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from fracflow._petsc import destroy
 from fracflow.advance.outcome import Log
 from fracflow.integrators import Stepper
 from fracflow.model.loads import Loads
@@ -13,9 +14,7 @@ from fracflow.solve import COUPLINGS, Coupling
 from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
 from fracflow.solve.options import is_large, is_meant
 
-MOST_KEPT = (
-    4  # solvers for different sets of loads, with their factors: wells go from one limit to the next and seldom back
-)
+MOST_KEPT = 4  # solvers, with their factors, for different loads: wells go from one limit to the next, seldom back
 
 
 class Couplings:
@@ -23,7 +22,7 @@ class Couplings:
 
     def __init__(self, model: Model, log: Log) -> None:
         """Plan which steps are condensed; where any are, the first coupling that is made writes to the log. Collective."""
-        self.model, self.log, self._told = model, log, False
+        self.model, self.log, self._is_logged = model, log, False
         operators = model.operators
         self._unknowns = int(operators.layout.solid_starts[-1])
         self._jumps = operators.layout.comm.allreduce(len(operators.joints.weights)) * operators.joints.dim
@@ -48,9 +47,9 @@ class Couplings:
             name = self._way()
             coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
             coupling.expect(self._planned)
-            if name == "condensed" and not self._told:
+            if name == "condensed" and not self._is_logged:
                 self.log(self._as_line())
-                self._told = True
+                self._is_logged = True
         self._kept[loads] = coupling
         return coupling
 
@@ -72,16 +71,10 @@ class Couplings:
         """Stages that are condensed, the numbers of unknowns, and the number of steps from which on condensing pays."""
         scene, plan = self.model.scene, self._planned
         is_asked = scene.method.coupling == "condensed"
-        stages = [
-            stage.title + (f" ({count:.0f} steps)" if count < math.inf else "")
-            for stage, alphas, count in planned(scene)
-            if is_asked or plan.is_worth(key_of(alphas, self._damps))
-        ]
-        pays = (
-            f"pays from {plan.pays:.0f} steps of one length on"
-            if plan.pays < math.inf
-            else "never pays, but is asked for"
-        )
+        steps = [each for each in planned(scene) if is_asked or plan.is_worth(key_of(each[1], self._damps))]
+        stages = [s.title + (f" ({count:.0f} steps)" if count < math.inf else "") for s, _, count in steps]
+        pays = "never pays, but is asked for"
+        pays = f"pays from {plan.pays:.0f} steps of one length on" if plan.pays < math.inf else pays
         return (
             f"rock condensed to its joints, {self._unknowns} displacements to {self._jumps} jumps, which {pays}:"
             f" stage {', '.join(stages) or 'none'}"
@@ -89,5 +82,4 @@ class Couplings:
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
-        for coupling in self._kept.values():
-            coupling.destroy()
+        destroy(*self._kept.values())

@@ -7,20 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, destroy
 from fracflow.advance.network import FlowNetwork
-from fracflow.advance.sampling import sides_of
 from fracflow.integrators import Alphas, Stepper
 from fracflow.mesh.data import Bools
 from fracflow.model.energy import compressed, dissipated, jumped, pushed, switch, update_balance
 from fracflow.model.energy_motion import Scheme, kinetic_energy
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
-from fracflow.model.state import Motion, PreviousStep, SectionHistory, State
+from fracflow.model.state import PreviousStep, SectionHistory, State, forgetful
 from fracflow.solve.initial_rates import first_levels, initial_acceleration, levels, starting_pressure, starting_rate
 from fracflow.solve.motion_terms import carried_on
 from fracflow.solve.problem import StepProblem
-from fracflow.solve.request import StepRequest, StepRule
+from fracflow.solve.request import StepRequest, StepRule, sides_of
 
 KEEPS_PACE = 1e-9  # of rates of flow and of walls: what less changes in a step is round-off
 
@@ -33,18 +32,14 @@ def enter(model: Model, network: FlowNetwork, loads: Loads, state: State, steppe
     They then follow their mean rate in the first step, of length ``dt``. Without inertia, motion is dropped and what is
     prescribed arrives during the first step.
     """
-    ops, old = model.operators, state.motion
-    motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
+    ops = model.operators
     if not stepper.inertia:
-        motion.velocity.set(0.0)
+        kept = forgetful(state)
+        kept.motion.velocity.set(0.0)
+        destroy(kept.forces.anchor, kept.uptake)
+        return replace(kept, forces=replace(kept.forces, anchor=None), energy=switch(state.energy, 0.0), uptake=None)
+    motion = state.motion.copy()
     energy = switch(state.energy, kinetic_energy(ops, motion.velocity))
-    if not stepper.inertia:
-        pressure, forces = state.pressure.copy(), state.forces.copy()
-        if forces.anchor is not None:
-            forces.anchor.destroy()
-            forces = replace(forces, anchor=None)
-        kept = replace(state, motion=motion, pressure=pressure, forces=forces, energy=energy)
-        return replace(kept, previous_step=PreviousStep(), uptake=None)
     for moved in model.loads.supports if dt > 0.0 else ():
         motion.velocity.getArray()[moved.numbers] = moved.speed(state.time, (0.0, dt))
     energy = pushed(energy, kinetic_energy(ops, motion.velocity))
@@ -65,10 +60,8 @@ def change(model: Model, network: FlowNetwork, loads: Loads, state: State, leavi
     Displacements and velocities stay, tractions drop, and accelerations follow. The energy that the drop frees is dissipated.
     """
     ops = model.operators
-    branch = ops.joints.with_other_status(state.sections.strain, state.sections.history, leaving)
-    old = state.motion
-    motion = Motion(old.displacement.copy(), old.velocity.copy(), old.acceleration.copy())
-    new = _first_instant(model, network, loads, replace(state, motion=motion), branch)
+    status = ops.joints.with_other_status(state.sections.strain, state.sections.history, leaving)
+    new = _first_instant(model, network, loads, replace(state, motion=state.motion.copy()), status)
     # they were brought to their threshold on purpose
     settled = replace(new.sections, margin=np.where(leaving, np.inf, state.sections.margin))
     new = replace(new, sections=settled, energy=update_balance(ops, state, new, 0.0, Scheme()))
@@ -90,8 +83,7 @@ def keep_pace(model: Model, network: FlowNetwork, state: State, request: StepReq
         return None
     with ExitStack() as done:
         source, speed = ops.layout.flow_vector(), state.motion.velocity.copy()
-        for thing in (source, speed, *(part.walls for part in parts)):
-            done.callback(thing.destroy)
+        done.callback(destroy, source, speed, *(part.walls for part in parts))
         loads.source(request.time, request.controls, source, around)
         for moved in loads.supports:
             speed.getArray()[moved.numbers] = moved.speed(request.time, around)
@@ -106,28 +98,22 @@ def keep_pace(model: Model, network: FlowNetwork, state: State, request: StepReq
         if np.all(np.abs(lacks) * dt <= KEEPS_PACE * sizes):
             return None
         added, moves = levels(ops, loads, parts, lacks)
-        done.callback(moves.destroy)
-        pressure, push, reaction = state.pressure.copy(), speed, moves.duplicate()
-        done.callback(reaction.destroy)
-        level = ops.layout.flow_vector()
-        done.callback(level.destroy)
+        push, reaction, level = speed, moves.duplicate(), ops.layout.flow_vector()
+        done.callback(destroy, moves, reaction, level)
         for part, more in zip(parts, added, strict=True):
             level.getArray()[part.nodes] += more
-        pressure.axpy(1.0, level)
-        acceleration = state.motion.acceleration.copy()
-        acceleration.axpy(1.0, moves)
-        motion = Motion(state.motion.displacement.copy(), state.motion.velocity.copy(), acceleration)
+        start, held = forgetful(state), loads.held
+        start.pressure.axpy(1.0, level)
+        start.motion.acceleration.axpy(1.0, moves)
         assert ops.flow is not None
         ops.flow.pressure_load.mult(level, push)
         ops.mass.mult(moves, reaction)
-        forces, held = state.forces.copy(), loads.held
-        forces.support.getArray()[held] += reaction.getArray()[held] - push.getArray()[held]
-    uptake = None if state.uptake is None else state.uptake.copy()
-    return replace(state, motion=motion, pressure=pressure, forces=forces, uptake=uptake, previous_step=PreviousStep())
+        start.forces.support.getArray()[held] += reaction.getArray()[held] - push.getArray()[held]
+    return start
 
 
 def _first_instant(
-    model: Model, network: FlowNetwork, loads: Loads, begun: State, branch: SectionHistory, dt: float | None = None
+    model: Model, network: FlowNetwork, loads: Loads, begun: State, status: SectionHistory, dt: float | None = None
 ) -> State:
     """(4.1e) The state with the pressures and accelerations that follow from its motion and statuses. Collective.
 
@@ -149,7 +135,7 @@ def _first_instant(
         request = StepRequest(begun.time, 0.0, begun.controls, closed)
         problem = StepProblem(ops, begun, request, StepRule(now, begun.adjacent_steps, inertia=True))
         done.callback(problem.destroy)
-        problem.branch = branch
+        problem.trial_status = status
         problem.evaluate()
         compressible = ops.flow is not None and ops.flow.compressibility > 0.0
         if compressible and dt is not None:
@@ -162,8 +148,7 @@ def _first_instant(
             problem.evaluate()
         initial_acceleration(ops, problem, motion.acceleration)
         parts = network.enclosed(loads, begun, dt or 0.0) if ops.flow is not None else []
-        for part in parts:
-            done.callback(part.walls.destroy)
+        done.callback(destroy, *(part.walls for part in parts))
         for part, level in zip(parts, first_levels(ops, problem, motion.acceleration, parts), strict=True):
             problem.pressure.getArray()[part.nodes] += level
         if parts:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.advance.initial_state import imbalance
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.step import DONE, Progress, Step, Stepping
@@ -53,9 +53,8 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
     model.loads.standing().release(held_back)
 
     left = held_back.duplicate()
-    parts = Substepped(
-        Restrained(stepping.by(Steady()), held_back, left, count), Rules(most_halvings(model.scene)), log
-    )
+    restrained = Restrained(stepping.by(Steady()), held_back, left, count)
+    parts = Substepped(restrained, Rules(most_halvings(model.scene)), log)
     n = 0
     try:
         while n < count:
@@ -64,8 +63,7 @@ def equilibrate(stepping: Stepping, state: State, number: int, log: Log, progres
             state, n = found.state, n + (found.reached == 1.0)
             yield Step(state, number, 0.0, found.report, DONE if n == count else None)
     finally:
-        held_back.destroy()
-        left.destroy()
+        destroy(held_back, left)
     log(f"equilibrium: {_summary(model, state)}")
 
 

@@ -1,4 +1,4 @@
-"""The error of a step, estimated from its two ends, and the tolerance of the scene."""
+"""The error of a step, estimated from its two ends; the tolerance of the scene; vibrations that make substeps very short."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.advance.explicit import ExplicitSteps
 from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.prescribed_times import AT_A_TIME, bends_of, latest
-from fracflow.advance.vibration import MOST_PARTS, WATCHED, Vibration, swing_of, vibration
 from fracflow.errors import SolveError
 from fracflow.integrators import FilmRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
@@ -23,6 +22,88 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
 from fracflow.solve.request import StepRequest
+
+MOST_PARTS = 1e5  # of the rest of a stage: more substeps are reported
+WATCHED = 500  # substeps in a row before the report: some periods of the vibration
+
+
+def swing_of(acceleration: float, jerk: float) -> tuple[float, float]:
+    """Amplitude and period of y = A sin(w t), whose accelerations reach A w^2 and whose jerks A w^3 [length, time].
+
+    Of several such motions the amplitude is no less than that of the one which rules the jerk.
+    """
+    if not (acceleration > 0.0 and jerk > 0.0):
+        return math.inf, math.inf
+    return acceleration**3 / jerk**2, 2.0 * math.pi * acceleration / jerk
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """Largest acceleration and jerk, over substeps in a row, of the node whose estimated error is the largest in each.
+
+    parts  in a row that were so short that over ``MOST_PARTS`` were left; 0 where the last one was not
+    place  of that node in the last part
+    """
+
+    parts: int = 0
+    acceleration: float = 0.0
+    jerk: float = 0.0
+    place: str = ""
+
+    def followed_by(self, other: Vibration) -> Vibration:
+        """Both together, in a row."""
+        most = max(self.acceleration, other.acceleration), max(self.jerk, other.jerk)
+        return Vibration(self.parts + other.parts, *most, other.place)
+
+    def as_progress(self) -> dict[str, float]:
+        """The numbers that a checkpoint keeps of it."""
+        kept = {"parts": float(self.parts), "acceleration": self.acceleration, "jerk": self.jerk}
+        return {f"vibration_{name}": value for name, value in kept.items()}
+
+    @classmethod
+    def of(cls, progress: Mapping[str, float]) -> Vibration:
+        """The one that a checkpoint stored."""
+        kept = [progress.get(f"vibration_{name}", 0.0) for name in ("parts", "acceleration", "jerk")]
+        return cls(int(kept[0]), kept[1], kept[2])
+
+
+def vibration(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Vibration:
+    """Motion of the node with the largest estimated error in a substep of length ``dt``. Collective."""
+    sizes = _error_sizes(operators, stepper, dt, old, new)
+    ends = [_nodal(operators, state.motion.acceleration) for state in (old, new)]
+    mine: tuple[float, float, float, str] = (-1.0, 0.0, 0.0, "")
+    if len(sizes):
+        worst = int(sizes.argmax())
+        before, after = (each[worst] for each in ends)
+        largest = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+        mine = (float(sizes[worst]), largest, float(np.linalg.norm(after - before)) / dt, _place(operators, worst))
+    return Vibration(1, *max(operators.layout.comm.allgather(mine))[1:])
+
+
+def _error_sizes(operators: Operators, stepper: Stepper, dt: float, old: State, new: State) -> Floats:
+    """Lengths (n,) of the local errors of the displacements of this rank's own nodes. Collective."""
+    wrong = new.motion.displacement.duplicate()
+    wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
+    sizes: Floats = np.linalg.norm(_nodal(operators, wrong), axis=1)
+    wrong.destroy()
+    return sizes
+
+
+def _nodal(operators: Operators, unknowns: PETSc.Vec) -> Floats:
+    """Vectors (n, dim) at this rank's own nodes. Collective."""
+    nodal = operators.nodal(unknowns)
+    values: Floats = nodal.getArray().reshape(-1, operators.blocks.sizes.dim).copy()
+    nodal.destroy()
+    return values
+
+
+def _place(operators: Operators, node: int) -> str:
+    """Where one of this rank's own nodes is, and on which fracture."""
+    joints = operators.blocks.joints
+    faces = np.any(np.concatenate([joints.bottom, joints.top], axis=1) == node, axis=1)
+    on = f"on {joints.fractures[joints.fracture[faces.argmax()]]} " if faces.any() else ""
+    return f"{on}at ({', '.join(f'{x:.4g}' for x in operators.blocks.solid.points[node])})"
+
 
 FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
 LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
@@ -36,27 +117,18 @@ def step_error(
 
     dt       length of the step, or of the equal parts that it is taken in, whose errors add up [time]
     largest  that of earlier states [length]; by default that of the end of the step
+
     Both are lengths of nodal vectors, and depend on neither axes nor units. Collective.
     """
-    wrong = new.motion.displacement.duplicate()
-    wrong.setArray(stepper.local_error(dt, old.motion.values(), new.motion.values()))
-    error = _longest(operators, wrong)
-    wrong.destroy()
+    here = float(_error_sizes(operators, stepper, dt, old, new).max(initial=0.0))
+    error = operators.layout.comm.allreduce(here, op=MPI.MAX)
     moved = max(largest, largest_displacement(operators, new))
     return error / max(moved, LEAST * operators.scales.length)
 
 
 def largest_displacement(operators: Operators, state: State) -> float:
     """Largest displacement of any node [length]. Collective."""
-    return _longest(operators, state.motion.displacement)
-
-
-def _longest(operators: Operators, unknowns: PETSc.Vec) -> float:
-    """Length of the longest of the nodes' vectors u = E q."""
-    nodal = operators.nodal(unknowns)
-    values: Floats = nodal.getArray(readonly=True).reshape(-1, operators.blocks.sizes.dim)
-    here = float(np.linalg.norm(values, axis=1).max(initial=0.0))
-    nodal.destroy()
+    here = float(np.linalg.norm(_nodal(operators, state.motion.displacement), axis=1).max(initial=0.0))
     return operators.layout.comm.allreduce(here, op=MPI.MAX)
 
 
@@ -91,9 +163,9 @@ class ErrorEstimator:
         asked = model.scene.accuracy
         self.by_step, self.tolerance = asked.step_error, asked.tolerance
         by_sum = self.by_step is None and self.tolerance is not None
-        self.of_film = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
+        self.of_flow = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
         # where fracture flow begins anew, since earlier steps do not predict later ones
-        self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_film and self.tolerance else {}
+        self.bends = bends_of(model.scene.time_tables, self.tolerance) if self.of_flow and self.tolerance else {}
         self.length = None if stage.step_count(start) is None else stage.finish(start) - start
         self.largest = progress.get("farthest", 0.0)
         self.last = progress.get("last", 0.0)  # length of the last part [time]
@@ -104,14 +176,14 @@ class ErrorEstimator:
         self.tried: _Tried | None = None
         self.follows = Vibration.of(progress)
         # without inertia and fluid, time has no part in what a step ends with
-        judges = self.by_step is not None or self.of_film or (by_sum and stepper.inertia)
-        self.order = stepper.order if judges else 0
-        self.finest = FINEST if judges and by_sum else 0
+        estimates = self.by_step is not None or self.of_flow or (by_sum and stepper.inertia)
+        self.order = stepper.order if estimates else 0
+        self.finest = FINEST if estimates and by_sum else 0
 
     @property
-    def told(self) -> str:
+    def statement(self) -> str:
         """The tolerance and the size to which it is relative, for the log."""
-        of = "volume stored in fractures" if self.of_film else "displacements"
+        of = "volume stored in fractures" if self.of_flow else "displacements"
         return f"accuracy.tolerance = {self.tolerance:g} of {of}"
 
     @property
@@ -119,12 +191,9 @@ class ErrorEstimator:
         """The estimated error of the stage, for the log."""
         assert self.tolerance is not None
         reached = self.error_most / max(self.largest, float(np.finfo(float).tiny))
-        of = "volume stored in fractures" if self.of_film else "displacement"
-        missed = (
-            ""
-            if reached <= self.tolerance
-            else ", more than asked: substeps could not be shorter, or the motion stayed smaller than expected"
-        )
+        of = "volume stored in fractures" if self.of_flow else "displacement"
+        missed = ", more than asked: substeps could not be shorter, or the motion stayed smaller than expected"
+        missed = "" if reached <= self.tolerance else missed
         return (
             f"time steps made an error of {reached:.2g} (estimated) of the largest {of}, accuracy.tolerance ="
             f" {self.tolerance:g}{missed}; that of the mesh is not in it (--converge)"
@@ -137,11 +206,11 @@ class ErrorEstimator:
         if self.by_step is not None:
             return step_error(self.operators, self.stepper, part, old, new, self.largest) / self.by_step
         assert self.tolerance is not None
-        self._refuse()
+        self._use_rejected()
         size = self._size(new)
         largest = max(self.largest, self.guess, size)
-        if self.of_film:
-            error, span = self._film_error(dt, old, new), self._span(old.time, new.time)
+        if self.of_flow:
+            error, span = self._flow_error(dt, old, new), self._span(old.time, new.time)
         else:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length
@@ -163,9 +232,8 @@ class ErrorEstimator:
         """The motion that makes a substep short, where very many remain. Collective."""
         if not self._left(new.time, dt) > MOST_PARTS:
             return Vibration()
-        return (
-            vibration(self.operators, self.stepper, dt, old, new) if part == dt and not self.of_film else Vibration(1)
-        )
+        is_known = part == dt and not self.of_flow
+        return vibration(self.operators, self.stepper, dt, old, new) if is_known else Vibration(1)
 
     def outlook(self, time: float) -> str:
         """A line on the remainder of a stage whose substeps have long been very short; "" elsewhere.
@@ -178,7 +246,7 @@ class ErrorEstimator:
         amplitude, period = swing_of(self.follows.acceleration, self.follows.jerk)
         largest = max(self.largest, self.guess)
         asked = (
-            f"time {time:.6g}: {self.told} needs substeps as short as {self.last:.2g}, about"
+            f"time {time:.6g}: {self.statement} needs substeps as short as {self.last:.2g}, about"
             f" {self._left(time, self.last):.1g} more of them"
         )
         if not math.isfinite(amplitude):
@@ -194,21 +262,22 @@ class ErrorEstimator:
             f" {self.tolerance:g} or resume"
         )
 
-    def _refuse(self) -> None:
-        """Use the last rejected trial: of two substeps with the same end the later, shorter one is more accurate."""
+    def _use_rejected(self) -> None:
+        """Take the size of the motion from the last rejected trial.
+
+        Of two substeps with the same end the later, shorter one is more accurate.
+        """
         if self.tried is not None:
             ends_last = self.tried.time >= self.until
             self.guess = self.tried.size if ends_last else max(self.guess, self.tried.size)
             self.until = max(self.until, self.tried.time)
             self.tried = None
 
-    def follow(self, state: State, dt: float) -> None:
+    def accept(self, state: State, dt: float) -> None:
         """Accept the state at the end of a substep of length ``dt``. Collective."""
-        self.last = dt
-        if self.order:
-            self.largest = max(self.largest, self._size(state))
+        self.last, self.largest = dt, max(self.largest, self._size(state))
         if self.tried is not None:
-            left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_film else 1.0
+            left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_flow else 1.0
             self.error_now = left * self.error_now + self.tried.error
             self.error_most = max(self.error_most, self.error_now)
             seen = self.tried.follows
@@ -219,29 +288,19 @@ class ErrorEstimator:
 
     def as_progress(self) -> dict[str, float]:
         """The numbers that a checkpoint stores."""
-        return {
-            "farthest": self.largest,
-            "last": self.last,
-            "guess": self.guess,
-            "until": self.until,
-            "error_now": self.error_now,
-            "error_most": self.error_most,
-            **self.follows.as_progress(),
-        }
+        kept = {name: getattr(self, name) for name in ("last", "guess", "until", "error_now", "error_most")}
+        return {"farthest": self.largest, **kept, **self.follows.as_progress()}
 
     def _size(self, state: State) -> float:
         """Largest displacement, or the volume that fractures have taken up or released."""
-        if not self.of_film:
+        if not self.of_flow:
             return largest_displacement(self.operators, state)
         gone, compression = self._room(state.motion.displacement), compression_of(self.operators, state)
         if compression is not None and self.operators.flow is not None:
-            held = self.operators.layout.flow_vector()
-            self.operators.flow.taken_up(compression.held, held)
-            gone += held.getArray()
-            held.destroy()
+            gone += self.operators.flow.at_nodes(compression.held)
         return self._sum(gone)
 
-    def _film_error(self, dt: float, old: State, new: State) -> float:
+    def _flow_error(self, dt: float, old: State, new: State) -> float:
         """Volume that a substep puts in the wrong place [volume per thickness]. Collective."""
         before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
         last, passing, passed = self.last, after, before
@@ -265,11 +324,7 @@ class ErrorEstimator:
 
     def _room(self, walls: PETSc.Vec) -> Floats:
         assert self.operators.flow is not None
-        room = self.operators.layout.flow_vector()
-        self.operators.flow.storage_coupling.multTranspose(walls, room)
-        found: Floats = room.getArray().copy()
-        room.destroy()
-        return found
+        return self.operators.flow.swept(walls)
 
     def _sum(self, at_nodes: Floats) -> float:
         return float(self.operators.layout.comm.allreduce(float(np.abs(at_nodes).sum()), op=MPI.SUM))
@@ -280,13 +335,13 @@ class ErrorControlled:
     """Adds the estimated error of a substep, over the allowed one, to its outcome."""
 
     inner: Advance
-    judge: ErrorEstimator
+    estimator: ErrorEstimator
     explicit: ExplicitSteps
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The same with its error. Raises SolveError, on every rank. Collective."""
-        found, judge = self.inner.advance(state, request), self.judge
+        found, estimator = self.inner.advance(state, request), self.estimator
         assert request.step is not None
         length = request.step.length * (found.reached - request.begin)
-        error = judge.error(length, self.explicit.part(judge.stepper, length), state, found.state)
+        error = estimator.error(length, self.explicit.part(estimator.stepper, length), state, found.state)
         return replace(found, error=error)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.elements import facet
 from fracflow.errors import InputError
 from fracflow.laws.base import HELD
@@ -41,16 +41,14 @@ def refuse_imbalance(model: Model) -> None:
     ops = model.operators
     motion, sections, pressure = _unmoved(model)
     balance, allowed = imbalance(model, motion.displacement, sections.traction, pressure), _slack(model)
-    motion.destroy()
-    pressure.destroy()
+    destroy(motion, pressure)
     model.loads.standing().release(balance)
     bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
     count = ops.blocks.comm.allreduce(int(bad.sum()))
     names = _names_at(ops, np.flatnonzero(bad))
     if not count and allowed.norm() > 0.0:
         ops.prestress.axpy(-1.0, balance)
-    balance.destroy()
-    allowed.destroy()
+    destroy(balance, allowed)
     if count:
         raise InputError(
             f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
@@ -127,12 +125,10 @@ def _moved(model: Model, state: State) -> State:
     sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history())
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)
-    energy = close_initial_balance(
-        update_balance(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False))
-    )
+    energy = update_balance(ops, state, replace(new, forces=state.forces), 0.0, Scheme(storage=False))
     friction = dissipated(state, new)
     state.destroy()
-    return replace(new, energy=energy, friction=friction)
+    return replace(new, energy=close_initial_balance(energy), friction=friction)
 
 
 def _spread(model: Model, key: str, result: PETSc.Vec) -> None:
@@ -190,9 +186,8 @@ def _slack(model: Model) -> PETSc.Vec:
     change = np.abs(np.einsum("jki,ji->jk", stress[:, 1] - stress[:, 0], frame[:, -1]))
     change += np.abs(np.diff(initial_pressure(scene, ends), axis=1) * frame[:, -1])
     off = np.abs(ops.joints.initial - implied_tractions(ops.blocks, scene, natural))
-    is_implied = (
-        off.reshape(len(length), len(natural) * dim).max(axis=1, initial=0.0) <= EQUILIBRIUM * ops.scales.pressure
-    )
+    most = off.reshape(len(length), len(natural) * dim).max(axis=1, initial=0.0)
+    is_implied = most <= EQUILIBRIUM * ops.scales.pressure
     faces, slack = np.concatenate([joints.bottom, joints.top], axis=1), change * (is_implied * length)[:, None] / 6.0
     if scene.carries_unbalanced:
         slack = np.full_like(slack, ANYTHING * ops.scales.force)

@@ -46,7 +46,7 @@ class LimitPoint(SolveError):
     """A stage without inertia has reached unstable slip. The state is the last one at rest."""
 
     @property
-    def told(self) -> str:
+    def message(self) -> str:
         """The message without its remedy."""
         return str(self).removesuffix(REMEDY)
 
@@ -70,7 +70,7 @@ class Patch:
     critical: float | None
     is_sharp: bool = True
 
-    def told(self, scene: Scene) -> str:
+    def describe(self, scene: Scene) -> str:
         """Fracture, place and lengths, for messages."""
         unit = f" {scene.unit_system.length}" if scene.units != "none" else ""
         spot = ", ".join(f"{value:.6g}" for value in self.place)
@@ -95,8 +95,8 @@ def refuse_unstable_slip(model: Model, old: State, new: State, newton: int) -> N
     if share >= 1.0:
         new.destroy()
         fast = f"{'' if is_sharp else 'about '}{share:.3g} times as fast as rock unloads"
-        told = f"slip of {slipped:.3g} of the distance over which strength falls, {fast}"
-        raise UnstableStep(f"time {new.time:.6g}: {told}", newton, new.sections, weakening)
+        why = f"slip of {slipped:.3g} of the distance over which strength falls, {fast}"
+        raise UnstableStep(f"time {new.time:.6g}: {why}", newton, new.sections, weakening)
 
 
 def weakens(model: Model) -> bool:
@@ -219,7 +219,7 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
     unit = f" {scene.unit_system.time}" if scene.units != "none" else ""
     return LimitPoint(
         f"time {state.time:.9g}: limit point: within {least:.3g}{unit} slip goes on by itself, and no state at rest is near:"
-        f" {patch.told(scene)}{REMEDY}",
+        f" {patch.describe(scene)}{REMEDY}",
         failure.newton,
         failure.trials,
     )
@@ -236,10 +236,6 @@ def patch_at_limit(model: Model, state: State) -> Patch | None:
 
 def is_near(model: Model, state: State) -> bool:
     """Whether there is such a patch, at lower cost. Collective."""
-    return any(
-        largest_share(
-            model.operators, model.loads, state.sections, of_state(model.operators, state.sections, almost)
-        ).value
-        >= least
-        for almost, least in LIMITS
-    )
+    ops, sections = model.operators, state.sections
+    shares = (largest_share(ops, model.loads, sections, of_state(ops, sections, almost)).value for almost, _ in LIMITS)
+    return any(share >= least for share, (_, least) in zip(shares, LIMITS, strict=True))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.advance.outcome import Log
 from fracflow.errors import MOST_TOLD, SolveError
 from fracflow.mesh.data import Floats
@@ -28,9 +28,7 @@ from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
 BALANCED = 1e-12  # of the sum of the flow rates' sizes
-AGREES = (
-    1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has fewer digits
-)
+AGREES = 1e-6  # of the sizes of flow rates and wall motions: the balance that the last stage ended with has few digits
 
 
 @dataclass(frozen=True)
@@ -50,17 +48,17 @@ class FlowNetwork:
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
         self._leaves = leaving(model.operators)
-        self._told: np.ndarray | None = None
-        self._told_digits = False
+        self._logged: np.ndarray | None = None
+        self._has_logged_digits = False
         self._parts: tuple[NetworkComponent, ...] = ()
         self._closed: dict[tuple[Loads, bool, bool], _Closed] = {}
         self.version = 0
 
-    def tell_digits(self, line: str) -> None:
+    def log_digits(self, line: str) -> None:
         """Write down that the flow has few digits, the first time only."""
-        if not self._told_digits:
+        if not self._has_logged_digits:
             self.log(line)
-        self._told_digits = True
+        self._has_logged_digits = True
 
     def close(self, loads: Loads, stores: bool) -> Loads:
         """The same loads with the undrained components closed, where nothing is stored. Collective.
@@ -75,9 +73,8 @@ class FlowNetwork:
         The walls have their velocities then, and leave the level open. Raises SolveError, on every rank, naming a part
         into which wells pump from that instant what its walls do not take up. Collective.
         """
-        found, fluid = self._found(loads, True, at_start=True), self.model.scene.fluid
-        depth = fluid.flow_depth if fluid is not None else 1.0
-        lost = self._lost_at(state) if found.parts else np.zeros(0)
+        found, depth = self._found(loads, True, at_start=True), self.model.scene.flow_depth
+        lost = self._lost(self._conduction(state)) if found.parts else np.zeros(0)
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
             rates.append(-depth * float(lost[part.nodes].sum()))
@@ -100,8 +97,7 @@ class FlowNetwork:
         taken, sizes = float(walls.dot(speed)), walls.copy()
         sizes.setArray(np.abs(walls.getArray() * speed.getArray(readonly=True)))
         moved = float(sizes.sum())
-        walls.destroy()
-        sizes.destroy()
+        destroy(walls, sizes)
         return taken, moved
 
     def enclosed(self, loads: Loads, state: State, dt: float) -> list[EnclosedComponent]:
@@ -110,8 +106,7 @@ class FlowNetwork:
         Collective.
         """
         layout = self.model.operators.layout
-        fluid = self.model.scene.fluid
-        depth = fluid.flow_depth if fluid is not None else 1.0
+        depth = self.model.scene.flow_depth
         first, count, found = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, list[EnclosedComponent]()
         for part, wells, moves in self._found(loads, True, at_start=True).parts:
             if not moves or len(part.nodes) == 1:
@@ -133,13 +128,10 @@ class FlowNetwork:
         parts = self._found(loads, stores).parts if self.model.operators.flow is not None else ()
         swept, moved = _swept(problem) if parts else (np.zeros(0), 0.0)
         lost = self._lost(problem.conduction) if parts else np.zeros(0)
-        numbers, fluid = self.model.operators.layout.flow_numbers, self.model.scene.fluid
-        depth = fluid.flow_depth if fluid is not None else 1.0
+        numbers, depth = self.model.operators.layout.flow_numbers, self.model.scene.flow_depth
         for part, wells, gives in parts:
-            rates = [
-                loads.demanded(well, problem.time, problem.controls, problem.rule.adjacent, problem.rule.rates)
-                for well in wells
-            ]
+            asked = replace(problem.request, loads=loads)
+            rates = [problem.rule.demanded(asked, well) for well in wells]
             rates.append(-depth * float(lost[part.nodes].sum()))
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
@@ -153,15 +145,11 @@ class FlowNetwork:
             room = swept[part.nodes]
             slack = BALANCED * (np.abs(room).sum() + self.model.operators.scales.length * moved * len(room))
             if not gives and abs(room.sum()) > slack and (stores or len(room) > 1):
-                other = (
-                    "give minimum_hydraulic_aperture"
-                    if problem.fluid_before is not None
-                    else "give fluid.compressibility"
-                )
+                other = "fluid.compressibility" if problem.fluid_before is None else "minimum_hydraulic_aperture"
                 raise SolveError(
                     f"time {problem.time:.6g}: the walls that are moved change the volume of {part}, which no pressure drains,"
                     f" by {room.sum():.3g} per thickness in a step, and no wall gives way: give a [[well]] with a pressure"
-                    f" there, or let a wall move{f', or {other}' if stores else ''}"
+                    f" there, or let a wall move{f', or give {other}' if stores else ''}"
                 )
         return frozenset(found)
 
@@ -173,10 +161,13 @@ class FlowNetwork:
 
     def update(self, state: State) -> None:
         """Find the components at a state. Collective."""
+        self.check(self._conduction(state))
+
+    def _conduction(self, state: State) -> Conduction:
         ops = self.model.operators
         assert ops.flow is not None
         walls = ops.joints.walls(state.sections, ops.flow.law)
-        self.check(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
+        return ops.flow.conduct(state.motion.displacement, state.pressure, walls)
 
     def check(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
@@ -188,27 +179,24 @@ class FlowNetwork:
             self.version += 1
             self._conducts, self._parts, self._holds = now, find_components(operators, now), holds
 
-    def tell(self, time: float) -> None:
+    def log_changes(self, time: float) -> None:
         """Log elements that have begun or ceased to conduct since the last time, and undrained components. Collective."""
-        before, now = self._told, self._conducts
+        before, now = self._logged, self._conducts
         if now is None:
             return
-        self._told = now
+        self._logged = now
         if before is not None:
             if self.model.operators.layout.comm.allreduce(np.array_equal(before, now), op=MPI.LAND):
                 return
             pinched, opened = _names(self.model, before & ~now), _names(self.model, now & ~before)
-            what = [
-                f"{names} {word}" for names, word in ((pinched, "pinched shut"), (opened, "conducts again")) if names
-            ]
+            found = (pinched, "pinched shut"), (opened, "conducts again")
+            what = [f"{names} {word}" for names, word in found if names]
             self.log(f"time {time:.6g}: {'; '.join(what)}; the network has {len(self._parts)} parts")
         drained = self._drained(self.model.loads)
         gives = change_volume(self.model.operators, self._parts, self.model.loads.fixed_solid)
         fluid = self.model.scene.fluid
         stores = fluid is not None and fluid.compressibility > 0.0
-        cut_off = [
-            (part, moves) for part, moves in zip(self._parts, gives, strict=True) if not drained[part.nodes].any()
-        ]
+        cut_off = [each for each in zip(self._parts, gives, strict=True) if not drained[each[0].nodes].any()]
         cut_off.sort(key=lambda found: -len(found[0].nodes))
         for part, moves in cut_off[:MOST_TOLD]:
             by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
@@ -227,9 +215,7 @@ class FlowNetwork:
         assert fluid is not None
         drained, gives = self._drained(loads), change_volume(operators, self._parts, loads.fixed_solid)
         parts, closures = [], []
-        nodes = {
-            name: node for pattern in loads.wells if (name := pattern.well) for node in [self._node(pattern.vector)]
-        }
+        nodes = {pattern.well: self._node(pattern.vector) for pattern in loads.wells if pattern.well}
         for part, moves in zip(self._parts, gives.tolist(), strict=True):
             holds = bool(self._holds[part.nodes].any()) and (stores or len(part.nodes) > 1)
             if drained[part.nodes].any() or (stores and (holds or (moves and not at_start))):
@@ -261,43 +247,28 @@ class FlowNetwork:
         names = (*wells, *(term.name for term in flow.terms)) if flow is not None and rates[-1] else wells
         return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g} {unit}".rstrip()
 
-    def _lost_at(self, state: State) -> Floats:
-        """Rates by which fluid leaves by terms at a state at all flow nodes (n,) [volume rate per thickness]. Collective."""
-        ops = self.model.operators
-        assert ops.flow is not None
-        walls = ops.joints.walls(state.sections, ops.flow.law)
-        return self._lost(ops.flow.conduct(state.motion.displacement, state.pressure, walls))
-
     def _lost(self, conduction: Conduction | None) -> Floats:
-        """The same of a trial; zero where it conducts nothing yet. Collective."""
+        """Rates by which fluid leaves by terms at all flow nodes (n,) [volume rate per thickness]. Collective."""
         layout, network = self.model.operators.layout, self.model.operators.flow
         assert network is not None
-        nodes = layout.flow_vector()
-        if conduction is not None and conduction.leaving is not None:
-            network.taken_up(conduction.leaving.rate, nodes)
-        found = np.concatenate(layout.comm.allgather(nodes.getArray().copy()))
-        nodes.destroy()
-        return found
+        leaving = conduction.leaving if conduction is not None else None
+        here = np.zeros(layout.flow_count) if leaving is None else network.at_nodes(leaving.rate)
+        return np.concatenate(layout.comm.allgather(here))
 
     def destroy(self) -> None:
         """Free the closed loads. Collective."""
-        for found in self._closed.values():
-            for closure in found.loads.closures:
-                closure.weights.destroy()
+        destroy(*(closure.weights for found in self._closed.values() for closure in found.loads.closures))
         self._closed.clear()
 
 
 def _swept(problem: StepProblem) -> tuple[Floats, float]:
     """Volume that the walls have opened in a step at all flow nodes (n,), and their largest motion. Collective."""
-    network, room = problem.operators.flow, problem.operators.layout.flow_vector()
+    network, fluid = problem.operators.flow, problem.fluid_before
     assert network is not None
-    if problem.fluid_before is None:
-        network.storage_coupling.multTranspose(problem.increment, room)
-    else:
-        network.taken_up(-problem.fluid_before.weight / network.compressibility, room)
-    found = np.concatenate(problem.operators.layout.comm.allgather(room.getArray().copy()))
-    room.destroy()
-    return found, float(problem.increment.norm(PETSc.NormType.INFINITY))
+    opened = None if fluid is None else -fluid.weight / network.compressibility
+    here = network.swept(problem.increment) if opened is None else network.at_nodes(opened)
+    moved = float(problem.increment.norm(PETSc.NormType.INFINITY))
+    return np.concatenate(problem.operators.layout.comm.allgather(here)), moved
 
 
 def _names(model: Model, chosen: np.ndarray) -> str:

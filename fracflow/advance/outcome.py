@@ -17,7 +17,7 @@ class Outcome:
     """End and cost of an advance.
 
     reached   fraction of the stage's step, less than requested where it ended at an event or jump
-    error estimated, over the allowed one [1]; 0 without an estimate
+    error     estimated, over the allowed one [1]; 0 without an estimate
     foreseen  it ended early because something prescribed jumps or bends there, which is no event
     length    of the substep of a stage's step that was advanced [time]
     """

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
+from fracflow._petsc import destroy
 from fracflow.advance.couplings import Couplings
 from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
-from fracflow.advance.sampling import begins_anew, rule_of
 from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
-from fracflow.mesh.data import Bools, Floats
+from fracflow.mesh.data import Bools
 from fracflow.model.compressibility import brought, leaked, narrowing, stored, widening
 from fracflow.model.energy import dissipated, update_balance
 from fracflow.model.energy_motion import Scheme
@@ -27,8 +28,8 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
 from fracflow.solve.explicit import ExplicitProblem
 from fracflow.solve.flow_round_off import check_digits
-from fracflow.solve.problem import StepProblem
-from fracflow.solve.request import StepRequest
+from fracflow.solve.problem import Guess, StepProblem
+from fracflow.solve.request import StepRequest, begins_anew, rule_of
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end
@@ -105,18 +106,16 @@ class Stepping:
 
     def standing(self, loads: Loads) -> Loads:
         """The loads of a step without inertia."""
-        if not len(self.model.loads.fixed_resting) and self.model.operators.damping is None:
-            return loads
-        if loads not in self._at_rest:
+        is_same = not len(self.model.loads.fixed_resting) and self.model.operators.damping is None
+        if not is_same and loads not in self._at_rest:
             self._at_rest[loads] = loads.standing()
-        return self._at_rest[loads]
+        return loads if is_same else self._at_rest[loads]
 
     def limited(self, loads: Loads, reached: frozenset[Limit]) -> Loads:
         """The loads with wells kept at the limits they have reached."""
-        key = (loads, reached)
-        if reached and key not in self._variants:
-            self._variants[key] = loads.at_limit(reached)
-        return self._variants[key] if reached else loads
+        if reached and (loads, reached) not in self._variants:
+            self._variants[loads, reached] = loads.at_limit(reached)
+        return self._variants[loads, reached] if reached else loads
 
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
         """A new state, as a stage takes it over; see ``advance.discontinuities``. Collective."""
@@ -124,8 +123,7 @@ class Stepping:
         new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
         if not self.counts_volume or new.uptake is None:
             return new
-        fluid = self.model.scene.fluid
-        jumped = stored(self.model.operators, state, new, fluid.flow_depth if fluid is not None else 1.0)
+        jumped = stored(self.model.operators, state, new, self.model.scene.flow_depth)
         return replace(new, injected=new.injected + jumped)  # where prescribed pressures of a compressible fluid jump
 
     def change(self, state: State, leaving: Bools) -> State:
@@ -137,9 +135,7 @@ class Stepping:
 
     def destroy(self) -> None:
         """Free the solvers. Collective."""
-        self.couplings.destroy()
-        self.explicit.destroy()
-        self.network.destroy()
+        destroy(self.couplings, self.explicit, self.network)
 
 
 @dataclass(frozen=True)
@@ -155,93 +151,72 @@ class SingleStep:
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The state at the end of the step. Raises SolveError, on every rank; ``state`` stays as it is. Collective."""
-        solvers, stepper, time = self.solvers, self.stepper, request.time
-        rule = first(stepper) if begins_anew(stepper, state, request) else stepper
-        begun = self._begun(rule, state, state, request)
-        try:
-            new, report = self._solve(rule, begun or state, request)
-        finally:
-            if begun is not None:
-                begun.destroy()
-        if set(state.wells_at_limit) - set(
-            new.wells_at_limit
-        ):  # the step was begun as if these wells stayed at their limits
-            begun = self._begun(rule, state, new, request)
-            if begun is not None:
-                new.destroy()
-                try:
-                    new, again = self._solve(rule, begun, request)
-                finally:
-                    begun.destroy()
-                report = again.after(report)
-        left = narrowing(solvers.model.operators, state, new) if rule.memory else 1.0
+        solvers, stepper, ops = self.solvers, self.stepper, self.solvers.model.operators
+        rule = first(stepper) if begins_anew(stepper, state.time, state.previous_step, request) else stepper
+        keeps_pace = rule.inertia and rule.balance == "both" and ops.flow is not None and request.length > 0.0
+        new, report = (self._keeping_pace if keeps_pace else self._by_rule)(rule, state, request)
+        left = narrowing(ops, state, new) if rule.memory else 1.0
         if left < NARROWS:
             new.destroy()
-            what = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
-            solvers.network.log(f"time {time:.6g}: {what}: this step goes by backward Euler")
+            why = f"{max(left, 0.0):.2g} of an aperture would be left, below {NARROWS:g}"
+            solvers.network.log(f"time {request.time:.6g}: {why}: this step goes by backward Euler")
             rule = first(stepper)
-            new, report = self._solve(rule, state, request)
-        solvers.network.tell(time)
-        if rule.storage:
-            grown, where = widening(solvers.model.operators, state, new)
+            new, report = self._by_rule(rule, state, request)
+        solvers.network.log_changes(request.time)
+        if rule.storage and ops.flow is not None:
+            grown, where = widening(ops, state, new)
             report = replace(report, widening=grown, widest=where)
         return Outcome(new, report, request.end)
 
-    def _begun(self, rule: Stepper, state: State, limits: State, request: StepRequest) -> State | None:
-        """The state from which a step starts, if another; for rules that use the previous acceleration. See ``keep_pace``.
+    def _keeping_pace(self, rule: Stepper, state: State, request: StepRequest) -> tuple[State, StepReport]:
+        """The step from a state whose walls keep pace with the wells, for rules that use the previous acceleration.
 
-        limits  the state whose wells at their limits stay there
+        It is begun as if wells stayed at their limits, and once again where some do not. See ``keep_pace``.
         """
-        if (
-            not rule.inertia
-            or rule.balance != "both"
-            or self.solvers.model.operators.flow is None
-            or request.length == 0.0
-        ):
-            return None
-        self.solvers.network.update(state)
-        limited = self.solvers.limited(request.loads, reached_before(request.loads, limits))
-        return keep_pace(self.solvers.model, self.solvers.network, state, replace(request, loads=limited), rule)
-
-    def _solve(self, stepper: Stepper, state: State, request: StepRequest) -> tuple[State, StepReport]:
-        """The same by one rule, with the loads of wells at limits and of closed components of the network."""
-        solvers, follows = self.solvers, self.stepper
-        if not stepper.inertia:
-            request = replace(request, loads=solvers.standing(request.loads))
-        dt, loads, ops = request.length, request.loads, solvers.model.operators
-        rule = rule_of(stepper, state, request, follows)
-        explicit = solvers.explicit.coupling if stepper.explicit else None
-        weighs = rule.alphas if rule.inertia and explicit is None else None
-        scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
-        fluid, reached = solvers.model.scene.fluid, reached_before(loads, state)
-        depth = fluid.flow_depth if fluid is not None else 1.0
-        if ops.flow is not None:
+        solvers, new, report = self.solvers, state, StepReport()
+        for _ in range(2):
             solvers.network.update(state)
-        trial: tuple[Floats, Floats] | None = None
-        failed, same, spent = None, False, 0
+            limited = solvers.limited(request.loads, reached_before(request.loads, new))
+            begun = keep_pace(solvers.model, solvers.network, state, replace(request, loads=limited), rule)
+            if new is not state:
+                if begun is None:
+                    break
+                new.destroy()
+            try:
+                new, again = self._by_rule(rule, begun or state, request)
+            finally:
+                destroy(begun)
+            report = again.after(report)
+            if set(state.wells_at_limit) <= set(new.wells_at_limit):
+                break
+        return new, report
+
+    def _by_rule(self, stepper: Stepper, state: State, request: StepRequest) -> tuple[State, StepReport]:
+        """The step by one rule, solved until the wells at limits and the closed components are those of its end."""
+        solvers, ops, network = self.solvers, self.solvers.model.operators, self.solvers.network
+        loads = request.loads if stepper.inertia else solvers.standing(request.loads)
+        request = replace(request, loads=loads)
+        rule = rule_of(stepper, state, request, self.stepper)
+        reached = reached_before(loads, state) if loads.limits else frozenset()
+        if ops.flow is not None:
+            network.update(state)
+        trial: Guess | None = None
+        failed, spent, is_same = None, 0, False
         for _ in range(MOST_TRIES + 2 * len(loads.limits)):
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
-            kind = StepProblem if explicit is None else ExplicitProblem
-            problem = kind(ops, state, asked, rule, trial)
+            problem = (ExplicitProblem if stepper.explicit else StepProblem)(ops, state, asked, rule, trial)
             try:
-                report = (explicit or solvers.couplings.of(asked.loads)).solve(problem)
+                coupling = solvers.explicit.coupling if stepper.explicit else solvers.couplings.of(asked.loads)
+                report = coupling.solve(problem)
                 new = accept(problem, state.energy)
-                try:
-                    refuse_jumps(ops.blocks, ops.joints, state, new)
-                    needed = solvers.model.scene.accuracy.digits
-                    digits = check_digits(problem, new, needed, solvers.network.tell_digits)
-                    same = self._is_closed(problem, limited, stepper.storage)
-                    trial = None if same else problem.initial_guess()
-                    full = solvers.network.overfull(limited, stepper.storage, problem) if same else frozenset()
-                except SolveError:
-                    new.destroy()
-                    raise
+                digits, is_same, full = self._checked(problem, new, limited, stepper.storage)
+                trial = None if is_same else problem.initial_guess()
             except NotConverged as error:
                 spent += problem.tried
                 failed = error.after(spent)
                 if self._is_closed(problem, limited, stepper.storage):
-                    full = solvers.network.overfull(limited, stepper.storage, problem)
+                    full = network.overfull(limited, stepper.storage, problem)
                     if not full:
                         raise
                     reached |= full
@@ -249,25 +224,15 @@ class SingleStep:
                 continue
             finally:
                 problem.destroy()
-            now = reached_after(request, rule, reached, new, depth) | full
-            if now == reached and same:
-                energy = update_balance(ops, state, new, dt, scheme)
-                wells = tuple(sorted(limit.well for limit in now))
-                memory = remember(ops, state, new, dt) if follows.memory else PreviousStep()
-                if follows.memory and loads.limits:
-                    by_limits = through(replace(request, loads=limited), rule, now, state, new, depth)
-                    memory = replace(memory, through=by_limits)
-                friction, injected = dissipated(state, new), state.injected
-                if solvers.counts_volume:
-                    injected += brought(ops, limited, state, new, dt, scheme, depth)
-                lost = leaked(ops, state, new, dt, scheme, depth)
-                left = {name: state.left.get(name, 0.0) + value for name, value in lost.items()}
-                new = replace(new, energy=energy, wells_at_limit=wells, friction=friction, injected=injected, left=left)
-                return replace(new, previous_step=memory, adjacent_steps=rule.adjacent), replace(report, digits=digits)
+            depth = solvers.model.scene.flow_depth
+            now = full | (reached_after(request, rule, reached, new, depth) if loads.limits else reached)
+            if now == reached and is_same:
+                totals = self._totals(stepper, problem, replace(request, loads=limited), now, new)
+                return replace(new, **totals), replace(report, digits=digits)
             new.destroy()
             spent += report.newton
             reached, failed = now, None
-        if same and not failed:
+        if is_same and not failed:
             refuse_cycle(reached, request.time, spent)
         raise NotConverged(
             f"time {request.time:.6g}: elements keep pinching shut and opening again, which changes the outlets: take a"
@@ -275,9 +240,49 @@ class SingleStep:
             spent,
         )
 
+    def _checked(
+        self, problem: StepProblem, new: State, loads: Loads, stores: bool
+    ) -> tuple[float, bool, frozenset[Limit]]:
+        """Digits of a solved state, whether it has the components it was solved with, and limits that wells come to there.
+
+        Raises SolveError, on every rank, where it may not stand; it is freed then. Collective.
+        """
+        network, model = self.solvers.network, self.solvers.model
+        try:
+            refuse_jumps(model.operators.blocks, model.operators.joints, problem.state.sections, new.sections, new.time)
+            digits = check_digits(problem, new, model.scene.accuracy.digits, network.log_digits)
+            is_same = self._is_closed(problem, loads, stores)
+            return digits, is_same, network.overfull(loads, stores, problem) if is_same else frozenset()
+        except SolveError:
+            new.destroy()
+            raise
+
     def _is_closed(self, problem: StepProblem, loads: Loads, stores: bool) -> bool:
         """Whether a solved or failed trial still has the network components that it was solved with. Collective."""
         if problem.conduction is None:
             return True
         self.solvers.network.check(problem.conduction)
         return self.solvers.network.close(loads, stores) is problem.loads
+
+    def _totals(
+        self, stepper: Stepper, problem: StepProblem, request: StepRequest, reached: frozenset[Limit], new: State
+    ) -> dict[str, Any]:
+        """Members of a solved state that go on from step to step: energies, volumes, dissipation, and the step itself."""
+        model, state, rule, dt = self.solvers.model, problem.state, problem.rule, request.length
+        ops, loads, depth = model.operators, request.loads, model.scene.flow_depth
+        weighs = rule.alphas if rule.inertia and not stepper.explicit else None
+        scheme = Scheme(rule.inertia, stepper.storage, stepper.balance, weighs, loads.held)
+        memory = PreviousStep()
+        if self.stepper.memory:
+            memory = remember(ops, state, new, dt, through(request, rule, reached, state, new, depth))
+        lost = leaked(ops, state, new, dt, scheme, depth) if ops.flow is not None else {}
+        pumps = self.solvers.counts_volume
+        return {
+            "energy": update_balance(ops, state, new, dt, scheme),
+            "wells_at_limit": tuple(sorted(limit.well for limit in reached)),
+            "friction": dissipated(state, new),
+            "injected": state.injected + (brought(ops, loads, state, new, dt, scheme, depth) if pumps else 0.0),
+            "left": {name: state.left.get(name, 0.0) + value for name, value in lost.items()},
+            "previous_step": memory,
+            "adjacent_steps": rule.adjacent,
+        }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from fracflow.advance.outcome import Advance, Log, Outcome
 from fracflow.advance.prescribed_times import PrescribedTimes
@@ -84,6 +84,7 @@ def most_halvings(scene: Scene) -> int:
     return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
 
 
+@dataclass
 class Substepped:
     """Divides a step of a stage into the fewest substeps that ``rules`` allow, each taken by another way to advance.
 
@@ -91,17 +92,11 @@ class Substepped:
     prescribed  a part that may be halved to be accurate is, untried, where this is not straight in it
     """
 
-    def __init__(
-        self,
-        inner: Advance,
-        rules: Rules,
-        log: Log,
-        place: SubstepCursor | None = None,
-        prescribed: PrescribedTimes | None = None,
-    ) -> None:
-        """From a place in the first step."""
-        self.inner, self.rules, self.log = inner, rules, log
-        self.place, self.prescribed = place or SubstepCursor(), prescribed or PrescribedTimes()
+    inner: Advance
+    rules: Rules
+    log: Log
+    place: SubstepCursor = SubstepCursor()
+    prescribed: PrescribedTimes = field(default_factory=PrescribedTimes)
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The next substep of a requested step, from the place on.
@@ -136,7 +131,12 @@ class Substepped:
                 place = replace(place, level=deeper, calm=0)
                 continue
             break
-        place = _after(replace(place, level=max(place.level, level) if rules.order else 0), size, found, end, rules)
+        place = replace(place, level=max(place.level, level) if rules.order else 0)
+        if found.reached < end:  # at an event the rest of the step is divided anew
+            events = place.events + (not found.foreseen)
+            place = replace(place, base=found.reached, part=0.0, events=events)
+        else:
+            place = _after(replace(place, part=place.part + size), found.error, rules)
         self.place = place.next_step() if place.fraction == 1.0 else place
         length = step.length * (found.reached - start)
         return replace(found, report=found.report.after_trials(spent), length=length)
@@ -165,17 +165,14 @@ def _sizes(place: SubstepCursor, most: int) -> Iterator[tuple[int, float]]:
     yield from ((n, 0.5**n) for n in range(level, max(most, level) + 1))
 
 
-def _after(place: SubstepCursor, size: float, found: Outcome, end: float, rules: Rules) -> SubstepCursor:
-    """The place after a part: at an event the rest of the step is divided anew."""
-    if found.reached < end:
-        return replace(place, base=found.reached, part=0.0, events=place.events + (not found.foreseen))
-    place = replace(place, part=place.part + size)
+def _after(place: SubstepCursor, error: float, rules: Rules) -> SubstepCursor:
+    """The place where a substep has ended, with the length of the next one by its ``error``."""
     if not rules.order:
         return place
     if rules.prompt:
-        longer = found.error < MARGIN * 0.5**rules.order
+        longer = error < MARGIN * 0.5**rules.order
         return replace(place, level=max(place.level - longer, 0))
-    calm = place.calm + 1 if found.error < 0.5 ** (rules.order + 1) else 0
+    calm = place.calm + 1 if error < 0.5 ** (rules.order + 1) else 0
     return replace(place, level=max(place.level - 1, 0), calm=0) if calm > CALM else replace(place, calm=calm)
 
 

@@ -152,8 +152,8 @@ def check(
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
     from fracflow.mesh.split import summary
+    from fracflow.model.network_parts import told_apart
     from fracflow.model.setup import place
-    from fracflow.model.well_parts import told_apart
     from fracflow.reduction.prepare import read_split
     from fracflow.scene.scene import load
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from fracflow._petsc import MPI
-from fracflow.advance.explicit_cost import explicit_cost
-from fracflow.advance.inertial_steps import estimated_cost
+from fracflow.advance.explicit import explicit_cost
 from fracflow.advance.initial_state import refuse_imbalance
+from fracflow.advance.regime import estimated_cost
 from fracflow.diagnostics import Number, pre_run_checks
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
+from fracflow.model.network_parts import parts_with_wells
 from fracflow.model.setup import Model, geometry_of
-from fracflow.model.well_parts import parts_with_wells
 from fracflow.reduction import Decision, decide
 from fracflow.reduction.apply import planned, seconds_of_factors
 from fracflow.reduction.prepare import prepare
@@ -97,7 +97,7 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     memory = PROGRAM + NUMBER * (MATRICES * unknowns + factors)
     found, told, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
-        found["explicit steps"] = explicit.told
+        found["explicit steps"] = explicit.line
         part = explicit.seconds + OWN
         seconds += explicit.parts * part
         told.append(f"{explicit.parts} explicit parts of about {part:.2g} s")

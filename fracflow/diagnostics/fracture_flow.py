@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fracflow.diagnostics.joints import CheckJoints
 from fracflow.diagnostics.number import CheckInput, FlowStage, Number
 from fracflow.mesh.data import Floats
 from fracflow.scene.units import ACCELERATION, COMPRESSIBILITY, STRESS, TIME
@@ -23,17 +24,19 @@ STEEPEST = {"lumped": 4.0, "consistent-lumped": 12.0, "consistent": 36.0, "avera
 a = pi. Where (3.16) averages, which stores none of it, three elements a wave."""
 
 
-def wall_stiffness(
-    normal: Floats, modulus: Floats, wavenumber: Floats, film: FlowStage, impedance: Floats, mass: Floats
-) -> Floats:
-    """k_tot (j,) = k_n + E' kappa/4 + inertia [stress/length].
+def wall_stiffness(joints: CheckJoints, normal: Floats, wavenumber: Floats, film: FlowStage) -> Floats:
+    """k_tot (j,) = k_n + E' kappa/4 + inertia [stress/length], E' = 0 of rigid rock, which does not bend.
 
     inertia is the larger of two: alpha_1 rho c_p/2 where a step is long against the time of a wave through a cell, and
     alpha_0 rho h/4 of the walls' lumped masses where it is short.
     """
-    inertia = np.maximum(film.alpha_1 * impedance, film.alpha_0 * mass) if film.alpha_0 > 0.0 else 0.0
-    result: Floats = normal + modulus * wavenumber / 4.0 + inertia
+    inertia = np.maximum(film.alpha_1 * joints.impedance, film.alpha_0 * joints.mass) if film.alpha_0 > 0.0 else 0.0
+    result: Floats = normal + _soft(joints) * wavenumber / 4.0 + inertia
     return result
+
+
+def _soft(joints: CheckJoints) -> Floats:
+    return np.where(np.isfinite(joints.modulus), joints.modulus, 0.0)
 
 
 def coupling_factor(
@@ -59,9 +62,7 @@ def slowest(view: CheckInput, film: FlowStage) -> Floats:
     """rho_t (j,) of the slowest mode of each joint's component, by means of 1/C and 1/k_tot along it."""
     joints = view.joints
     kappa, moves = _modes(view)
-    soft = np.where(np.isfinite(joints.modulus), joints.modulus, 0.0)  # what is rigid does not bend
-    normal = joints.normal.mean(axis=1)
-    stiff = wall_stiffness(normal, soft, kappa, film, joints.impedance, joints.mass)
+    stiff = wall_stiffness(joints, joints.normal.mean(axis=1), kappa, film)
     length = np.bincount(joints.component, joints.length)
 
     def mean(values: Floats) -> Floats:
@@ -76,11 +77,8 @@ def slowest(view: CheckInput, film: FlowStage) -> Floats:
 
 def _held(view: CheckInput) -> Floats:
     """c_f d (j,), what the fluid stores by its pressure [length/stress]."""
-    fluid = view.scene.fluid
-    held: Floats = (0.0 if fluid is None else fluid.compressibility) * np.maximum(view.joints.aperture, 0.0).mean(
-        axis=1
-    )
-    return held
+    stored = 0.0 if view.scene.fluid is None else view.scene.fluid.compressibility
+    return np.asarray(stored * np.maximum(view.joints.aperture, 0.0).mean(axis=1))
 
 
 def _cycles(view: CheckInput) -> tuple[float | None, str]:
@@ -109,11 +107,8 @@ def transient(view: CheckInput) -> Number:
         remedy = "no pressure is prescribed there, so the fixed point (4.5) has none while the walls are held: give a [[well]]"
         remedy += ' with a pressure, or set method.fixed_point = "added-storage" or method.coupling = "monolithic"'
         return Number(name, formula, value, limit, True, where, remedy)
-    remedy = (
-        f"the fixed point (4.5) may diverge, and smaller steps make it worse: take time_step above"
-        f" {film.time_step * value / limit:.2g}{view.unit(TIME)} there, or set method.coupling"
-        ' = "monolithic"'
-    )
+    remedy = "the fixed point (4.5) may diverge, and smaller steps make it worse: take time_step above"
+    remedy += f' {film.time_step * value / limit:.2g}{view.unit(TIME)} there, or set method.coupling = "monolithic"'
     return Number(name, formula, value, limit, True, where, remedy)
 
 
@@ -123,8 +118,7 @@ def steady(view: CheckInput) -> Number:
     if not view.flows:
         return Number(name, formula, note="no flow")
     kappa, _ = _modes(view)
-    soft = np.where(np.isfinite(joints.modulus), joints.modulus, 0.0)
-    stiff = joints.normal + (soft * kappa / 4.0)[:, None]
+    stiff = joints.normal + (_soft(joints) * kappa / 4.0)[:, None]
     open_to = np.where(joints.is_cubic[:, None], joints.aperture, np.nan)
     value, _, where = view.worst(3.0 * _largest_pressure(view) / (stiff * open_to))
     limit, note = _cycles(view)
@@ -132,9 +126,8 @@ def steady(view: CheckInput) -> Number:
         limit, note = None, "no steady stage"
     if limit is None or value is None or value < limit:
         return Number(name, formula, value, limit, False, where, note=note)
-    return Number(
-        name, formula, value, limit, True, where, 'the fixed point (4.5) diverges: set method.coupling = "monolithic"'
-    )
+    remedy = 'the fixed point (4.5) diverges: set method.coupling = "monolithic"'
+    return Number(name, formula, value, limit, True, where, remedy)
 
 
 def _largest_pressure(view: CheckInput) -> float:
@@ -156,10 +149,9 @@ def ringing(view: CheckInput) -> Number:
     if not view.flows or not films or joints.is_held.all():
         return Number(name, formula, note=HELD if view.flows and films else "no fracture flow that moves")
     kappa = np.sqrt(STEEPEST[view.scene.method.storage]) / joints.length
-    soft = np.where(np.isfinite(joints.modulus), joints.modulus, 0.0)
 
     def worst(film: FlowStage) -> tuple[float, str]:
-        stiff = wall_stiffness(joints.normal.max(axis=1), soft, kappa, film, joints.impedance, joints.mass)
+        stiff = wall_stiffness(joints, joints.normal.max(axis=1), kappa, film)
         conducting, yields = joints.conducting.max(axis=1), 1.0 / stiff + _held(view)
         with np.errstate(divide="ignore"):  # as long as walls cannot give way, and the fluid neither
             rings = conducting * kappa**2 * film.time_step / (2.0 * yields)

@@ -86,29 +86,19 @@ def gather(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> CheckJoin
     drop, distance = _weakening(scene, mesh, ends, _pressed(scene, mesh, ends("initial_normal_traction")))
     rock = cell_rocks(scene, mesh)
     component, reach = _reaches(scene, mesh, wells, length)
+    beside = {key: values[mesh.joint_cells] for key, values in rock.items()}
     return CheckJoints(
-        mesh.fractures,
-        mesh.joint_fracture,
-        length,
-        ends("normal_stiffness"),
-        ends("shear_stiffness"),
-        aperture,
-        np.where(np.isnan(given), cubic, given),
-        np.isnan(given).all(axis=1),
-        tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
-        drop,
-        distance,
-        2.0 * _in_series(rock["modulus"][mesh.joint_cells]),
-        2.0 * _in_series(rock["shear_modulus"][mesh.joint_cells]),
-        _in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
-        rock["shear_speed"][mesh.joint_cells],
-        _of_slower(rock["shear_speed"][mesh.joint_cells], rock["shear"][mesh.joint_cells]),
-        _in_series(rock["impedance"][mesh.joint_cells]),
-        _in_series(_wall_masses(mesh, rock["density"], rock["rigid"], length)),
-        component,
-        reach,
-        _held(scene, mesh),
-    )
+        names=mesh.fractures, fracture=mesh.joint_fracture, length=length, normal=ends("normal_stiffness"),
+        shear=ends("shear_stiffness"), aperture=aperture, conducting=np.where(np.isnan(given), cubic, given),
+        is_cubic=np.isnan(given).all(axis=1), drop=drop, distance=distance,
+        laws=tuple(JOINT_LAWS[scene.fracture_named(name).law] for name in mesh.fractures),
+        modulus=2.0 * _in_series(beside["modulus"]), shear_modulus=2.0 * _in_series(beside["shear_modulus"]),
+        layer=_in_series((rock["modulus"] * _depths(mesh, length))[mesh.joint_cells]),
+        shear_speed=beside["shear_speed"], softer=_of_slower(beside["shear_speed"], beside["shear"]),
+        impedance=_in_series(beside["impedance"]),
+        mass=_in_series(_wall_masses(mesh, rock["density"], rock["rigid"], length)),
+        component=component, reach=reach, is_held=_held(scene, mesh),
+    )  # fmt: skip
 
 
 def _pressed(scene: Scene, mesh: SplitMesh, given: Floats) -> Floats:

@@ -31,9 +31,8 @@ def _slip_scale(view: CheckInput) -> Floats:
     """Sizes h k_s/E', in a thin layer h sqrt(k_s/(E' D)) (j, 2), where strength drops if it does anywhere."""
     joints, length = view.joints, view.joints.length[:, None]
     with np.errstate(divide="ignore"):
-        each = np.maximum(
-            length * joints.shear / joints.modulus[:, None], length * np.sqrt(joints.shear / joints.layer[:, None])
-        )
+        in_layer = length * np.sqrt(joints.shear / joints.layer[:, None])
+        each = np.maximum(length * joints.shear / joints.modulus[:, None], in_layer)
     return np.where(view.drops, each, np.nan) if view.drops.any() else each
 
 
@@ -145,9 +144,8 @@ def cohesive_zone(view: CheckInput) -> Number:
 
 def _finer(view: CheckInput, joint: int, share: float) -> str:
     joints = view.joints
-    thin = _thin(
-        view, joint, joints.drop.max(axis=1) / np.where(joints.distance > 0.0, joints.distance, 1.0).min(axis=1)
-    )
+    over = np.where(joints.distance > 0.0, joints.distance, 1.0).min(axis=1)
+    thin = _thin(view, joint, joints.drop.max(axis=1) / over)
     return (
         "how far slip runs, and how fast, is a choice of the mesh: joints shorter than"
         f" {joints.length[joint] * share:.3g}{view.unit(LENGTH)}, or {view.law(joint).weakens_over} above"

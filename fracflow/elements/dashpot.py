@@ -26,8 +26,7 @@ def impedance_blocks(size: Floats, normal: Floats, of_p: Floats, of_s: Floats) -
     along = np.einsum("ni,nj->nij", normal, normal)
     across = np.eye(normal.shape[1]) - along
     each = of_p[:, None, None] * along + of_s[:, None, None] * across
-    blocks: Floats = size[:, :, None, None] * each[:, None]
-    return blocks
+    return np.asarray(size[:, :, None, None] * each[:, None])
 
 
 def wave_traction(normal: Floats, direction: Any, motion: Any, lam: Any, shear: Any, speed: Any) -> Any:
@@ -56,12 +55,10 @@ def reflections(poissons_ratio: float) -> tuple[str, str]:
 
 def _reflections(poissons_ratio: float, kind: str) -> str:
     critical = _critical(poissons_ratio, kind)
-    pairs = [returned(poissons_ratio, angle, kind) for angle in ANGLES[kind]]
+    met = [(angle, returned(poissons_ratio, angle, kind)) for angle in ANGLES[kind]]
     own, other = (0, 1) if kind == "p" else (1, 0)
-    alike = ", ".join(f"{pair[own]:.3f} at {angle:.0f}" for angle, pair in zip(ANGLES[kind], pairs, strict=True))
-    unlike = ", ".join(
-        f"{pair[other]:.3f}" for angle, pair in zip(ANGLES[kind], pairs, strict=True) if angle < critical
-    )
+    alike = ", ".join(f"{pair[own]:.3f} at {angle:.0f}" for angle, pair in met)
+    unlike = ", ".join(f"{pair[other]:.3f}" for angle, pair in met if angle < critical)
     most = max(energy_returned(poissons_ratio, float(angle), kind) for angle in np.arange(STEEPEST + 1.0))
     return (
         f"{'a P' if kind == 'p' else 'an S'} wave {alike} degrees from the normal comes back as {'PS'[own]}, {unlike} as"

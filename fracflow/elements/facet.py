@@ -114,15 +114,13 @@ def section_sizes(points: Floats, sections: SectionRule) -> Floats:
     """
     width, (frames, size) = points.shape[1], frame(points)
     if width in _CONSISTENT:
-        each: Floats = (0.5 if width == 2 else 2.0) * size[:, None] * sections.weights
-        return each
+        return (0.5 if width == 2 else 2.0) * size[:, None] * sections.weights
     slope = np.einsum("qka,nkd->nqad", rule_of(sections.natural, 4).gradients, points)
     part = np.einsum("nqd,nd->nq", np.cross(slope[:, :, 0], slope[:, :, 1]), frames[:, -1])
     bad = np.flatnonzero(~(part > 0.0).all(axis=1))
     if bad.size:
         raise InputError(f"{bad.size} fracture facets that are not convex (facets {listed(bad)})")
-    each = part * sections.weights
-    return each
+    return np.asarray(part * sections.weights)
 
 
 def nodal_sizes(points: Floats) -> Floats:
@@ -135,22 +133,18 @@ def spread(points: Floats, at_nodes: Floats) -> Floats:
     width = points.shape[1]
     if width in _CONSISTENT:
         size = frame(points)[1]
-        result: Floats = size[:, None, None] * np.einsum("ij,sjd->sid", _CONSISTENT[width], at_nodes)
-        return result
-    result = np.einsum("nij,njc->nic", consistent(points), at_nodes)
-    return result
+        return np.asarray(size[:, None, None] * np.einsum("ij,sjd->sid", _CONSISTENT[width], at_nodes))
+    return np.asarray(np.einsum("nij,njc->nic", consistent(points), at_nodes))
 
 
 def consistent(points: Floats) -> Floats:
     """Integrals of N_i N_j (n, k, k) over facets (n, k, dim)."""
     width = points.shape[1]
     if width in _CONSISTENT:
-        matrices: Floats = frame(points)[1][:, None, None] * _CONSISTENT[width]
-        return matrices
+        return frame(points)[1][:, None, None] * _CONSISTENT[width]
     rule = RULES["gauss2"][4]
     values = shapes(rule.natural, 4)
-    matrices = np.einsum("nq,qi,qj->nij", section_sizes(points, rule), values, values)
-    return matrices
+    return np.asarray(np.einsum("nq,qi,qj->nij", section_sizes(points, rule), values, values))
 
 
 def surface_gradients(points: Floats, sections: SectionRule) -> Floats:
@@ -159,5 +153,4 @@ def surface_gradients(points: Floats, sections: SectionRule) -> Floats:
     slope = np.einsum("qka,nkd->nqad", rule.gradients, points)
     metric = slope @ slope.swapaxes(2, 3)
     dual = np.linalg.solve(metric, slope)  # rows: gradients of the natural coordinates
-    result: Floats = rule.gradients @ dual
-    return result
+    return rule.gradients @ dual

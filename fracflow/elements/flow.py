@@ -41,8 +41,7 @@ def storage_matrix(kind: str, points: Floats) -> Floats:
 
 def conductivity(conductance: Floats) -> Floats:
     """(3.8)-(3.14a) k_F (n, 2, 2) of conductances (n,) [flow rate/pressure]; k_F p = flow rates into it."""
-    matrices: Floats = np.einsum("n,i,j->nij", conductance, _ENDS, _ENDS)
-    return matrices
+    return np.asarray(np.einsum("n,i,j->nij", conductance, _ENDS, _ENDS))
 
 
 def element_flow(conductance: Floats, pressure: Floats) -> Floats:
@@ -56,8 +55,7 @@ def conductivity_tangent(dconductance: Floats, pressure: Floats) -> Floats:
     dconductance (n, 2) derivatives of the conductance with respect to the two end openings, pressure (n, 2).
     """
     drop: Floats = pressure[:, 0] - pressure[:, 1]
-    blocks: Floats = _ENDS[:, None] * (drop[:, None] * dconductance)[:, None, :]
-    return blocks
+    return np.asarray(_ENDS[:, None] * (drop[:, None] * dconductance)[:, None, :])
 
 
 def surface_conductivity(points: Floats) -> Floats:
@@ -67,8 +65,7 @@ def surface_conductivity(points: Floats) -> Floats:
     """
     sections = RULES["gauss2"][points.shape[1]]
     slope = surface_gradients(points, sections)
-    matrices: Floats = np.einsum("nq,nqid,nqjd->nij", section_sizes(points, sections), slope, slope)
-    return matrices
+    return np.asarray(np.einsum("nq,nqid,nqjd->nij", section_sizes(points, sections), slope, slope))
 
 
 def surface_tangent(unit: Floats, slope: Floats, pressure: Floats) -> Floats:
@@ -76,8 +73,7 @@ def surface_tangent(unit: Floats, slope: Floats, pressure: Floats) -> Floats:
 
     unit (n, k, k) of ``surface_conductivity``; slope (n, k) of the transmissivity by the nodal openings; pressure (n, k).
     """
-    blocks: Floats = np.einsum("nij,nj->ni", unit, pressure)[:, :, None] * slope[:, None, :]
-    return blocks
+    return np.asarray(np.einsum("nij,nj->ni", unit, pressure)[:, :, None] * slope[:, None, :])
 
 
 def exact_surface_cube(aperture: Floats) -> tuple[Floats, Floats]:

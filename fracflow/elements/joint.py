@@ -25,8 +25,7 @@ def jump_operator(frame: Floats, shapes: Floats) -> Floats:
 
 def strain(jump_operator: Floats, displacement: Floats) -> Floats:
     """(2.5) Strain (n, q, dim) of joint displacements (n, 2 k dim) [length]."""
-    jump: Floats = np.einsum("nqij,nj->nqi", jump_operator, displacement)
-    return jump
+    return np.asarray(np.einsum("nqij,nj->nqi", jump_operator, displacement))
 
 
 def traction_from_stress(frame: Floats, stress: Floats) -> Floats:
@@ -34,8 +33,7 @@ def traction_from_stress(frame: Floats, stress: Floats) -> Floats:
 
     Total traction if the stress is total; the effective one has the pressure added to the normal component.
     """
-    traction: Floats = np.einsum("nij,njk,nk->ni", frame, stress, frame[:, -1])
-    return traction
+    return np.asarray(np.einsum("nij,njk,nk->ni", frame, stress, frame[:, -1]))
 
 
 def tangent(jump_operator: Floats, moduli: Floats, weight: Floats) -> Floats:
@@ -45,5 +43,4 @@ def tangent(jump_operator: Floats, moduli: Floats, weight: Floats) -> Floats:
     """
     joints, _, _, dofs = jump_operator.shape
     weighted = (weight[..., None, None] * (moduli @ jump_operator)).reshape(joints, -1, dofs)
-    stiffness: Floats = jump_operator.reshape(joints, -1, dofs).transpose(0, 2, 1) @ weighted
-    return stiffness
+    return np.asarray(jump_operator.reshape(joints, -1, dofs).transpose(0, 2, 1) @ weighted)

@@ -57,10 +57,7 @@ def rule_at(nodes: int, places: Floats, weights: Floats) -> Rule:
 
 GAUSS2 = 1.0 / np.sqrt(3.0)  # abscissa of the two-point Gauss rule
 _MOST, _MISS = 20, 1e-14  # iterations to a place in a cell, and how far from it they may end, over the cell's size
-_A, _B = (
-    0.25 + 0.15 * np.sqrt(5.0),
-    0.25 - 0.05 * np.sqrt(5.0),
-)  # of four points in a tetrahedron, exact to second order
+_A, _B = 0.25 + 0.15 * np.sqrt(5.0), 0.25 - 0.05 * np.sqrt(5.0)  # four points in a tetrahedron, of second order
 _MIDDLES = {
     (dim, dim + 1): rule_at(dim + 1, np.full((1, dim), 1.0 / (dim + 1)), np.array([size]))
     for dim, size in ((2, 0.5), (3, 1.0 / 6.0))
@@ -89,8 +86,7 @@ def shape_at(points: Floats, place: Floats) -> Floats:
         if np.abs(miss).max() <= _MISS * size:
             break
         natural = natural + np.linalg.solve((rule.gradients[0].T @ points).T, miss)
-    found: Floats = rule.values[0]
-    return found
+    return np.asarray(rule.values[0])
 
 
 def rule_for(rules: Mapping[tuple[int, int], Rule], points: Floats) -> Rule:
@@ -120,12 +116,10 @@ def jacobian(points: Floats, rule: Rule, numbers: Ints | None = None) -> tuple[F
         det = np.einsum("nqi,nqi->nq", matrix[..., 0, :], np.cross(matrix[..., 1, :], matrix[..., 2, :]))
     bad = np.flatnonzero(~(det > 0.0).all(axis=1))
     if bad.size:
-        is_plane = matrix.shape[-1] == 2
-        how = "run counter-clockwise around a convex cell of positive area"
-        how = how if is_plane else "be ordered as Gmsh's, in a convex cell of positive volume"
-        raise InputError(
-            f"{bad.size} cells with a Jacobian that is not positive (cells {listed(bad, numbers)}): nodes must {how}"
-        )
+        which, how = f"cells {listed(bad, numbers)}", "run counter-clockwise around a convex cell of positive area"
+        if matrix.shape[-1] == 3:
+            how = "be ordered as Gmsh's, in a convex cell of positive volume"
+        raise InputError(f"{bad.size} cells with a Jacobian that is not positive ({which}): nodes must {how}")
     return matrix, det
 
 

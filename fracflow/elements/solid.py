@@ -49,8 +49,7 @@ def stiffness(points: Floats, elasticity: Floats, numbers: Ints | None = None) -
     operator, weight = _strain_operator(points, rule_for(STIFFNESS_RULES, points), numbers)
     cells, _, _, dofs = operator.shape
     weighted = (weight[..., None, None] * (elasticity[:, None] @ operator)).reshape(cells, -1, dofs)
-    result: Floats = operator.reshape(cells, -1, dofs).transpose(0, 2, 1) @ weighted
-    return result
+    return np.asarray(operator.reshape(cells, -1, dofs).transpose(0, 2, 1) @ weighted)
 
 
 def mass_consistent(points: Floats, density: Floats | float, numbers: Ints | None = None) -> Floats:
@@ -58,36 +57,31 @@ def mass_consistent(points: Floats, density: Floats | float, numbers: Ints | Non
     rule = rule_for(MASS_RULES, points)
     _, det = jacobian(points, rule, numbers)
     shapes = np.einsum("q,qi,qj->qij", rule.weights, rule.values, rule.values)
-    result: Floats = np.einsum("nq,qij->nij", det * np.atleast_1d(density)[:, None], shapes)
-    return result
+    return np.asarray(np.einsum("nq,qij->nij", det * np.atleast_1d(density)[:, None], shapes))
 
 
 def mass_lumped(points: Floats, density: Floats | float, numbers: Ints | None = None) -> Floats:
     """(2.38) Nodal masses (n, k), row sums of the consistent mass: int rho N_i; density number or (n,)."""
     rule = rule_for(MASS_RULES, points)
     _, det = jacobian(points, rule, numbers)
-    result: Floats = (det * np.atleast_1d(density)[:, None]) @ (rule.weights[:, None] * rule.values)
-    return result
+    return np.asarray((det * np.atleast_1d(density)[:, None]) @ (rule.weights[:, None] * rule.values))
 
 
 def area(points: Floats, numbers: Ints | None = None) -> Floats:
     """Areas, or volumes, (n,) of cells with points (n, k, dim)."""
-    result: Floats = mass_lumped(points, 1.0, numbers).sum(axis=1)
-    return result
+    return np.asarray(mass_lumped(points, 1.0, numbers).sum(axis=1))
 
 
 def body_force(points: Floats, force: Floats, numbers: Ints | None = None) -> Floats:
     """(2.38) Nodal forces (n, dim k) of a body force (n, dim) [force/volume], constant in each cell: int N b."""
     nodal = mass_lumped(points, 1.0, numbers)[:, :, None] * np.asarray(force, dtype=float)[:, None, :]
-    result: Floats = nodal.reshape(len(points), -1)
-    return result
+    return np.asarray(nodal.reshape(len(points), -1))
 
 
 def stiffness_points(points: Floats) -> Floats:
     """Places (n, q, dim) of the points by which the stiffness of cells with nodes (n, k, dim) is integrated."""
     rule = rule_for(STIFFNESS_RULES, points)
-    result: Floats = np.einsum("qk,nkd->nqd", rule.values, points)
-    return result
+    return np.asarray(np.einsum("qk,nkd->nqd", rule.values, points))
 
 
 def initial_stress_force(points: Floats, stress: Floats, numbers: Ints | None = None) -> Floats:
@@ -97,21 +91,18 @@ def initial_stress_force(points: Floats, stress: Floats, numbers: Ints | None = 
     """
     operator, weight = _strain_operator(points, rule_for(STIFFNESS_RULES, points), numbers)
     at_points = np.broadcast_to(stress[:, None], operator.shape[:3]) if stress.ndim == 2 else stress
-    result: Floats = np.einsum("nq,nqij,nqi->nj", weight, operator, at_points)
-    return result
+    return np.asarray(np.einsum("nq,nqij,nqi->nj", weight, operator, at_points))
 
 
 def strain_at_centroid(points: Floats, displacement: Floats, numbers: Ints | None = None) -> Floats:
     """Strain (n, v) at the centres of cells from nodal displacements (n, k, dim)."""
     operator, _ = _strain_operator(points, rule_for(CENTROID_RULES, points), numbers)
-    result: Floats = np.einsum("nij,nj->ni", operator[:, 0], displacement.reshape(len(points), -1))
-    return result
+    return np.asarray(np.einsum("nij,nj->ni", operator[:, 0], displacement.reshape(len(points), -1)))
 
 
 def stress(strain: Floats, elasticity: Floats, initial_stress: Floats | float = 0.0) -> Floats:
     """(2.13) Stress (n, v), tension positive: sigma_0 + D strain; elasticity (n, v, v)."""
-    result: Floats = np.einsum("nij,nj->ni", elasticity, strain) + initial_stress
-    return result
+    return np.asarray(np.einsum("nij,nj->ni", elasticity, strain) + initial_stress)
 
 
 def strain_energy(points: Floats, displacement: Floats, elasticity: Floats, initial_stress: Floats) -> Floats:
@@ -122,17 +113,14 @@ def strain_energy(points: Floats, displacement: Floats, elasticity: Floats, init
     operator, weight = _strain_operator(points, rule_for(STIFFNESS_RULES, points), None)
     strain = np.einsum("nqij,nj->nqi", operator, displacement.reshape(len(points), -1))
     mean_stress = 0.5 * np.einsum("nij,nqj->nqi", elasticity, strain) + initial_stress
-    result: Floats = np.einsum("nq,nqi,nqi->n", weight, strain, mean_stress)
-    return result
+    return np.asarray(np.einsum("nq,nqi,nqi->n", weight, strain, mean_stress))
 
 
 def kinetic_energy(points: Floats, velocity: Floats, density: Floats, lumped: bool) -> Floats:
     """(4.4a) Kinetic energy (n,) of cells with nodal velocities (n, k, dim), of the lumped or the consistent mass of (2.38)."""
     if lumped:
-        result: Floats = 0.5 * np.einsum("nk,nkd->n", mass_lumped(points, density), velocity**2)
-    else:
-        result = 0.5 * np.einsum("nkl,nkd,nld->n", mass_consistent(points, density), velocity, velocity)
-    return result
+        return np.asarray(0.5 * np.einsum("nk,nkd->n", mass_lumped(points, density), velocity**2))
+    return np.asarray(0.5 * np.einsum("nkl,nkd,nld->n", mass_consistent(points, density), velocity, velocity))
 
 
 def traction_force(points: Floats, traction: Floats) -> Floats:

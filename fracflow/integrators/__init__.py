@@ -46,29 +46,7 @@ def stepper_from(name: str, method: Any) -> Stepper:
 
 
 __all__ = [
-    "BDF2",
-    "EXPLICIT",
-    "HHT",
-    "STEPPERS",
-    "Alphas",
-    "BackwardEuler",
-    "Explicit",
-    "FilmRule",
-    "GeneralisedAlpha",
-    "HasMotion",
-    "ImplicitEuler",
-    "Newmark",
-    "Rates",
-    "Steady",
-    "Stepper",
-    "Trapezoid",
-    "acceleration",
-    "first",
-    "first_rate",
-    "flow_integrators",
-    "keys_of",
-    "stepper_from",
-    "storage_error",
-    "velocity",
-    "with_inertia",
-]
+    "BDF2", "EXPLICIT", "HHT", "STEPPERS", "Alphas", "BackwardEuler", "Explicit", "FilmRule", "GeneralisedAlpha",
+    "HasMotion", "ImplicitEuler", "Newmark", "Rates", "Steady", "Stepper", "Trapezoid", "acceleration", "first",
+    "first_rate", "flow_integrators", "keys_of", "stepper_from", "storage_error", "velocity", "with_inertia",
+]  # fmt: skip

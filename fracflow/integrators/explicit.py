@@ -14,9 +14,8 @@ from typing import Any, ClassVar
 
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Newmark, Stepper, checked, error_by_jerk
 
-STEP_ROUND_OFF = (
-    2e-11  # of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
-)
+# of coordinates, by which a time step may pass the critical one: noise grows by 1e-5 a step there
+STEP_ROUND_OFF = 2e-11
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
-from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked, error_by_rate
+from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,12 @@ class Rates:
 class FilmRule(Stepper, Protocol):
     """A rule with storage and without inertia."""
 
+    inertia: ClassVar[bool] = False
+
+    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
+        """The dt (v_new - v)/2 of backward Euler, without inertia: more than the rules of second order add."""
+        return 0.5 * time_step * (new.velocity - old.velocity)
+
     def storage_error(self, time_step: float, rates: Rates) -> Any:
         """About the error in what is stored that a step adds after another one, of its own order and either sign."""
         ...
@@ -62,16 +68,11 @@ class BackwardEuler(FilmRule):
     """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
 
     order: ClassVar[int] = 1
-    inertia: ClassVar[bool] = False
     balance: ClassVar[Balance] = "end"
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 1/dt, the rest zero; time_step [time], positive."""
         return Alphas(a1=1.0 / checked(time_step))
-
-    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
-        """That of backward Euler."""
-        return error_by_rate(time_step, old, new)
 
     def storage_error(self, time_step: float, rates: Rates) -> Any:
         """dt^2/2 of the second derivative."""
@@ -83,16 +84,11 @@ class Trapezoid(FilmRule):
     """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for flow; rings for dt > 2 tau_d."""
 
     order: ClassVar[int] = 2
-    inertia: ClassVar[bool] = False
     memory: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 = 2/dt, alpha_4 = 1, the rest zero; time_step [time], positive."""
         return Alphas(a1=2.0 / checked(time_step), a4=1.0)
-
-    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
-        """That of backward Euler."""
-        return error_by_rate(time_step, old, new)
 
     def storage_error(self, time_step: float, rates: Rates) -> Any:
         """dt^3/12 of the third derivative."""
@@ -109,17 +105,12 @@ class BDF2(FilmRule):
     """
 
     order: ClassVar[int] = 2
-    inertia: ClassVar[bool] = False
     memory: ClassVar[bool] = True
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """alpha_1 and alpha_6; time_step [time], and ``last`` the length of the last one, None for as long; positive."""
         ratio = checked(time_step) / checked(time_step if last is None else last)
         return Alphas(a1=(1.0 + 2.0 * ratio) / (1.0 + ratio) / time_step, a6=ratio / (1.0 + ratio))
-
-    def local_error(self, time_step: float, old: HasMotion, new: HasMotion) -> Any:
-        """That of backward Euler."""
-        return error_by_rate(time_step, old, new)
 
     def storage_error(self, time_step: float, rates: Rates) -> Any:
         """dt^2 (dt + last)^2/(6 (2 dt + last)) of the third derivative."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from fracflow.integrators.newmark import Alphas, HasMotion, Stepper, error_by_jerk, newmark_alphas, weighed
-from fracflow.integrators.parameters import check_parameters, parameter
+from fracflow.integrators.parameters import parameter
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,6 @@ class GeneralisedAlpha(Stepper):
     )
 
     order: ClassVar[int] = 2
-
-    def __post_init__(self) -> None:
-        """Refuse what is not stable."""
-        check_parameters(self)
 
     @property
     def damps(self) -> bool:

@@ -87,6 +87,10 @@ class Stepper(Protocol):
     memory: ClassVar[bool] = False
     explicit: ClassVar[bool] = False
 
+    def __post_init__(self) -> None:
+        """Raises InputError for parameters that are not stable, or that cannot be stepped implicitly."""
+        check_parameters(self)
+
     @property
     def order(self) -> int:
         """Order of accuracy."""
@@ -160,11 +164,6 @@ def error_by_jerk(share: float, time_step: float, old: HasMotion, new: HasMotion
     return max(abs(share), 1.0 / 12.0) * time_step**2 * (new.acceleration - old.acceleration)
 
 
-def error_by_rate(time_step: float, old: HasMotion, new: HasMotion) -> Any:
-    """The dt (v_new - v)/2 of backward Euler, without inertia: more than the rules of second order add."""
-    return 0.5 * time_step * (new.velocity - old.velocity)
-
-
 @dataclass(frozen=True)
 class Newmark(Stepper):
     """(4.1a) Newmark with beta, gamma: 1/4, 1/2 is the trapezoidal rule, without numerical dissipation.
@@ -186,10 +185,6 @@ class Newmark(Stepper):
     def damps(self) -> bool:
         """Above gamma = 1/2."""
         return self.gamma > 0.5
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be stepped implicitly."""
-        check_parameters(self)
 
     def alphas(self, time_step: float, last: float | None = None) -> Alphas:
         """(4.3) alpha_0 ... alpha_5; time_step [time], positive."""

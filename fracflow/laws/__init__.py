@@ -8,6 +8,8 @@ from fracflow.laws.base import (
     JointResponse,
     Key,
     LawStep,
+    Leakage,
+    TermLaw,
     keys_of,
     parameters_of,
     published_history,
@@ -16,7 +18,6 @@ from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, ReportCubic
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
-from fracflow.laws.terms import Leakage, TermLaw
 
 # a law from outside the package is registered here, JOINT_LAWS["name"] = Law, before any scene is read
 JOINT_LAWS: dict[str, type[JointLaw]] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,17 +43,12 @@ class NormalClosure:
         k_n = np.where(self.is_open(opening), 0.0, k_n0 / squeeze**2)
         hyperbola = d0**2 * _minus_log(np.minimum(eps, 0.0) / d0)
         energy = f_n0 * eps + k_n0 * np.where(closing, hyperbola, 0.5 * eps**2)
-        return (
-            np.where(crushed, -np.inf, f_n),
-            np.where(crushed, np.inf, k_n),
-            np.where(crushed, np.inf, energy),
-        )
+        return np.where(crushed, -np.inf, f_n), np.where(crushed, np.inf, k_n), np.where(crushed, np.inf, energy)
 
     def is_open(self, opening: Floats) -> Bools:
         """Fig. 3: whether openings (n,) are strictly past that at which f_n vanishes."""
         k_n0, f_n0 = (np.asarray(v, dtype=float) for v in (self.normal_stiffness, self.initial_traction))
-        past_contact: Bools = opening > -f_n0 / k_n0
-        return past_contact
+        return np.asarray(opening > -f_n0 / k_n0)
 
     def gap(self, opening: Floats) -> Floats:
         """Distance (n,) from the loss of contact, over |f_n0|/k_n0; inf where f_n0 = 0."""
@@ -85,15 +81,12 @@ class NormalClosure:
         fraction = np.where(moves, gap / np.where(moves, opening, 1.0), np.inf)
         return np.where(fraction > 0.0, fraction, np.inf)
 
-    def _parameters(self, sections: int) -> tuple[Floats, Floats, Floats]:
-        k_n0, d0, f_n0 = (
-            per_section(v, sections) for v in (self.normal_stiffness, self.aperture, self.initial_traction)
-        )
-        return k_n0, d0, f_n0
+    def _parameters(self, sections: int) -> Iterator[Floats]:
+        """k_n0, d0 and f_n0 (n,)."""
+        return (per_section(v, sections) for v in (self.normal_stiffness, self.aperture, self.initial_traction))
 
 
 def _minus_log(x: Floats) -> Floats:
     """Closed form x - log(1 + x), by its series where it would cancel; x (n,) in (-1, 0]."""
     series = x**2 * (0.5 - x * (1.0 / 3.0 - x * (0.25 - x * (0.2 - x / 6.0))))
-    result: Floats = np.where(np.abs(x) < 1e-3, series, x - np.log1p(np.where(x > -1.0, x, 0.0)))
-    return result
+    return np.where(np.abs(x) < 1e-3, series, x - np.log1p(np.where(x > -1.0, x, 0.0)))

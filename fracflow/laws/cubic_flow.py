@@ -52,8 +52,7 @@ def conductance(mean_cube: Parameter, length: Parameter, viscosity: Parameter) -
     mean_cube (n,) [length^3], length (n,) [length], viscosity [stress time]; result [length^2/(stress time)].
     """
     resistance = 12.0 * np.asarray(viscosity, dtype=float) * np.asarray(length, dtype=float)
-    result: Floats = np.asarray(mean_cube, dtype=float) / resistance
-    return result
+    return np.asarray(np.asarray(mean_cube, dtype=float) / resistance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,9 +32,8 @@ STIFFNESS = {2: plane_strain_stiffness, 3: solid_stiffness}
 
 def _moduli(youngs_modulus: Parameter, poissons_ratio: Parameter) -> tuple[Floats, Floats]:
     """Lame's lambda and mu (n,) [stress]."""
-    modulus, ratio = np.broadcast_arrays(
-        np.atleast_1d(np.asarray(youngs_modulus, float)), np.atleast_1d(np.asarray(poissons_ratio, float))
-    )
+    given = (np.atleast_1d(np.asarray(each, float)) for each in (youngs_modulus, poissons_ratio))
+    modulus, ratio = np.broadcast_arrays(*given)
     return modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), modulus / (2.0 * (1.0 + ratio))
 
 
@@ -49,5 +48,4 @@ def _stiffness(lame: Floats, shear: Floats, dim: int) -> Floats:
 
 def out_of_plane_stress(stress: Floats, poissons_ratio: Parameter) -> Floats:
     """(2.13) sigma_zz (n,) = nu (sigma_xx + sigma_yy) of a stress change (n, 3) from the initial state."""
-    sigma_zz: Floats = np.multiply(poissons_ratio, stress[:, 0] + stress[:, 1])
-    return sigma_zz
+    return np.multiply(poissons_ratio, stress[:, 0] + stress[:, 1])

@@ -22,6 +22,7 @@ from fracflow.laws.closure import NormalClosure
 
 PLASTIC_SLIP = HistoryVariable("shear", "length", "plastic slip", published=False)  # output has it as plastic_slip
 SLIDING = HistoryVariable("shear", "1", "direction of the sliding traction, 0 while it sticks", published=False)
+SLIP_PATH = HistoryVariable("scalar", "length", "length of the path of plastic slip", published=False)
 ONSET_ROUND_OFF = 1e-12
 TINY_STRENGTH = 1e-9  # of the joint's own stress scale: keeps margins finite where the strength is nil
 
@@ -105,9 +106,8 @@ class Trial:
         way it slides, with -d ``carried`` / d f_n (n,) of what it carries. Contact [1]: opening past that at which f_n
         vanishes, over d0. A change by round-off is no event.
         """
-        slack = ONSET_ROUND_OFF * (
-            self.closure.stress_scale(len(change)) + self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
-        )
+        moved = self.k_s * np.abs(self.strain[:, :-1]).sum(axis=-1)
+        slack = ONSET_ROUND_OFF * (self.closure.stress_scale(len(change)) + moved)
         along = np.einsum("ni,ni->n", change[:, :-1], self.history["sliding"])
         with np.errstate(invalid="ignore"):
             slips = self.k_s * along + carried * self.k_n * change[:, -1]
@@ -202,8 +202,7 @@ class FrictionLaw(JointLaw):
     def has_changed(self, old: History, new: History) -> Bools:
         """Whether sections (n,) began or ended to slide, or slide the other way; turning while sliding is no change."""
         same_way = np.einsum("ni,ni->n", old["sliding"], new["sliding"]) > 0.0
-        changed: Bools = (old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way
-        return changed
+        return np.asarray((old["sliding"].any(axis=1) | new["sliding"].any(axis=1)) & ~same_way)
 
     def step_limit(self, strain: Floats, increment: Floats) -> Floats:
         """Fraction (n,) of an increment (n, dim) to the boundary -d0 of the closure."""

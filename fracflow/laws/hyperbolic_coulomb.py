@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import (
-    INSTANT,
-    Floats,
-    History,
-    HistoryVariable,
-    JointResponse,
-    LawStep,
-    Parameter,
-    key,
-    per_section,
-)
+from fracflow.laws.base import INSTANT, Floats, History, JointResponse, LawStep, Parameter, key, per_section
 from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
 
 
@@ -60,7 +51,7 @@ class HyperbolicCoulomb(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, HistoryVariable]] = {"plastic_slip": PLASTIC_SLIP, "sliding": SLIDING}
+    history: ClassVar = {"plastic_slip": PLASTIC_SLIP, "sliding": SLIDING}
     no_drop: ClassVar[str] = "stick_slip_ratio = 1"
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
@@ -71,9 +62,7 @@ class HyperbolicCoulomb(FrictionLaw):
         choice made from the status in ``history``.
         """
         trial = Trial.of(self, strain, history)
-        tan_phi, cohesion, alpha = (
-            per_section(v, len(strain)) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
-        )
+        tan_phi, cohesion, alpha = self._parameters(len(strain))
         peak = np.where(trial.free, 0.0, cohesion - trial.normal_traction() * tan_phi)
         residual = alpha * peak
         return trial.response(
@@ -88,20 +77,19 @@ class HyperbolicCoulomb(FrictionLaw):
 
     def approach(self, strain: Floats, change: Floats, history: History, step: LawStep = INSTANT) -> Floats:
         """Distances (n, 2) from the next event at strain (n, dim), which moves by ``change`` (n, dim) in a step."""
-        sections = len(strain)
-        tan_phi, cohesion, alpha = (
-            per_section(v, sections) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
-        )
+        tan_phi, cohesion, alpha = self._parameters(len(strain))
         trial = Trial.of(self, strain, history)
         return trial.approach(change, cohesion - trial.f_n * tan_phi, alpha * tan_phi)
 
     def strength_drop(self, compression: Floats) -> Floats:
         """Drop of strength (n,): (1 - alpha) (C + compression tan phi), compression (n,) [stress]."""
-        tan_phi, cohesion, alpha = (
-            per_section(v, len(compression)) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio)
-        )
+        tan_phi, cohesion, alpha = self._parameters(len(compression))
         drops = alpha < 1.0
         return np.where(drops, np.where(drops, 1.0 - alpha, 1.0) * (cohesion + compression * tan_phi), 0.0)
+
+    def _parameters(self, sections: int) -> Iterator[Floats]:
+        """Tan phi, C and alpha (n,)."""
+        return (per_section(v, sections) for v in (self.friction_coefficient, self.cohesion, self.stick_slip_ratio))
 
     def slip_length(self, sections: int) -> Floats:
         """Slip (n,) over which strength falls: 0, since the drop of alpha < 1 comes at once; inf without a drop [length]."""

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
-from fracflow.laws.base import (
-    INSTANT,
-    Floats,
-    History,
-    HistoryVariable,
-    JointResponse,
-    LawStep,
-    Parameter,
-    key,
-    per_section,
-)
-from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, FrictionLaw, Trial
+from fracflow.laws.base import INSTANT, Floats, History, JointResponse, LawStep, Parameter, key, per_section
+from fracflow.laws.friction import PLASTIC_SLIP, SLIDING, SLIP_PATH, FrictionLaw, Trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,22 +58,20 @@ class SlipWeakening(FrictionLaw):
     coupled_tangent: bool = True
     strength_when_open: bool = False
 
-    history: ClassVar[dict[str, HistoryVariable]] = {
-        "plastic_slip": PLASTIC_SLIP,
-        "slip_path": HistoryVariable("scalar", "length", "length of the path of plastic slip", published=False),
-        "sliding": SLIDING,
-    }
+    history: ClassVar = {"plastic_slip": PLASTIC_SLIP, "slip_path": SLIP_PATH, "sliding": SLIDING}
     weakens_over: ClassVar[str] = "slip_weakening_distance"
 
     def friction(self, slip_path: Floats) -> tuple[Floats, Floats]:
         """Mu of slip paths D (n,), and by how much it falls with further slip [1/length], 0 from D_c on."""
-        peak, dynamic, distance = (
-            per_section(v, len(slip_path))
-            for v in (self.friction_coefficient, self.dynamic_friction_coefficient, self.slip_weakening_distance)
-        )
+        peak, dynamic, distance = self._parameters(len(slip_path))
         weakens = slip_path < distance
         falls = np.where(weakens, (peak - dynamic) / distance, 0.0)
         return np.where(weakens, peak - falls * slip_path, dynamic), falls
+
+    def _parameters(self, sections: int) -> Iterator[Floats]:
+        """mu_p, mu_d and D_c (n,)."""
+        given = (self.friction_coefficient, self.dynamic_friction_coefficient, self.slip_weakening_distance)
+        return (per_section(v, sections) for v in given)
 
     def evaluate(self, strain: Floats, history: History, step: LawStep = INSTANT) -> JointResponse:
         """(2.12), (2.22), (2.26) Response to strain (n, dim) after ``history``, at most one change of status.
@@ -106,9 +95,8 @@ class SlipWeakening(FrictionLaw):
         softens = slides & (falls > 0.0) & ~crosses & (slip > 0.0)
         share = np.where(softens, k_s / np.where(softens, stiff, 1.0), 1.0)
         now, _ = self.friction(path + slip)
-        carried = np.where(
-            slip > 0.0, cohesion - f_n * now, strength if step.hold else np.minimum(strength, trial.size)
-        )
+        unmoved = strength if step.hold else np.minimum(strength, trial.size)
+        carried = np.where(slip > 0.0, cohesion - f_n * now, unmoved)
         slid = slides & ~trial.crushed
         response = trial.response(
             slides=slides,
@@ -123,21 +111,17 @@ class SlipWeakening(FrictionLaw):
 
     def steepness(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/(D_c k_s) (n,) at traction (n, dim) while friction falls; 0 once it has."""
-        result: Floats = self.softening(traction, history) / per_section(self.shear_stiffness, len(traction))
-        return result
+        return self.softening(traction, history) / per_section(self.shear_stiffness, len(traction))
 
     def softening(self, traction: Floats, history: History) -> Floats:
         """|f_n| (mu_p - mu_d)/D_c (n,) at traction (n, dim) while friction falls; 0 once it has [stress/length]."""
         _, falls = self.friction(history["slip_path"])
         compression = np.maximum(-np.where(np.isfinite(traction[:, -1]), traction[:, -1], 0.0), 0.0)
-        result: Floats = compression * falls
-        return result
+        return compression * falls
 
     def strength_drop(self, compression: Floats) -> Floats:
         """Drop of strength (n,): the compression (n,) times mu_p - mu_d [stress]."""
-        peak, dynamic = (
-            per_section(v, len(compression)) for v in (self.friction_coefficient, self.dynamic_friction_coefficient)
-        )
+        peak, dynamic, _ = self._parameters(len(compression))
         return compression * (peak - dynamic)
 
     def slip_length(self, sections: int) -> Floats:

@@ -14,10 +14,9 @@ import numpy as np
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.facets import half_facets
 
-CORNER = (
-    np.tan(np.radians(15.0)) ** 2
-)  # faces that turn by more than 30 degrees at a node have no common normal: it keeps
-# its mass. Without that rule corners kept opening and closing in Newton's iterations, and found no status that stays
+# Faces that turn by more than 30 degrees at a node have no common normal: it keeps its mass. Without that rule corners kept
+# opening and closing in Newton's iterations, and found no status that stays.
+CORNER = np.tan(np.radians(15.0)) ** 2
 CLEAN = 1e-12  # of a projector: as good as 0 or 1
 MOST_MOVED = 0.5  # of a node's mass: a block that would need more to keep its centre of mass is too thin
 MOMENT_ROUND_OFF = 1e-9

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBlock
 from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.mesh.facets import components, half_facets, match
+from fracflow.mesh.facets import half_facets, joined_by_cells, match
 from fracflow.mesh.locate import representatives
 
 JOINT_WEIGHT = 1000  # a cut joint costs ghosts on both faces; a cut facet next to nothing
@@ -45,8 +44,7 @@ def partition_cells(mesh: SplitMesh, ranks: int) -> Ints:
     csr = (graph.indptr.astype(PETSc.IntType), graph.indices.astype(PETSc.IntType), graph.data)
     adjacency = PETSc.Mat().createAIJ(graph.shape, csr=csr, comm=PETSc.COMM_SELF)
     adjacency.convert("mpiadj")
-    given = {"mat_partitioning_use_edge_weights": None, "mat_partitioning_nparts": ranks}
-    options = PETSc.Options()
+    options, given = PETSc.Options(), {"mat_partitioning_use_edge_weights": None, "mat_partitioning_nparts": ranks}
     for name, value in given.items():
         options[name] = value
     partitioner, result = PETSc.MatPartitioning().create(PETSc.COMM_SELF), PETSc.IS().create(PETSc.COMM_SELF)
@@ -54,11 +52,10 @@ def partition_cells(mesh: SplitMesh, ranks: int) -> Ints:
     partitioner.setType("ptscotch")
     partitioner.setFromOptions()
     partitioner.apply(result)
-    found: Ints = result.getIndices().astype(np.int64)
+    found = result.getIndices().astype(np.int64)
     for name in given:
         options.delValue(name)
-    for thing in (result, partitioner, adjacency):
-        thing.destroy()
+    destroy(result, partitioner, adjacency)
     return found
 
 
@@ -78,43 +75,33 @@ def distribute(
     if mesh is not None:
         cell_rank = partition_cells(mesh, comm.size) if cell_rank is None else cell_rank
         pieces = _pieces(mesh, cell_rank, comm.size, rigid_rocks, np.zeros((0, 2), np.int64) if ties is None else ties)
-    solid, joints, flow, sizes = comm.scatter(pieces, root=0)
-    return Blocks(comm, SolidBlock(**solid), JointBlock(**joints), FlowBlock(**flow), Sizes(**sizes))
+    return Blocks(comm, *comm.scatter(pieces, root=0))
 
 
 def rigid_bodies(mesh: SplitMesh, rigid_rocks: Collection[str]) -> tuple[Ints, Ints]:
     """Body (nodes,) of each node, -1 for none, and rock (bodies,) of each body: connected pieces of rigid rock."""
     is_rigid = np.isin(mesh.cell_rock, [i for i, rock in enumerate(mesh.rocks) if rock in rigid_rocks])
-    body = np.full(len(mesh.points), -1, dtype=np.int64)
-    cells = mesh.cells[is_rigid]
-    if not len(cells):
-        return body, np.zeros(0, dtype=np.int64)
-    cell, corner = np.nonzero(cells >= 0)
-    nodes = cells[cell, corner]
-    first = cells[cell, 0]
-    links = sparse.coo_matrix((np.ones(len(nodes)), (first, nodes)), shape=(len(body), len(body)))
-    label = connected_components(links, directed=False)[1]
-    used, number = np.unique(label[nodes], return_inverse=True)
-    body[nodes] = number
-    rock = np.zeros(len(used), dtype=np.int64)
-    rock[body[cells[:, 0]]] = mesh.cell_rock[is_rigid]
-    return body, rock
+    return _numbered(mesh, np.flatnonzero(is_rigid))
 
 
-def pieces_of_rock(mesh: SplitMesh) -> tuple[Ints, Ints, Floats]:
-    """Block of rock of each node, what no joint cuts; rock (p,) and box (p, 2, dim) of each block."""
-    cell, corner = np.nonzero(mesh.cells >= 0)
-    nodes = mesh.cells[cell, corner]
-    label = components(mesh.cells[cell, 0], nodes, len(mesh.points))
+def _numbered(mesh: SplitMesh, chosen: Ints) -> tuple[Ints, Ints]:
+    """Number (nodes,) of the piece that the chosen cells make around each node, -1 for none; rock of its last cell (p,)."""
+    nodes, label = joined_by_cells(mesh.cells[chosen], len(mesh.points))
     used, number = np.unique(label[nodes], return_inverse=True)
     piece = np.full(len(mesh.points), -1, dtype=np.int64)
     piece[nodes] = number
     rock = np.zeros(len(used), dtype=np.int64)
-    rock[piece[mesh.cells[::-1, 0]]] = mesh.cell_rock[::-1]  # the first cell writes last
-    box = np.empty((len(used), 2, mesh.points.shape[1]))
+    rock[piece[mesh.cells[chosen, 0]]] = mesh.cell_rock[chosen]
+    return piece, rock
+
+
+def pieces_of_rock(mesh: SplitMesh) -> tuple[Ints, Ints, Floats]:
+    """Block of rock of each node, what no joint cuts; rock (p,) and box (p, 2, dim) of each block."""
+    piece, rock = _numbered(mesh, np.arange(len(mesh.cells))[::-1])  # the first cell of a block comes last
+    used, box = np.flatnonzero(piece >= 0), np.empty((len(rock), 2, mesh.points.shape[1]))
     box[:, 0], box[:, 1] = np.inf, -np.inf
-    np.minimum.at(box[:, 0], number, mesh.points[nodes])
-    np.maximum.at(box[:, 1], number, mesh.points[nodes])
+    np.minimum.at(box[:, 0], piece[used], mesh.points[used])
+    np.maximum.at(box[:, 1], piece[used], mesh.points[used])
     return piece, rock, box
 
 
@@ -140,9 +127,8 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
     node_owner = _lowest_rank(cell_rank[cell], mesh.cells[cell, corner], len(mesh.points), size)
     node_global, node_starts = _renumber(node_owner, size)
     joint_rank = cell_rank[mesh.joint_cells[:, 0]]
-    flow_owner = _lowest_rank(
-        np.repeat(joint_rank, mesh.joint_flow.shape[1]), mesh.joint_flow.ravel(), len(mesh.flow_origin), size
-    )
+    rank_of_ends = np.repeat(joint_rank, mesh.joint_flow.shape[1])
+    flow_owner = _lowest_rank(rank_of_ends, mesh.joint_flow.ravel(), len(mesh.flow_origin), size)
     flow_global, flow_starts = _renumber(flow_owner, size)
 
     body, body_rock = rigid_bodies(mesh, rigid_rocks)
@@ -169,14 +155,8 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         unused = np.sort(unknown.ravel()[leader != np.arange(unknown.size)])
         unknown = unknown.ravel()[leader].reshape(unknown.shape)
 
-    sizes = dict(
-        dim=dim,
-        nodes=len(mesh.points),
-        cells=len(mesh.cells),
-        joints=len(mesh.joint_bottom),
-        flow_nodes=len(mesh.flow_origin),
-        cut_joints=int(np.count_nonzero(cell_rank[mesh.joint_cells[:, 0]] != cell_rank[mesh.joint_cells[:, 1]])),
-    )
+    cut_joints = int(np.count_nonzero(joint_rank != cell_rank[mesh.joint_cells[:, 1]]))
+    sizes = Sizes(dim, len(mesh.points), len(mesh.cells), len(mesh.joint_bottom), len(mesh.flow_origin), cut_joints)
     pieces = []
     for rank in range(size):
         cells = np.flatnonzero(cell_rank == rank)
@@ -184,14 +164,13 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         sides = np.flatnonzero(cell_rank[mesh.side_cell] == rank)
         owned = np.flatnonzero(node_owner == rank)
         corners = mesh.cells[cells]
-        touched = np.unique(
-            np.concatenate([corners[corners >= 0], mesh.joint_bottom[joints].ravel(), mesh.joint_top[joints].ravel()])
-        )
+        bottom, top = mesh.joint_bottom[joints], mesh.joint_top[joints]
+        touched = np.unique(np.concatenate([corners[corners >= 0], bottom.ravel(), top.ravel()]))
         ghosts = touched[node_owner[touched] != rank]
         nodes = np.concatenate([owned, ghosts])
         local = np.full(len(mesh.points) + 1, -1, dtype=np.int64)  # the last entry keeps the padding at -1
         local[nodes] = np.arange(len(nodes))
-        solid = dict(
+        solid = SolidBlock(
             node_ids=nodes,
             node_global=node_global[nodes],
             points=mesh.points[nodes],
@@ -218,16 +197,16 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
             node_starts=node_starts,
         )
         flow_nodes = np.flatnonzero(flow_owner == rank)
-        joint = dict(
+        joint = JointBlock(
             ids=joints,
-            bottom=local[mesh.joint_bottom[joints]],
-            top=local[mesh.joint_top[joints]],
+            bottom=local[bottom],
+            top=local[top],
             flow=flow_global[mesh.joint_flow[joints]],
             flow_ids=mesh.joint_flow[joints],
             fracture=mesh.joint_fracture[joints],
             fractures=mesh.fractures,
             along=mesh.joint_along[joints],
         )
-        flow = dict(ids=flow_nodes, points=mesh.points[mesh.flow_origin[flow_nodes]], starts=flow_starts)
+        flow = FlowBlock(flow_nodes, mesh.points[mesh.flow_origin[flow_nodes]], flow_starts)
         pieces.append((solid, joint, flow, sizes))
     return pieces

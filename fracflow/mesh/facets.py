@@ -54,17 +54,12 @@ class Matches:
     crowded: Ints
 
 
-def corner_counts(cells: Ints) -> Ints:
-    """Corners of each cell (m,)."""
-    return np.sum(cells >= 0, axis=1)
-
-
 def half_facets(cells: Ints, dim: int) -> HalfFacets:
     """All facets (f, k) of all cells (m, n), in the order of the cells of each shape.
 
     Raises InputError for a mesh in space of more than one kind of cell.
     """
-    counts = corner_counts(cells)
+    counts = np.sum(cells >= 0, axis=1)
     nodes, owners, corners = [], [], []
     for (cell_dim, size), table in FACETS.items():
         rows = np.flatnonzero(counts == size)
@@ -142,6 +137,13 @@ def components(first: Ints, second: Ints, total: int) -> Ints:
     """Component (total,) of each vertex of the graph with edges ``first``-``second``."""
     links = sparse.coo_matrix((np.ones(len(first), dtype=np.int8), (first, second)), shape=(total, total))
     return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def joined_by_cells(cells: Ints, count: int) -> tuple[Ints, Ints]:
+    """Nodes (q,) of cells (m, k), cell by cell, and the component (count,) of each of all nodes, which cells join."""
+    cell, corner = np.nonzero(cells >= 0)
+    nodes = cells[cell, corner]
+    return nodes, components(cells[cell, 0], nodes, count)
 
 
 def spot(points: Floats, nodes: Ints) -> str:

@@ -71,9 +71,8 @@ def _plane(points: Floats, what: str) -> Floats:
     if points.shape[1] == 3 and len(points):
         height = np.ptp(points[:, 2])
         if height > 1e-9 * np.ptp(points, axis=0).max():
-            raise InputError(
-                f"{what}: the mesh is not in a plane z = constant (z varies by {height:.3g}); give nodes one z"
-            )
+            fault = f"the mesh is not in a plane z = constant (z varies by {height:.3g})"
+            raise InputError(f"{what}: {fault}; give nodes one z")
     return points[:, :2]
 
 
@@ -134,14 +133,12 @@ def _turned(cells: Ints, points: Floats, what: str) -> Ints:
 
 def _check_names(elements: Elements, used: Ints, what: str) -> None:
     for group in used:
+        kind = ("point", "curve", "surface")[elements.group_dims[group]]
+        it = f"{what}: physical {kind} {elements.group_tags[group]}"
         if not elements.group_names[group].strip():
-            kind = ("point", "curve", "surface")[elements.group_dims[group]]
-            raise InputError(f"{what}: physical {kind} {elements.group_tags[group]} has no name; give it one")
+            raise InputError(f"{it} has no name; give it one")
         if steers(elements.group_names[group]):  # terminals would take it for a command
-            kind = ("point", "curve", "surface")[elements.group_dims[group]]
-            raise InputError(
-                f"{what}: physical {kind} {elements.group_tags[group]}: control characters in its name; rename it"
-            )
+            raise InputError(f"{it}: control characters in its name; rename it")
 
 
 def _fracture_groups(elements: Elements, cells: Ints, facets: Ints, group: Ints, fractures: Collection[str]) -> Ints:

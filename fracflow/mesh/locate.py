@@ -105,10 +105,8 @@ def on_fracture(mesh: SplitMesh, at: At, what: str, fracture: str | None = None)
     flow = int(candidates[np.argmin(distance)])
     joints, ends = np.nonzero((mesh.joint_flow == flow) & chosen[:, None])
     pair = mesh.points[mesh.joint_bottom[joints[0]]]
-    if distance.min() > np.linalg.norm(pair[1] - pair[0]):
-        raise InputError(
-            f"{what}: at = {point.tolist()}: the nearest fracture is {distance.min():.3g} away; move it onto one"
-        )
+    if (away := distance.min()) > np.linalg.norm(pair[1] - pair[0]):
+        raise InputError(f"{what}: at = {point.tolist()}: the nearest fracture is {away:.3g} away; move it onto one")
     nodes = (int(mesh.joint_bottom[joints[0], ends[0]]), int(mesh.joint_top[joints[0], ends[0]]))
     return FracturePlace(flow, mesh.points[mesh.flow_origin[flow]], nodes, joints, ends)
 
@@ -168,9 +166,8 @@ def probe_place(mesh: SplitMesh, at: At, what: str, on: str | None = None) -> Fr
     if on is not None and on in mesh.fractures:
         return on_fracture(mesh, at, what, on)
     if on is not None and on not in mesh.rocks:
-        raise InputError(
-            f'{what}: on = "{on}": neither a fracture ({", ".join(mesh.fractures)}) nor a rock ({", ".join(mesh.rocks)})'
-        )
+        fractures, rocks = (", ".join(names) for names in (mesh.fractures, mesh.rocks))
+        raise InputError(f'{what}: on = "{on}": neither a fracture ({fractures}) nor a rock ({rocks})')
     if on is None and len(mesh.flow_origin):
         extent = np.ptp(mesh.points, axis=0).max()
         if _distance_to_fractures(mesh, coordinates(mesh, at, what)) <= 1e-9 * extent:

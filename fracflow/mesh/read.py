@@ -13,15 +13,14 @@ import numpy as np
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh
 from fracflow.mesh.files.geo_check import check_geo
-from fracflow.mesh.files.gmsh import open_checked, open_in_gmsh, open_msh, run_worker
+from fracflow.mesh.files.gmsh import open_checked, open_msh, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.plane.near import NearMiss, near_misses, told
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
-from fracflow.mesh.plane.snap import STRETCH, natural_snap
-from fracflow.mesh.plane.traces import Trace, TraceNetwork, polygon_area, tidy
+from fracflow.mesh.plane.traces import STRETCH, Trace, TraceNetwork, natural_snap, polygon_area, tidy
 from fracflow.storage.files import check_regular, read_bytes
 
 SUFFIXES = (".geo", ".msh")
@@ -81,7 +80,7 @@ def read_mesh(path: str | Path, fractures: Collection[str], trust: bool = False,
             raise InputError(f"{path}: Gmsh would ignore the last line, which has no line end; add one")
         is_inside = folder is not None and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
         if trust:
-            elements = open_in_gmsh(path)
+            elements = run_worker({"file": str(path.resolve())}, str(path))  # Gmsh runs the file itself
         else:
             checked = check_geo(path, folder if is_inside else None)
             elements, notes = open_checked(path, checked), checked.notes
@@ -149,15 +148,10 @@ def _told_small(around: list[Source], misses: list[NearMiss], fine: float) -> li
     if least >= SMALL * fine:
         return []
     beside = [miss for miss in misses if np.linalg.norm(places - miss.point, axis=1).min() <= 2.0 * miss.distance]
-    place = beside[0].point if beside else places[0]
-    why = (
-        f"by the near miss of {beside[0].subject}"
-        if beside
-        else "where traces are near each other or meet at a small angle"
-    )
-    return [
-        f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({place[0]:.6g}, {place[1]:.6g}): {why}"
-    ]
+    (x, y), why = places[0], "where traces are near each other or meet at a small angle"
+    if beside:
+        (x, y), why = beside[0].point, f"by the near miss of {beside[0].subject}"
+    return [f"cells of {least:.3g}, {least / fine:.2g} of size_at_fractures, at ({x:.6g}, {y:.6g}): {why}"]
 
 
 def side_names(domain: Floats) -> list[str]:
@@ -176,13 +170,11 @@ def _check_sizes(geometry: GeometrySpec, area: float) -> None:
     """Raise InputError for mesh sizes that no machine could serve."""
     length = sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in geometry.traces)
     fine = geometry.size_at_fractures or geometry.size
-    counts = {"size": area / geometry.size**2, "size_at_fractures": length / fine}
-    for key, count in counts.items():
+    counts = {"size": (geometry.size, area / geometry.size**2), "size_at_fractures": (fine, length / fine)}
+    for key, (value, count) in counts.items():
         if count > MOST_CELLS:
-            value = fine if key == "size_at_fractures" else geometry.size
-            raise InputError(
-                f"geometry.{key} = {value:g}: would take some {count:.1g} cells; raise it, or check the units"
-            )
+            fault = f"geometry.{key} = {value:g}: would take some {count:.1g} cells"
+            raise InputError(f"{fault}; raise it, or check the units")
 
 
 def _check_traces(traces: list[Trace], taken: Iterable[str]) -> None:

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -21,6 +20,7 @@ from fracflow.mesh.facets import (
     Matches,
     components,
     half_facets,
+    joined_by_cells,
     match,
     number_facets,
     ridges,
@@ -105,9 +105,7 @@ def summary(mesh: SplitMesh) -> dict[str, Any]:
     In the plane angles of cells too. In space junctions and tips are edges of facets.
     """
     length = np.bincount(mesh.joint_fracture, frame(mesh.points[mesh.joint_bottom])[1], len(mesh.fractures))
-    cell, corner = np.nonzero(mesh.cells >= 0)
-    nodes = mesh.cells[cell, corner]
-    piece = components(mesh.cells[cell, 0], nodes, len(mesh.points))
+    nodes, piece = joined_by_cells(mesh.cells, len(mesh.points))
     return {
         "cells": len(mesh.cells),
         "nodes": len(mesh.points),
@@ -181,10 +179,8 @@ def _below_and_above(raw: RawMesh, half: HalfFacets, matches: Matches) -> tuple[
     facets = raw.fracture_facets
     left, other = (_runs_alike(_places(half, chosen, facets)) for chosen in (matches.first, matches.second))
     if np.any(left == other):
-        worst = facets[np.argmax(left == other)]
-        raise InputError(
-            f"mesh: the cells at {spot(raw.points, worst)} overlap or turn clockwise; order them all alike"
-        )
+        place = spot(raw.points, facets[np.argmax(left == other)])
+        raise InputError(f"mesh: the cells at {place} overlap or turn clockwise; order them all alike")
     return np.where(left, matches.second, matches.first), np.where(left, matches.first, matches.second)
 
 
@@ -218,26 +214,17 @@ def _check_fractures(raw: RawMesh, half: HalfFacets, matches: Matches) -> None:
         place = spot(raw.points, half.nodes[matches.crowded[0]])
         raise InputError(f"mesh: more than two cells share the edge at {place}; cells must not overlap")
     one_sided = "has a cell on one side only: on the outer boundary, or where the mesh does not conform; mesh it anew"
-    twice = "stands twice; fractures must not overlap"
+    (number,) = number_facets(raw.fracture_facets)
     for is_bad, what in (
         (matches.count == 0, "is no edge of the mesh; embed it in its surface"),
         (matches.count == 1, one_sided),
         (matches.count > 2, "has more than two cells; cells must not overlap"),
-        (_is_repeated(raw.fracture_facets), twice),
+        (np.bincount(number)[number] > 1, "stands twice; fractures must not overlap"),
     ):
         if np.any(is_bad):
             worst = int(np.argmax(is_bad))
-            name, place = raw.fractures[raw.fracture_of[worst]], _ends(raw.points, raw.fracture_facets[worst])
-            raise InputError(f'fracture "{name}": the facet {place} {what}')
-
-
-def _ends(points: Floats, facet: Ints) -> str:
-    return " to ".join(spot(points, facet[i : i + 1]) for i in range(len(facet)))
-
-
-def _is_repeated(facets: Ints) -> NDArray[np.bool_]:
-    (number,) = number_facets(facets)
-    return np.bincount(number)[number] > 1
+            ends = " to ".join(spot(raw.points, node) for node in raw.fracture_facets[worst][:, None])
+            raise InputError(f'fracture "{raw.fractures[raw.fracture_of[worst]]}": the facet {ends} {what}')
 
 
 def groups(mesh: SplitMesh) -> Ints:

@@ -62,9 +62,8 @@ def _check(mesh: SplitMesh) -> None:
         if any(steers(each) for each in value):
             raise ValueError(f"{name}: control characters in a name")
     nodes, dim = mesh.points.shape
-    cells, joints, flows, facets = (
-        len(np.atleast_1d(each)) for each in (mesh.cells, mesh.joint_bottom, mesh.flow_origin, mesh.side_facets)
-    )
+    tables = (mesh.cells, mesh.joint_bottom, mesh.flow_origin, mesh.side_facets)
+    cells, joints, flows, facets = (len(np.atleast_1d(table)) for table in tables)
     width = 2 if dim == 2 or np.ndim(mesh.joint_bottom) != 2 else max(3, min(mesh.joint_bottom.shape[1], 4))
     columns = mesh.cells.shape[1] if np.ndim(mesh.cells) == 2 else 0
     shapes: dict[str, tuple[tuple[int, ...], int]] = {  # shape, and what each number is below
@@ -87,9 +86,8 @@ def _check(mesh: SplitMesh) -> None:
         if not isinstance(values, np.ndarray) or values.shape != shape:
             raise ValueError(f"{name} has the shape {np.shape(values)}, not {shape}")
         least = -1 if name == "cells" else 0  # which -1 pads
-        if name not in _REALS and (
-            values.dtype.kind != "i" or (values.size and not least <= values.min() <= values.max() < below)
-        ):
+        fits = values.dtype.kind == "i" and (not values.size or least <= values.min() <= values.max() < below)
+        if name not in _REALS and not fits:
             raise ValueError(f"{name} has numbers that are not from {least} to {below - 1}")
     for name in _REALS:
         if getattr(mesh, name).dtype.kind != "f" or not np.isfinite(getattr(mesh, name)).all():

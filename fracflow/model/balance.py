@@ -35,12 +35,5 @@ def static_balance(
 
 def static_balance_of(ops: Operators, state: State) -> PETSc.Vec:
     """The same at a state. It follows from the state alone, so a restarted run computes the same bits."""
-    forces = state.forces
-    return static_balance(
-        ops,
-        state.motion.displacement,
-        state.sections.traction,
-        state.pressure,
-        forces.load,
-        forces.of_terms.values(),
-    )
+    displacement, traction, forces = state.motion.displacement, state.sections.traction, state.forces
+    return static_balance(ops, displacement, traction, state.pressure, forces.load, forces.of_terms.values())

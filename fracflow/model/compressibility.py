@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas, first_rate
 from fracflow.mesh.data import Floats
 from fracflow.model.energy_motion import Scheme
@@ -22,25 +22,27 @@ def compression_of(operators: Operators, state: State) -> Compression | None:
     network = operators.flow
     if network is None or network.compressibility == 0.0:
         return None
+    return network.compress(_apertures(operators, state), network.driving(state.pressure))
+
+
+def _apertures(operators: Operators, state: State) -> Floats:
+    """Apertures (j, 2) of the joint ends at a state [length]. Collective."""
     opening = operators.joints.openings(state.sections.strain)
-    aperture = network.apertures(state.motion.displacement, opening)
-    return network.compress(aperture, network.driving(state.pressure))
+    return operators.network.apertures(state.motion.displacement, opening)
 
 
 def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
     """Rates at which fluid leaves by a term at the flow nodes, in a new vector [volume rate per thickness]. Collective."""
-    network, result = operators.flow, operators.layout.flow_vector()
-    assert network is not None
-    aperture = network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain))
-    network.taken_up(term.leaving(network.at_ends(state.pressure), aperture).rate, result)
+    network, result = operators.network, operators.layout.flow_vector()
+    leaving = term.leaving(network.at_ends(state.pressure), _apertures(operators, state))
+    network.taken_up(leaving.rate, result)
     return result
 
 
 def taken_up(operators: Operators, before: Compression, after: Compression) -> PETSc.Vec:
     """Volumes taken up by compression between two instants at the flow nodes, new [volume per thickness]. Collective."""
-    assert operators.flow is not None
     result = operators.layout.flow_vector()
-    operators.flow.taken_up(after.held - before.held, result)
+    operators.network.taken_up(after.held - before.held, result)
     return result
 
 
@@ -73,14 +75,8 @@ def widening(operators: Operators, old: State, new: State) -> tuple[float, str]:
 
 def _left(operators: Operators, old: State, new: State) -> NDArray[np.float64]:
     """Ratio of new to old aperture (j, 2) of conducting elements; 1 where conductances are given. Collective."""
-    network = operators.flow
-    assert network is not None
-    before, after = (
-        np.maximum(
-            network.apertures(state.motion.displacement, operators.joints.openings(state.sections.strain)), least
-        )
-        for state, least in ((old, network.least), (new, network.least))
-    )
+    network = operators.network
+    before, after = (np.maximum(_apertures(operators, state), network.least) for state in (old, new))
     wide = (before > 0.0) & np.isnan(network.given)[:, None]
     return np.divide(after, before, out=np.ones_like(before), where=wide)
 
@@ -92,11 +88,9 @@ def uptake_rate(state: State, alphas: Alphas, taken: Floats) -> Floats | None:
     """Rates (n,) of what was ``taken`` (n,) since ``state``, by the rule of the walls; None in a step without storage."""
     if alphas.b1 == alphas.b4 == 0.0:
         return None
-    old, mean = (
-        0.0 if each is None else each.getArray(readonly=True) for each in (state.uptake, state.previous_step.uptake)
-    )
-    rate: Floats = first_rate(alphas, taken, 0.0, old, mean)
-    return rate
+    rates = (state.uptake, state.previous_step.uptake)
+    old, mean = (0.0 if rate is None else rate.getArray(readonly=True) for rate in rates)
+    return first_rate(alphas, taken, 0.0, old, mean)
 
 
 def uptake_at(
@@ -182,8 +176,7 @@ def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, de
     for term in ops.flow.terms if ops.flow is not None else ():
         rates = [rate_by(ops, term, state) for state in instants]
         found[term.name] = depth * dt / len(instants) * sum(float(rate.sum()) for rate in rates)
-        for rate in rates:
-            rate.destroy()
+        destroy(*rates)
     return found
 
 
@@ -194,16 +187,14 @@ def stored(ops: Operators, old: State, new: State, depth: float) -> float:
 
 def _room(ops: Operators, old: State, new: State) -> Floats:
     """Volumes that walls and compression take up between two states, at this rank's flow nodes (n,) [volume per thickness]."""
-    assert ops.flow is not None
     room, moved = new.pressure.duplicate(), new.motion.displacement.duplicate()
     after, before = (state.motion.displacement.getArray(readonly=True) for state in (new, old))
     moved.setArray(after - before)
-    ops.flow.storage_coupling.multTranspose(moved, room)
+    ops.network.storage_coupling.multTranspose(moved, room)
     if new.uptake is not None:
         taken = taken_between(ops, old, new)
         room.axpy(1.0, taken)
         taken.destroy()
     result: Floats = room.getArray().copy()
-    room.destroy()
-    moved.destroy()
+    destroy(room, moved)
     return result

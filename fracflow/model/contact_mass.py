@@ -10,16 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.elements import solid
 from fracflow.laws import JOINT_LAWS
-from fracflow.mesh.contact_nodes import ContactNodes, averaged, balanced, contact_nodes_of, tied_whole
-from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.contact_nodes import averaged, balanced, contact_nodes_of, tied_whole
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import pieces_of_rock
 from fracflow.model.joints import Joints, Massless
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
+from fracflow.model.solid import by_shape
 from fracflow.scene.scene import Scene
 
 SOME = 1e-9  # of a mass: what counts as lost
@@ -38,7 +39,8 @@ def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | 
     block, comm = ops.blocks.solid, ops.layout.comm
     own = block.node_ids[: block.owned]
     unknown = ops.blocks.gather(own, block.unknown[: block.owned], ops.blocks.sizes.nodes)
-    held, damped = (comm.gather(flags, root=0) or [] for flags in (_flags(ops, loads.held), _damped(ops)))
+    is_held = np.isin(np.arange(ops.layout.solid_count), loads.held)
+    held, damped = (comm.gather(flags, root=0) or [] for flags in (is_held, _damped(ops)))
     entries, added = None, None
     if mesh is not None and unknown is not None:
         entries, added = _entries(mesh, scene, unknown, np.concatenate(held), np.concatenate(damped))
@@ -57,8 +59,7 @@ def redistributed(ops: Operators, scene: Scene, loads: Loads, mesh: SplitMesh | 
     kept.assemble()
     mass = ops.mass.PtAP(inward)
     mass.axpy(1.0, kept, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    kept.destroy()
-    ops.mass.destroy()
+    destroy(kept, ops.mass)
     joints = replace(ops.joints, massless=massless(ops.joints, inward))
     return replace(ops, mass=mass, inward=inward, joints=joints)
 
@@ -90,17 +91,11 @@ def _square(ops: Operators) -> PETSc.Mat:
     return create_matrix((size, size), 8, ops.layout.comm)
 
 
-def _flags(ops: Operators, numbers: Ints) -> Floats:
-    flags = np.zeros(ops.layout.solid_count)
-    flags[numbers] = 1.0
-    return flags
-
-
-def _damped(ops: Operators) -> Floats:
+def _damped(ops: Operators) -> Bools:
     if ops.damping is None:
-        return np.zeros(ops.layout.solid_count)
+        return np.zeros(ops.layout.solid_count, dtype=bool)
     diagonal = ops.damping.getDiagonal()
-    flags: Floats = (diagonal.getArray() != 0.0).astype(float)
+    flags = diagonal.getArray() != 0.0
     diagonal.destroy()
     return flags
 
@@ -108,36 +103,29 @@ def _damped(ops: Operators) -> Floats:
 Entries = tuple[Ints, Ints, Floats]
 
 
-def _entries(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Floats, damped: Floats) -> tuple[Entries, Entries]:
+def _entries(mesh: SplitMesh, scene: Scene, unknown: Ints, held: Bools, damped: Bools) -> tuple[Entries, Entries]:
     """Blocks of P - 1 and of C: rows (n, 2), columns (n, 2), values (n, 2, 2) by numbers of unknowns."""
     laws = [JOINT_LAWS[scene.fracture_named(name).law].opens for name in mesh.fractures]
     opens = np.array(laws, dtype=bool)[mesh.joint_fracture]
     able = (unknown >= 0).all(axis=1)
-    is_held, is_damped = held[unknown] > 0.0, damped[unknown] > 0.0  # the last for rigid bodies, whose mass stays
-    free = able & ~is_damped.any(axis=1)
+    free = able & ~damped[unknown].any(axis=1)  # -1, of rigid bodies, whose mass stays, takes the last entry
     mass, piece = _nodal_mass(mesh, scene), pieces_of_rock(mesh)[0]
-    walls = tied_whole(contact_nodes_of(mesh, opens, free, is_held), unknown)
+    walls = tied_whole(contact_nodes_of(mesh, opens, free, held[unknown]), unknown)
     walls, added = balanced(mesh, walls, mass, piece, able)
     walls = averaged(walls, unknown)
     rows, normal = unknown[walls.nodes], walls.normal
-    own, links = (rows, rows, -normal), _links(walls, unknown)
+    given, taking = rows[walls.wall], normal[walls.wall] * walls.share[:, None, None]
+    own, links = (rows, rows, -normal), (given, unknown[walls.inner], taking)
     inward = tuple(np.concatenate(parts) for parts in zip(own, links, strict=True))
     chosen = np.flatnonzero(added.any(axis=(1, 2)))
     numbers = unknown[chosen]
     return (inward[0], inward[1], inward[2]), (numbers, numbers, added[chosen])
 
 
-def _links(walls: ContactNodes, unknown: Ints) -> Entries:
-    rows, cols = unknown[walls.nodes[walls.wall]], unknown[walls.inner]
-    return rows, cols, walls.normal[walls.wall] * walls.share[:, None, None]
-
-
 def _nodal_mass(mesh: SplitMesh, scene: Scene) -> Floats:
     """Row sums of the mass matrix (n,)."""
     density = np.array([scene.rock[name].density or 0.0 for name in mesh.rocks])[mesh.cell_rock]
-    result, corners = np.zeros(len(mesh.points)), (mesh.cells >= 0).sum(axis=1)
-    for width in np.unique(corners):
-        alike = np.flatnonzero(corners == width)
-        nodes = mesh.cells[alike, :width]
+    result = np.zeros(len(mesh.points))
+    for alike, nodes in by_shape(mesh.cells):
         np.add.at(result, nodes, solid.mass_lumped(mesh.points[nodes], density[alike]))
     return result

@@ -1,9 +1,10 @@
-"""Prescribed displacements of supports and pressures, each unknown by the first that names it."""
+"""Prescribed displacements of supports and pressures, each unknown by the first that names it; and where two differ."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,15 @@ import numpy as np
 from fracflow._petsc import MPI
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks, owner_of
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.scene.boundary import Support
+from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import AT_ONCE, Around, TimeTable
 
 Values = Callable[..., "float | Floats"]
 """(time, around = AT_ONCE) -> one value or one for each; ``around`` selects the side of a jump that counts."""
 AXES = ("x", "y", "z")
+APART = 1e-12  # of the largest motion there: less is round-off of its tables
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,10 @@ def supported(
     Raises InputError, on every rank.
     """
     block, dim = blocks.solid, blocks.sizes.dim
-    rotation = {"rotation": dim}
     if name in block.rocks and len(block.body_rock) and np.any(block.body_rock == block.rocks.index(name)):
         bodies = np.flatnonzero(block.body_rock == block.rocks.index(name))
-        column = {axis: i for i, axis in enumerate(AXES[:dim])} | rotation
-        return {
-            part: (block.body_unknown[bodies, column[part]], block.body_center[bodies]) for part in support.components
-        }
+        column, centres = (*AXES[:dim], "rotation"), block.body_center[bodies]
+        return {part: (block.body_unknown[bodies, column.index(part)], centres) for part in support.components}
     if name in block.sides:
         nodes = np.unique(block.side_facets[block.side_of == block.sides.index(name)])
     elif name in block.rocks:
@@ -74,11 +74,7 @@ def supported(
     turning = block.body[nodes] >= 0
     if blocks.comm.allreduce(int(turning.any())):
         raise InputError(f'support: on = "{name}": lies on a rigid rock; support the rock itself, by its name')
-    given = (
-        [part for part in support.components if part != "rotation"]
-        if "rotation" in support.components
-        else support.components
-    )
+    given = [part for part in support.components if part != "rotation"]
     if "rotation" in support.components and support.displacement and "rotation" in support.displacement:
         raise InputError(f'support: on = "{name}": only a rigid rock has a rotation')
     return {part: (block.unknown[nodes, AXES.index(part)], block.points[nodes]) for part in given}
@@ -102,10 +98,8 @@ def prescribe(
     is_new = np.isin(everywhere, taken, invert=True)  # where two supports meet, the first one holds
     here = is_new & (owner_of(starts, everywhere) == comm.rank)
     with_it = data[first[here]]
-    numbers = everywhere[here] - starts[comm.rank]
-    return PrescribedValues(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), np.union1d(
-        taken, everywhere
-    )
+    numbers, taken = everywhere[here] - starts[comm.rank], np.union1d(taken, everywhere)
+    return PrescribedValues(numbers, lambda time, around=AT_ONCE: value(time, with_it, around)), taken
 
 
 def motion(support: Support, part: str) -> Callable[..., Any]:
@@ -115,3 +109,65 @@ def motion(support: Support, part: str) -> Callable[..., Any]:
         return lambda time, place, around: base(time, around)
     row = support.displacement_gradient[AXES.index(part)]
     return lambda time, place, around: base(time, around) + place @ np.array([entry(time, around) for entry in row])
+
+
+def meeting_supports(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints]) -> Iterator[str]:
+    """A line for each two supports that move a node in two ways, of which the first holds. Rigid rocks are left out.
+
+    points  split nodes (n,) of each named point
+    """
+    nodes = [np.unique(np.concatenate([_nodes(scene, mesh, points, name) for name in s.on])) for s in scene.support]
+    for one, other in combinations(range(len(scene.support)), 2):
+        both = np.intersect1d(nodes[one], nodes[other])
+        apart = {part: both[_apart(mesh, scene.support[one], scene.support[other], part, both)] for part in AXES[:2]}
+        found = [part for part, where in apart.items() if len(where)]
+        if found:
+            where = np.unique(np.concatenate(list(apart.values())))
+            at = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in mesh.points[where[:2]])
+            more = f" and {len(where) - 2} more" if len(where) > 2 else ""
+            yield (
+                f"support.{other} ({', '.join(scene.support[other].on)}) prescribes another displacement in"
+                f" {' and '.join(found)} than support.{one} ({', '.join(scene.support[one].on)}) at nodes of both,"
+                f" {at}{more}: there the first entry holds; put the one that shall hold first"
+            )
+
+
+def refuse_two_pressures(scene: Scene, wells: Mapping[str, int]) -> None:
+    """Raise InputError where two wells prescribe pressures at one flow node, unless these are the same."""
+    given = [well for well in scene.well if well.pressure is not None and well.name in wells]
+    for one, other in combinations(given, 2):
+        if wells[one.name] == wells[other.name] and one.pressure != other.pressure:
+            raise InputError(
+                f"well.{other.name}: at: sits on the node of well.{one.name}, which prescribes another pressure there:"
+                " move one of them, or leave it out"
+            )
+
+
+def _nodes(scene: Scene, mesh: SplitMesh, points: Mapping[str, Ints], name: str) -> Ints:
+    if name in mesh.sides:
+        return np.unique(mesh.side_facets[mesh.side_of == mesh.sides.index(name)])
+    if name in mesh.rocks and not scene.rock[name].rigid:
+        nodes = np.unique(mesh.cells[mesh.cell_rock == mesh.rocks.index(name)])
+        return nodes[nodes >= 0]
+    return np.asarray(points.get(name, ()), dtype=np.int64)
+
+
+def _apart(mesh: SplitMesh, one: Support, other: Support, part: str, nodes: Ints) -> np.ndarray:
+    """Which nodes (n,) two supports move in two ways at any time, along one axis."""
+    is_apart = np.zeros(len(nodes), dtype=bool)
+    if part not in one.components or part not in other.components:
+        return is_apart
+    place = mesh.points[nodes]
+    for time in sorted({0.0, *_times(one), *_times(other)}):
+        moved = (motion(support, part)(time, place, AT_ONCE) for support in (one, other))
+        first, second = (np.broadcast_to(each, len(nodes)) for each in moved)
+        largest = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
+        is_apart |= np.abs(first - second) > APART * largest
+    return is_apart
+
+
+def _times(support: Support) -> Iterator[float]:
+    tables: list[TimeTable] = list((support.displacement or {}).values())
+    tables += [entry for row in support.displacement_gradient or () for entry in row]
+    for table in tables:
+        yield from table.times

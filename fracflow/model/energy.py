@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import rate_by, taken_between
 from fracflow.model.energy_motion import Scheme, motion_parts, term_parts
@@ -21,19 +21,9 @@ from fracflow.model.state import State
 from fracflow.model.terms.term import Term
 
 STORED = (
-    "kinetic",
-    "rock_strain",
-    "joint_normal",
-    "joint_shear",
-    "fluid_storage",
-    "friction",
-    "viscous",
-    "radiated",
-    "damping",
-    "scheme",
-    "spurious",
-    "dropped",
-)
+    "kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage", "friction", "viscous", "radiated",
+    "damping", "scheme", "spurious", "dropped",
+)  # fmt: skip
 WORK = ("work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial")
 ENTRIES = (*STORED, *WORK, "joint_normal_closed", "residual", "residual_closed")
 
@@ -58,17 +48,15 @@ def update_balance(operators: Operators, old: State, new: State, dt: float, sche
     mean_displacement = _sum(0.5, new.motion.displacement, 0.5, old.motion.displacement)
     ops.stiffness.mult(mean_displacement, term)
     parts["rock_strain"] += term.dot(change) + ops.prestress.dot(change)
-    parts["work_boundaries"] += 0.5 * sum(
-        vector.dot(change) for state in (old, new) for vector in (state.forces.load, state.forces.support)
-    )
+    outer = [force for state in (old, new) for force in (state.forces.load, state.forces.support)]
+    parts["work_boundaries"] += 0.5 * sum(force.dot(change) for force in outer)
     if ops.flow is not None:
         instants = (new,) if scheme.balance == "end" else (old, new)
         parts |= _fluid_parts(ops, instants, change, mean_pressure, dt, scheme)
         if ops.flow.compressibility > 0.0:
             _add_compression(ops, parts, old, new, scheme.storage)
         parts["scheme"] += parts.pop("fluid_scheme", 0.0)
-    for vector in (change, mean_pressure, mean_displacement, term):
-        vector.destroy()
+    destroy(change, mean_pressure, mean_displacement, term)
     totals = {name: old.energy.get(name, 0.0) + parts.get(name, 0.0) for name in dict.fromkeys([*ENTRIES, *old.energy])}
     return _with_residuals(totals)
 
@@ -103,29 +91,27 @@ def compressed(ops: Operators, old: State, new: State) -> float:
 
     Pressures p above those at rest; s is what the fracture of aperture d holds. Collective.
     """
-    assert ops.flow is not None
     room, taken = new.pressure.duplicate(), taken_between(ops, old, new)
     change = _sum(1.0, new.motion.displacement, -1.0, old.motion.displacement)
-    ops.flow.storage_coupling.multTranspose(change, room)
+    ops.network.storage_coupling.multTranspose(change, room)
     mean, driving = _potential(ops, (old, new)), _sum(0.5, new.pressure, 0.5, old.pressure)
-    driving.axpy(-1.0, ops.flow.resting)
+    driving.axpy(-1.0, ops.network.resting)
     driving.aypx(-1.0, mean)
     work = float(mean.dot(taken)) + float(driving.dot(room))
-    for vector in (room, taken, change, mean, driving):
-        vector.destroy()
+    destroy(room, taken, change, mean, driving)
     return work
 
 
 def _potential(ops: Operators, instants: tuple[State, ...]) -> PETSc.Vec:
     """Potential of a volume of fluid, as a mean over the instants, in a new vector [stress]."""
-    assert ops.flow is not None
-    if ops.flow.compressibility == 0.0:
-        balanced = _sum(-1.0, ops.flow.resting, 1.0 / len(instants), instants[0].pressure)
+    network = ops.network
+    if network.compressibility == 0.0:
+        balanced = _sum(-1.0, network.resting, 1.0 / len(instants), instants[0].pressure)
         for state in instants[1:]:
             balanced.axpy(1.0 / len(instants), state.pressure)
         return balanced
-    balanced, resting = ops.flow.resting.duplicate(), ops.flow.resting.getArray(readonly=True)
-    each = [ops.flow.potential(state.pressure.getArray(readonly=True) - resting) for state in instants]
+    balanced, resting = network.resting.duplicate(), network.resting.getArray(readonly=True)
+    each = [network.potential(state.pressure.getArray(readonly=True) - resting) for state in instants]
     balanced.setArray(sum(each) / len(instants))
     return balanced
 
@@ -157,8 +143,7 @@ def spurious_share(totals: Mapping[str, float]) -> float:
 def dissipated(old: State, new: State) -> Floats:
     """(2.27b) with (2.33b): energy that friction dissipates at each section (s,) after a step from ``old`` [energy/area]."""
     work = (old.sections.traction + new.sections.traction) * (new.sections.inelastic - old.sections.inelastic)
-    result: Floats = old.friction + 0.5 * work.sum(axis=1)
-    return result
+    return old.friction + 0.5 * work.sum(axis=1)
 
 
 def _joint_parts(ops: Operators, old: State, new: State) -> dict[str, float]:
@@ -181,43 +166,39 @@ def _fluid_parts(
     The mean ``pressure`` of the step acts on the walls. Its difference from the pressure in the storage of (3.20), and that of
     velocities, is counted as the scheme's. The resting pressure is a dead load on the walls.
     """
-    assert ops.flow is not None
-    rate, share, driving = pressure.duplicate(), dt / len(instants), _sum(1.0, pressure, -1.0, ops.flow.resting)
+    network, rate, share = ops.network, pressure.duplicate(), dt / len(instants)
+    driving = _sum(1.0, pressure, -1.0, network.resting)
     balanced = _potential(ops, instants)
 
     def volume(matrix: PETSc.Mat, motion: PETSc.Vec, at: PETSc.Vec) -> float:
         matrix.multTranspose(motion, rate)
         return float(rate.dot(at))
 
-    pushed = volume(ops.flow.pressure_load, change, driving)
-    resting = float(rate.dot(ops.flow.resting))
+    pushed = volume(network.pressure_load, change, driving)
+    resting = float(rate.dot(network.resting))
     parts = {
         "viscous": share * sum(state.forces.conduction.dot(balanced) for state in instants),
         "work_wells": share * sum(state.forces.source.dot(balanced) for state in instants),
         "work_pressure": resting,
     }
-    for term in ops.flow.terms:
+    for term in network.terms:
         rates = [rate_by(ops, term, state) for state in instants]
         lost = share * sum(each.dot(balanced) for each in rates)
         parts["viscous"] -= lost
         parts |= term.energy(lost, 0.0)
-        for each in rates:
-            each.destroy()
+        destroy(*rates)
     if scheme.storage:
-        swept = volume(ops.flow.storage_coupling, change, driving)
+        swept = volume(network.storage_coupling, change, driving)
         parts["spurious"] = swept - pushed
         if scheme.balance == "step":  # of the volume that the walls open
-            stored = volume(ops.flow.storage_coupling, change, balanced)
+            stored = volume(network.storage_coupling, change, balanced)
         else:
-            stored = share * sum(
-                volume(ops.flow.storage_coupling, state.motion.velocity, balanced) for state in instants
-            )
+            stored = share * sum(volume(network.storage_coupling, s.motion.velocity, balanced) for s in instants)
         stored += share * sum(state.uptake.dot(balanced) for state in instants if state.uptake is not None)
         parts["fluid_scheme"] = stored - swept
     else:
         parts["work_pressure"] += pushed
-    for vector in (rate, driving, balanced):
-        vector.destroy()
+    destroy(rate, driving, balanced)
     return parts
 
 

@@ -11,6 +11,7 @@ from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.balance import static_balance_of
+from fracflow.model.layout import product
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
 
@@ -50,7 +51,7 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     """
     change = _local(new.motion.displacement) - _local(old.motion.displacement)
     before, after = old.motion.values(), new.motion.values()
-    mean = _times(ops.mass, 0.5 * (before.acceleration + after.acceleration), new)
+    mean = _times(ops.mass, 0.5 * (before.acceleration + after.acceleration))
     is_held = np.zeros(len(change), dtype=bool)
     is_held[scheme.held] = True
     if not scheme.inertia:  # an imbalance of the previous stage is released in the first step
@@ -60,23 +61,19 @@ def motion_parts(ops: Operators, old: State, new: State, dt: float, scheme: Sche
     kinetic = kinetic_energy(ops, new.motion.velocity) - kinetic_energy(ops, old.motion.velocity)
     alphas = scheme.alphas
     if alphas is None:
-        gained = 0.5 * (before.velocity + after.velocity) * _times(ops.mass, after.velocity - before.velocity, new)
+        gained = 0.5 * (before.velocity + after.velocity) * _times(ops.mass, after.velocity - before.velocity)
         left = change * mean - gained
         scheme_part, given_part = float(left[~is_held].sum()), -float(left[is_held].sum())
-        return {
-            "kinetic": kinetic,
-            "scheme": _total(ops, scheme_part),
-            "work_boundaries": _total(ops, given_part),
-        }
+        return {"kinetic": kinetic, "scheme": _total(ops, scheme_part), "work_boundaries": _total(ops, given_part)}
     # e = e_new a_new + e_old a of (4.2e,f)
     of_new, of_old = alphas.a1 / alphas.a0, alphas.a1 * alphas.a3 / alphas.a0 - alphas.a5
     e_new, e_old = 1.0 / alphas.a0 - 0.5 * dt * of_new, alphas.a3 / alphas.a0 - 0.5 * dt * of_old
     error = e_new * after.acceleration + e_old * before.acceleration
-    push = _times(ops.mass, after.velocity - before.velocity, new) / dt
+    push = _times(ops.mass, after.velocity - before.velocity) / dt
     met = mean
     if alphas.looks_back:
         weighed = alphas.inertia * after.acceleration + alphas.inertia_old * before.acceleration
-        met = _times(ops.mass, weighed, new) / (1.0 + alphas.balance_old)
+        met = _times(ops.mass, weighed) / (1.0 + alphas.balance_old)
     each = change * (met - push) + error * push
     if alphas.looks_back:
         late = alphas.balance_old / (1.0 + alphas.balance_old)
@@ -99,7 +96,7 @@ def term_parts(ops: Operators, old: State, new: State, dt: float) -> dict[str, f
                 taken += 0.5 * _total(ops, _local(state.forces.of_terms[term.name]) @ (after - before))
         brought = 0.5 * dt * (old.forces.powers.get(term.name, 0.0) + new.forces.powers.get(term.name, 0.0))
         if term.stiffness is not None:
-            work = _total(ops, _times(term.stiffness, 0.5 * (before + after), new) @ (after - before))
+            work = _total(ops, _times(term.stiffness, 0.5 * (before + after)) @ (after - before))
             taken, parts["rock_strain"] = taken + work, parts["rock_strain"] - work
         parts |= term.energy(taken, brought)
     return parts
@@ -112,20 +109,17 @@ def _static(ops: Operators, state: State) -> Floats:
     return local
 
 
-def _times(matrix: PETSc.Mat, values: Floats, like: State) -> Floats:
+def _times(matrix: PETSc.Mat, values: Floats) -> Floats:
     """A matrix of the solid unknowns times local ``values``. Collective."""
-    vector, result = like.motion.velocity.duplicate(), like.motion.velocity.duplicate()
+    vector = matrix.createVecRight()
     vector.setArray(values)
-    matrix.mult(vector, result)
-    local = result.getArray().copy()
+    result = product(matrix, vector)
     vector.destroy()
-    result.destroy()
-    return local
+    return result
 
 
 def _local(vector: PETSc.Vec) -> Floats:
-    values: Floats = vector.getArray(readonly=True)
-    return values
+    return vector.getArray(readonly=True)
 
 
 def _total(ops: Operators, here: Any) -> float:

@@ -15,7 +15,7 @@ from fracflow.laws import FLOW_LAWS, FlowLaw, keys_of, parameters_of
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
 from fracflow.model.joints import Walls, jump_matrix
-from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.layout import add_blocks, add_transposed, create_matrix, product
 from fracflow.model.properties import along_fractures, resting_pressure
 from fracflow.model.terms.term import Leaving, Term
 from fracflow.scene.scene import Scene
@@ -28,6 +28,13 @@ STORAGE = {
     "consistent-lumped": ("consistent", "lumped"),
 }
 """Matrices of the pressure force and of the wall motion: one for both, or, as in the report's (2.37) with (3.16), two."""
+
+
+def _array(vector: PETSc.Vec) -> Floats:
+    """The values of this rank; the vector is freed. Collective."""
+    values: Floats = vector.getArray().copy()
+    vector.destroy()
+    return values
 
 
 def is_transposed(storage: str) -> bool:
@@ -127,7 +134,7 @@ class Flow:
         return self.aperture + self._openings(displacement, opening)
 
     def _openings(self, displacement: PETSc.Vec, known: Floats | None) -> Floats:
-        return _apply(self.opening, displacement).reshape(self.aperture.shape) if known is None else known
+        return product(self.opening, displacement).reshape(self.aperture.shape) if known is None else known
 
     def conduct(self, displacement: PETSc.Vec, pressure: PETSc.Vec, walls: Walls) -> Conduction:
         """(3.14e,f) Conductances of all elements between these walls, with the end pressures that drive. Collective."""
@@ -150,9 +157,8 @@ class Flow:
 
     def at_least(self, displacement: PETSc.Vec, opening: Floats | None = None) -> np.ndarray:
         """Which joint ends (j, 2) conduct by their minimum hydraulic aperture, being closed further. Collective."""
-        return np.asarray(
-            (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & np.isnan(self.given)[:, None]
-        )
+        by_law = np.isnan(self.given)[:, None]
+        return (self.least > 0.0) & (self.apertures(displacement, opening) < self.least) & by_law
 
     def compress(self, aperture: Floats, driving: Floats) -> Compression:
         """Fluid beyond the room at apertures (j, 2) under pressures above rest (j, 2)."""
@@ -167,19 +173,28 @@ class Flow:
         if self.compressibility == 0.0:
             return driving
         lighter = np.expm1(self.compressibility * (self.counted - driving))
-        result: Floats = self.counted - lighter / self.compressibility
-        return result
+        return self.counted - lighter / self.compressibility
 
     def taken_up(self, at_ends: Floats, result: PETSc.Vec) -> None:
         """``result`` += volume rates (j, 2) at the joint ends, brought to the flow nodes. Collective."""
-        ends = self.pick.createVecLeft()
-        ends.setArray(at_ends.ravel())
-        self.pick.multTransposeAdd(ends, result, result)
-        ends.destroy()
+        add_transposed(self.pick, at_ends.ravel(), result)
+
+    def at_nodes(self, at_ends: Floats) -> Floats:
+        """Volume rates (j, 2) at the joint ends, brought to this rank's flow nodes (n,). Collective."""
+        result = self.resting.duplicate()
+        result.set(0.0)
+        self.taken_up(at_ends, result)
+        return _array(result)
+
+    def swept(self, moved: PETSc.Vec) -> Floats:
+        """Volumes (n,) at this rank's flow nodes that walls open as they move, or their rates. Collective."""
+        result = self.resting.duplicate()
+        self.storage_coupling.multTranspose(moved, result)
+        return _array(result)
 
     def at_ends(self, nodes: PETSc.Vec) -> Floats:
         """Values of the flow nodes at the joint ends (j, k). Collective."""
-        return _apply(self.pick, nodes).reshape(self.aperture.shape)
+        return product(self.pick, nodes).reshape(self.aperture.shape)
 
     def driving(self, pressure: PETSc.Vec) -> Floats:
         """Pressures above those at rest at the joint ends (j, 2) [stress]. Collective."""
@@ -190,14 +205,6 @@ class Flow:
         through = flow.element_flow(state.conductance, state.pressure)
         sent = np.stack([through, -through], axis=1)
         self.taken_up(sent if state.leaving is None else sent + state.leaving.rate, result)
-
-
-def _apply(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
-    result = matrix.createVecLeft()
-    matrix.mult(vector, result)
-    local = result.getArray().copy()
-    result.destroy()
-    return local
 
 
 def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flow:
@@ -232,16 +239,15 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         numbers = first + ends
         add_blocks(matrix, numbers, block.flow, flow.storage_matrix(kind, corners))
         matrix.assemble()
-        product = opening.transposeMatMult(matrix)
+        coupling = opening.transposeMatMult(matrix)
         matrix.destroy()
-        return product
+        return coupling
 
     kinds = STORAGE[scene.method.storage]
     push = weighted(kinds[0])
     squeeze = push if kinds[0] == kinds[1] else weighted(kinds[1])
-    aperture, least = (
-        along_fractures(blocks, scene, key, natural) for key in ("aperture", "minimum_hydraulic_aperture")
-    )
+    keys = ("aperture", "minimum_hydraulic_aperture")
+    aperture, least = (along_fractures(blocks, scene, key, natural) for key in keys)
     resting = PETSc.Vec().createMPI(node_layout, comm=comm)
     resting.setArray(resting_pressure(scene, blocks.flow.points))
     return Flow(
@@ -255,7 +261,7 @@ def assemble_flow(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> Flo
         length,
         along_fractures(blocks, scene, "conductance", np.zeros(1))[:, 0],
         resting,
-        _apply(pick, resting).reshape(-1, width),
+        product(pick, resting).reshape(-1, width),
         flow_law(blocks, scene, aperture, least, length),
         scene.fluid.viscosity,
         scene.fluid.compressibility,

@@ -19,10 +19,10 @@ from fracflow.laws import JOINT_LAWS, FlowLaw, JointLaw, LawStep, make_law, para
 from fracflow.laws.base import INSTANT
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
-from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.layout import add_blocks, add_transposed, create_matrix, product
 from fracflow.model.properties import along_fractures, initial_pressure, initial_stress, on_joints
 from fracflow.model.solid import nodal_layout, node_unknowns
-from fracflow.model.state import SectionHistory, Sections, State
+from fracflow.model.state import SectionHistory, Sections
 from fracflow.scene.scene import Scene
 
 REMEDY = "make shear_stiffness times {1} at least {0:.3g} times what it is"
@@ -58,9 +58,9 @@ def jump_matrix(blocks: Blocks, points: Floats, expand: PETSc.Mat | None) -> PET
     matrix.assemble()
     if expand is None:
         return matrix
-    product = matrix.matMult(expand)
+    reduced = matrix.matMult(expand)
     matrix.destroy()
-    return product
+    return reduced
 
 
 def entry_sizes(matrix: PETSc.Mat) -> PETSc.Mat:
@@ -142,26 +142,20 @@ class Joints:
 
     def strain(self, displacement: PETSc.Vec) -> Floats:
         """(2.4)-(2.9) Strains (s, dim) of this rank's sections, joint frame [length]. Collective."""
-        return self._apply(self.jump, displacement)
+        return product(self.jump, displacement).reshape(-1, self.dim)
 
     def carried(self, displacement: PETSc.Vec) -> Floats:
         """Strains (s, dim) of walls without mass, if they moved as the nodes that carry their mass. Collective."""
-        return self._apply(self.jump if self.massless is None else self.massless.jump, displacement)
+        jump = self.jump if self.massless is None else self.massless.jump
+        return product(jump, displacement).reshape(-1, self.dim)
 
     def moved(self, displacement: PETSc.Vec) -> Floats:
         """Sums of sizes (s, dim) of the displacements whose differences are the strains [length]. Collective."""
         size = displacement.copy()
         size.abs()
-        result = self._apply(self.sizes, size)
+        result = product(self.sizes, size).reshape(-1, self.dim)
         size.destroy()
         return result
-
-    def _apply(self, matrix: PETSc.Mat, displacement: PETSc.Vec) -> Floats:
-        strains = matrix.createVecLeft()
-        matrix.mult(displacement, strains)
-        local = strains.getArray().reshape(-1, self.dim).copy()
-        strains.destroy()
-        return local
 
     def openings(self, strain: Floats) -> Floats | None:
         """Normal jumps (j, k) at the joints' nodes of strains (s, dim); None for the one-point rule, which has none."""
@@ -259,10 +253,7 @@ class Joints:
 
     def force(self, traction: Floats, result: PETSc.Vec) -> None:
         """(2.15)-(2.19), (2.31) ``result`` += G' W f, f (s, dim): forces that resist, tension's +n on top. Collective."""
-        tractions = self.jump.createVecLeft()
-        tractions.setArray((self.weights[:, None] * traction).ravel())
-        self.jump.multTransposeAdd(tractions, result, result)
-        tractions.destroy()
+        add_transposed(self.jump, (self.weights[:, None] * traction).ravel(), result)
 
     def tangent(self, moduli: Floats) -> list[tuple[Ints, Floats]]:
         """(2.32) Blocks W g' D g of each group: unknowns (n, k), values (n, k, k)."""
@@ -287,9 +278,8 @@ def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
 def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     """Initial effective tractions (s, dim): those implied (2.14), or what the fractures' tables give in their place."""
     traction = implied_tractions(blocks, scene, natural)
-    normal, shear = (
-        along_fractures(blocks, scene, f"initial_{part}_traction", natural).ravel() for part in ("normal", "shear")
-    )
+    keys = ("initial_normal_traction", "initial_shear_traction")
+    normal, shear = (along_fractures(blocks, scene, key, natural).ravel() for key in keys)
     traction[:, -1] = np.where(np.isnan(normal), traction[:, -1], normal)
     traction[:, :-1] = np.where(np.isnan(shear)[:, None], traction[:, :-1], shear[:, None])
     if scene.equilibrates:
@@ -329,13 +319,11 @@ def refuse_bad_start(blocks: Blocks, groups: tuple[LawGroup, ...], initial: Floa
     initial (s, dim) tractions. With ``carried`` a fracture may be past its strength: it slips as a dynamic stage begins.
     """
     fracture = np.repeat(blocks.joints.fracture, points)
-    tension, failed = set(), set()
-    scale = float(np.abs(initial).max(initial=0.0))
-    tension.update(fracture[initial[:, -1] > 1e-12 * scale].tolist())
+    tension = set(fracture[initial[:, -1] > 1e-12 * np.abs(initial).max(initial=0.0)].tolist())
+    failed: set[int] = set()
     for group in () if carried or blocks.comm.allreduce(len(tension)) else groups:
-        dim = initial.shape[1]
-        count = len(group.sections)
-        response = group.law.evaluate(np.zeros((count, dim)), group.law.initial_history(count, dim))
+        unstrained = np.zeros((len(group.sections), initial.shape[1]))
+        response = group.law.evaluate(unstrained, group.law.initial_history(*unstrained.shape))
         failed.update(fracture[group.sections[response.is_sliding | (response.utilisation >= 1.0)]].tolist())
     names = blocks.joints.fractures
     bad_tension = sorted({names[i] for part in blocks.comm.allgather(tension) for i in part})
@@ -396,13 +384,13 @@ def refuse_steep_start(blocks: Blocks, joints: Joints) -> None:
         )
 
 
-def refuse_jumps(blocks: Blocks, joints: Joints, old: State, new: State) -> None:
+def refuse_jumps(blocks: Blocks, joints: Joints, old: Sections, new: Sections, time: float) -> None:
     """Raise SolveError, on every rank, for a fracture that slid in a step where its strength fell too fast. Collective."""
-    slid = (new.sections.inelastic != old.sections.inelastic).any(axis=1)
-    worst, name, key = steepest(blocks, joints, new.sections.traction, old.sections.history, slid)
+    slid = (new.inelastic != old.inelastic).any(axis=1)
+    worst, name, key = steepest(blocks, joints, new.traction, old.history, slid)
     if worst >= 1.0:
         raise SolveError(
-            f"time {new.time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"
+            f"time {time:.6g}: fracture {name}: under its present normal traction its strength fell with slip"
             f" {worst:.4g} times as fast as its shear_stiffness unloads: it jumped, which no smaller step resolves;"
             f" {REMEDY.format(worst, key)}"
         )

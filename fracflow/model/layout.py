@@ -73,6 +73,23 @@ def layout_of(blocks: Blocks, with_flow: bool) -> Layout:
     return Layout(blocks.comm, blocks.solid.unknown_starts, flow)
 
 
+def product(matrix: PETSc.Mat, vector: PETSc.Vec) -> Floats:
+    """This rank's values (n,) of a matrix times a vector. Collective."""
+    result = matrix.createVecLeft()
+    matrix.mult(vector, result)
+    values = result.getArray().copy()
+    result.destroy()
+    return values
+
+
+def add_transposed(matrix: PETSc.Mat, values: Floats, result: PETSc.Vec) -> None:
+    """``result`` += A' times the vector with these values (n,) on this rank. Collective."""
+    vector = matrix.createVecLeft()
+    vector.setArray(values)
+    matrix.multTransposeAdd(vector, result, result)
+    vector.destroy()
+
+
 @dataclass(frozen=True)
 class Rows:
     """Local rows of a sparse matrix whose columns are global numbers."""

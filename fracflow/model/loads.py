@@ -104,12 +104,7 @@ class Loads:
         )
 
     def demanded(
-        self,
-        well: str,
-        time: float,
-        controls: Controls,
-        around: Around = AT_ONCE,
-        rates: Rates | None = None,
+        self, well: str, time: float, controls: Controls, around: Around = AT_ONCE, rates: Rates | None = None
     ) -> float:
         """Flow rate that a well demands, over the whole depth, as ``source`` samples it."""
         return _factor(next(each for each in self.wells if each.well == well), time, controls, around, rates)
@@ -177,18 +172,15 @@ def _side_force(blocks: Blocks, facets: Ints, traction: Floats, expand: PETSc.Ma
     return nodal_force(blocks, nodes, solid.traction_force(blocks.solid.points[nodes], traction), expand)
 
 
-def _rock_area(blocks: Blocks, rock: int) -> float:
-    cells = blocks.solid.cells[blocks.solid.cell_rock == rock]
-    return float(blocks.comm.allreduce(sum(solid.area(blocks.solid.points[n]).sum() for _, n in by_shape(cells))))
-
-
 def _force_patterns(blocks: Blocks, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
     patterns = []
     for name in load.on:
-        rock = blocks.solid.rocks.index(name)
+        rock, points = blocks.solid.rocks.index(name), blocks.solid.points
+        cells = blocks.solid.cells[blocks.solid.cell_rock == rock]
+        area = float(blocks.comm.allreduce(sum(solid.area(points[nodes]).sum() for _, nodes in by_shape(cells))))
         for axis, value in enumerate(load.force or ()):
             each = np.zeros((len(blocks.solid.rocks), 2))
-            each[rock, axis] = 1.0 / _rock_area(blocks, rock)
+            each[rock, axis] = 1.0 / area
             patterns.append(Pattern(forces_in_rocks(blocks, each, expand), value, load.control))
     return patterns
 
@@ -210,12 +202,9 @@ def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat |
         traction = np.einsum("saij,sj->sai", at_nodes, normal)
         return [Pattern(_side_force(blocks, facets, traction, expand), lambda time: 1.0, load.control, True)]
     assert load.traction is not None and not isinstance(load.traction, str)
-    patterns = []
-    for axis, value in enumerate(load.traction):
-        unit = np.zeros((len(facets), 2))
-        unit[:, axis] = 1.0
-        patterns.append(Pattern(_side_force(blocks, facets, unit, expand), value, load.control))
-    return patterns
+    units = (np.tile(unit, (len(facets), 1)) for unit in np.eye(2))
+    forces = [_side_force(blocks, facets, unit, expand) for unit in units]
+    return [Pattern(force, value, load.control) for force, value in zip(forces, load.traction, strict=True)]
 
 
 def _swapped(pressure: Pressures) -> Callable[..., Any]:
@@ -234,11 +223,7 @@ def _well_pressure(
 
 
 def assemble_loads(
-    blocks: Blocks,
-    scene: Scene,
-    operators: Operators,
-    points: Mapping[str, Ints],
-    well_nodes: Mapping[str, int],
+    blocks: Blocks, scene: Scene, operators: Operators, points: Mapping[str, Ints], well_nodes: Mapping[str, int]
 ) -> Loads:
     """Patterns of all loads.
 
@@ -262,7 +247,7 @@ def assemble_loads(
 
     pressures, wells, limits = [], [], []
     held = np.zeros(0, dtype=np.int64)
-    depth = scene.fluid.flow_depth if scene.fluid is not None else 1.0
+    depth = scene.flow_depth
     for well in scene.well if scene.has_flow else ():
         node = well_nodes[well.name]
         if well.pressure is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import solid
 from fracflow.errors import InputError
 from fracflow.integrators.explicit import critical_step
@@ -31,15 +31,20 @@ def damped_mass(operators: Operators, held: Ints, half: float) -> Solve:
     matrix = operators.mass.copy()
     assert operators.damping is not None
     matrix.axpy(half, operators.damping, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    start, stop = matrix.getOwnershipRange()
-    indptr, indices, values = matrix.getValuesCSR()
-    local = sparse.csr_matrix((values, indices, indptr), shape=(stop - start, matrix.getSize()[1]))[:, start:stop]
+    local = _own_block(matrix)
     matrix.destroy()
-    free = np.ones(stop - start)
+    free = np.ones(local.shape[0])
     free[held] = 0.0
     kept = sparse.diags(free) @ local @ sparse.diags(free) + sparse.diags(1.0 - free)
     factors = splu(kept.tocsc(), permc_spec="NATURAL")  # blocks of single nodes and rigid bodies
     return lambda force: np.asarray(factors.solve(force * free))
+
+
+def _own_block(matrix: PETSc.Mat) -> sparse.csr_matrix:
+    """The entries between this rank's unknowns."""
+    start, stop = matrix.getOwnershipRange()
+    indptr, indices, values = matrix.getValuesCSR()
+    return sparse.csr_matrix((values, indices, indptr), shape=(stop - start, matrix.getSize()[1]))[:, start:stop]
 
 
 def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
@@ -48,10 +53,8 @@ def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
     Raises InputError, on every rank, where a free unknown has no mass. The caller destroys the result. Collective.
     """
     matrix, block, comm = operators.mass, operators.blocks.solid, operators.layout.comm
-    start, stop = matrix.getOwnershipRange()
-    indptr, indices, values = matrix.getValuesCSR()
-    local = sparse.csr_matrix((values, indices, indptr), shape=(stop - start, matrix.getSize()[1]))[:, start:stop]
-    free = np.ones(stop - start, dtype=bool)
+    start, local = matrix.getOwnershipRange()[0], _own_block(matrix)
+    free = np.ones(local.shape[0], dtype=bool)
     free[held] = False
     diagonal = local.diagonal()
     lacking = comm.allreduce(int(np.sum(free & ~(diagonal > 0.0))))
@@ -80,9 +83,8 @@ def longest_step(operators: Operators, scene: Scene, inverse: PETSc.Mat, damping
 
     The cells and the K of terms bound it from below. A step below that bound cannot be the longest one.
     """
-    of_terms = sum(
-        by_lanczos(operators, inverse, each.stiffness) for each in operators.terms if each.stiffness is not None
-    )
+    springs = [term.stiffness for term in operators.terms if term.stiffness is not None]
+    of_terms = sum(by_lanczos(operators, inverse, each) for each in springs)
     if not damping:
         # the lower of two bounds: the cells' is sharp on uniform meshes, the other includes supports and graded meshes
         return critical_step(min(fastest_cell(operators, scene) + of_terms, by_lanczos(operators, inverse)))
@@ -147,6 +149,5 @@ def by_lanczos(operators: Operators, inverse: PETSc.Mat, stiffness: PETSc.Mat | 
         if count:
             found.axpy(-size, before)
         before, now, found = now, found, before
-    for vector in (now, before, moved, found):
-        vector.destroy()
+    destroy(now, before, moved, found)
     return largest + rest if rest > SHARP * largest else largest

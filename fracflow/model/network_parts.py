@@ -1,31 +1,26 @@
-"""Connected components of the network, and the closure that sets the pressure of an undrained one."""
+"""Connected components of the network, the closure of an undrained one, and the wells of those that never meet."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from fracflow._petsc import MPI, PETSc
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.facets import components
 from fracflow.model.flow import Compression
 from fracflow.model.layout import Layout, local_rows
 from fracflow.model.operators import Operators
+from fracflow.scene.scene import Scene
+from fracflow.scene.units import LENGTH
 
 CONDUCTS = 1e-15
 """Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.
 Elements elsewhere do not count: a thin fracture far from a wide one conducts."""
 FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less is round-off
-
-
-def label_components(links: Ints, conducts: np.ndarray, count: int) -> Ints:
-    """Number (count,) of the component of each node, by links (m, 2) of which those that conduct (m,) join."""
-    joined = links[conducts]
-    graph = sparse.coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -71,22 +66,16 @@ class Closure:
 
 def conducting(operators: Operators, conductance: Floats) -> np.ndarray:
     """Which elements (j,) of this rank conduct. Collective."""
-    network = operators.flow
-    assert network is not None
-    nodes, ends = operators.layout.flow_vector(), network.pick.createVecLeft()
-    ends.setArray(np.repeat(conductance, 2))
-    network.pick.multTranspose(ends, nodes)
-    network.pick.mult(nodes, ends)
-    beside = ends.getArray().reshape(-1, 2).max(axis=1)
+    network, nodes = operators.network, operators.layout.flow_vector()
+    network.taken_up(np.repeat(conductance, 2), nodes)
+    beside = network.at_ends(nodes).max(axis=1)
     nodes.destroy()
-    ends.destroy()
     return np.asarray(conductance > CONDUCTS * beside)
 
 
 def holding(operators: Operators, compression: Compression | None) -> np.ndarray:
     """Which of all flow nodes (n,) hold fluid that is compressible: none where walls meet. Collective."""
-    network, layout = operators.flow, operators.layout
-    assert network is not None
+    network, layout = operators.network, operators.layout
     if compression is None:
         return np.zeros(int(layout.flow_starts[-1]), dtype=bool)
     found, here = [], 0.5 * network.compressibility * network.length[:, None] * np.abs(network.aperture)
@@ -110,8 +99,8 @@ def find_components(operators: Operators, conducts: np.ndarray) -> tuple[Network
     """All components, by the elements (j,) of this rank that conduct; the same on every rank. Collective."""
     blocks = operators.blocks
     comm, joints, count = blocks.comm, blocks.joints, int(blocks.flow.starts[-1])
-    links = np.concatenate(comm.allgather(joints.flow))
-    label = label_components(links, np.concatenate(comm.allgather(conducts)), count)
+    links = np.concatenate(comm.allgather(joints.flow))[np.concatenate(comm.allgather(conducts))]
+    label = components(links[:, 0], links[:, 1], count)
     points = np.concatenate(comm.allgather(blocks.flow.points))
     pairs = np.stack([label[joints.flow].ravel(), np.repeat(joints.fracture, joints.flow.shape[1])], axis=1)
     here = {(part, joints.fractures[f]) for part, f in np.unique(pairs, axis=0).tolist()}
@@ -131,12 +120,10 @@ def change_volume(operators: Operators, parts: tuple[NetworkComponent, ...], fix
 
     Nor does it change where walls open on one side as much as they close on another, as around a floating rigid block.
     """
-    layout, network = operators.layout, operators.flow
-    assert network is not None
+    layout, network = operators.layout, operators.network
     part_of = np.zeros(int(layout.flow_starts[-1]), dtype=np.int64)
-    part_of[np.concatenate([part.nodes for part in parts])] = np.repeat(
-        np.arange(len(parts)), [len(part.nodes) for part in parts]
-    )
+    for number, part in enumerate(parts):
+        part_of[part.nodes] = number
     walls = local_rows(network.storage_coupling)
     joined = layout.solid_numbers(int(layout.solid_starts[layout.comm.rank]) + np.arange(layout.solid_count))
     free = ~np.isin(joined, fixed_solid)[walls.rows]
@@ -157,8 +144,7 @@ def close(operators: Operators, part: NetworkComponent, gives: bool, holds: bool
 
     holds  whether it holds a fluid that is compressible, in a step that stores nothing
     """
-    layout, network, scales = operators.layout, operators.flow, operators.scales
-    assert network is not None
+    layout, network, scales = operators.layout, operators.network, operators.scales
     inside = layout.flow_vector()
     first = int(layout.flow_starts[layout.comm.rank])
     local = part.nodes[(part.nodes >= first) & (part.nodes < first + layout.flow_count)] - first
@@ -191,3 +177,89 @@ def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
     if closure.by != "fluid":
         return cols, values
     return np.concatenate([cols, layout.flow_numbers(closure.nodes)]), np.append(values, np.zeros(len(closure.nodes)))
+
+
+MOST_NAMES = 12  # fractures that a line lists
+
+
+@dataclass(frozen=True)
+class WellPart:
+    """Fractures that meet each other, with wells in them.
+
+    wells      their names
+    fractures  names of the fractures, in the order of the mesh
+    length     of all of them [length]
+    apart      distance from the nearest part with other wells, between nodes; inf where there is none [length]
+    near       its fracture and that of the other part where they come so near
+    """
+
+    wells: tuple[str, ...]
+    fractures: tuple[str, ...]
+    length: float
+    apart: float = np.inf
+    near: tuple[str, str] = ("", "")
+
+    def __str__(self) -> str:
+        many = len(self.fractures)
+        names = ", ".join(self.fractures[:MOST_NAMES]) + (f" and {many - MOST_NAMES} more" if many > MOST_NAMES else "")
+        return f"{', '.join(self.wells)} in {names} ({many} fracture{'s' * (many > 1)}, {self.length:.4g} long)"
+
+    def as_record(self) -> dict[str, object]:
+        """For JSON, which has no infinity."""
+        return asdict(self) | {"apart": self.apart if np.isfinite(self.apart) else None}
+
+
+def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, int]) -> list[WellPart]:
+    """Components of a network with wells, that of the first well first; ``wells`` name -> flow node. On one process.
+
+    Whatever the motion of walls, fluid never flows from one to the other.
+    """
+    count = len(mesh.flow_origin)
+    if not wells or not count:
+        return []
+    label = components(mesh.joint_flow[:, 0], mesh.joint_flow[:, 1], count)
+    of_joint = label[mesh.joint_flow[:, 0]]
+    length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=1)
+    inside: dict[int, list[str]] = {}
+    for name, node in wells.items():
+        inside.setdefault(int(label[node]), []).append(name)
+    found = []
+    for part, names in inside.items():
+        here = of_joint == part
+        fractures = tuple(mesh.fractures[k] for k in np.unique(mesh.joint_fracture[here]))
+        others = np.isin(label, [each for each in inside if each != part])
+        nearest = _nearest(mesh, label == part, others)
+        found.append(WellPart(tuple(names), fractures, float(length[here].sum()), *nearest))
+    return found
+
+
+def told_apart(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[str]:
+    """Lines about wells between which nothing can flow; none where all are in one part. On one process."""
+    parts = parts_with_wells(mesh, wells)
+    if len(parts) < 2:
+        return []
+    unit = f" {scene.unit_system.unit(LENGTH)}" if scene.units != "none" else ""
+    nearest = min(parts, key=lambda part: part.apart)
+    return [
+        f"wells: they are in {len(parts)} parts of the network that never meet: no fluid flows from one to another",
+        *(f"wells: part {number}: {part}" for number, part in enumerate(parts, 1)),
+        f'wells: parts come nearest at fracture "{nearest.near[0]}" and fracture "{nearest.near[1]}", {nearest.apart:.3g}{unit}'
+        " apart: move a well, or join them in the traces",
+    ]
+
+
+def _nearest(mesh: SplitMesh, inside: Bools, others: Bools) -> tuple[float, tuple[str, str]]:
+    """Least distance between nodes of two sets (n,) and a fracture at each of the two."""
+    from scipy.spatial import cKDTree  # imports much
+
+    if not others.any():
+        return np.inf, ("", "")
+    points: Floats = mesh.points[mesh.flow_origin]
+    one, other = np.flatnonzero(inside), np.flatnonzero(others)
+    distance, nearest = cKDTree(points[other]).query(points[one])
+    best = int(np.argmin(distance))
+
+    def name(node: int) -> str:
+        return mesh.fractures[mesh.joint_fracture[int(np.argmax(np.any(mesh.joint_flow == node, axis=1)))]]
+
+    return float(distance[best]), (name(int(one[best])), name(int(other[nearest[best]])))

@@ -57,6 +57,12 @@ class Operators:
     inward: PETSc.Mat | None = None
     terms: tuple[Term, ...] = ()
 
+    @property
+    def network(self) -> Flow:
+        """The network of a scene that has one."""
+        assert self.flow is not None
+        return self.flow
+
     def nodal(self, unknowns: PETSc.Vec) -> PETSc.Vec:
         """Nodal values of a vector of solid unknowns: u = E q. The caller destroys the result. Collective."""
         if self.expand is None:

@@ -13,8 +13,7 @@ from fracflow.scene.scene import Scene
 
 def on_joints(at_nodes: Floats, natural: Floats) -> Floats:
     """Values at the nodes of joints (j, k, ...) brought to natural coordinates (q,) or (q, 2): (j, q, ...)."""
-    result: Floats = np.einsum("qa,ja...->jq...", facet.shapes(natural, at_nodes.shape[1]), at_nodes)
-    return result
+    return np.einsum("qa,ja...->jq...", facet.shapes(natural, at_nodes.shape[1]), at_nodes)
 
 
 def along_fractures(blocks: Blocks, scene: Scene, key: str, natural: Floats) -> Floats:

@@ -14,14 +14,14 @@ from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
+from fracflow.mesh.facets import components
 from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, probe_place, tied_nodes
 from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.split import split
-from fracflow.model.conflicts import meeting_supports, refuse_two_pressures
 from fracflow.model.contact_mass import redistributed, redistributes
+from fracflow.model.dirichlet import meeting_supports, refuse_two_pressures
 from fracflow.model.loads import Loads, assemble_loads
-from fracflow.model.network_parts import label_components
 from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
@@ -118,10 +118,8 @@ def naming(scene: Scene) -> Iterator[None]:
 
 def read_sized(scene: Scene) -> SplitMesh:
     """Read or build the mesh of a scene whose sizes are known, and split it. Raises InputError."""
-    names = [name for name in scene.fracture if name != "default"]
     if scene.mesh_path is not None:
-        wanted = [*names, *(["default"] if "default" in scene.fracture else [])]
-        raw = read_mesh(scene.mesh_path, wanted, scene.trust, scene.folder)
+        raw = read_mesh(scene.mesh_path, scene.fracture, scene.trust, scene.folder)
     else:
         raw = build_mesh(geometry_of(scene))
     for _ in range(scene.refine):
@@ -169,7 +167,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
         points,
         tied_components(scene, mesh),
         (
-            *(moved(name, asked[name], spot) for name, spot in spots.items() if is_moved(mesh, asked[name], spot)),
+            *filter(None, (moved(mesh, name, asked[name], spot) for name, spot in spots.items())),
             *(of_well(mesh, w.name, wells[w.name]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
             *meeting_supports(scene, mesh, points),
         ),
@@ -183,15 +181,11 @@ def of_well(mesh: SplitMesh, name: str, node: int) -> str:
     return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
 
 
-def is_moved(mesh: SplitMesh, asked: Position, spot: Floats) -> bool:
-    """Whether a place given by coordinates is not at its node's ``spot`` (dim,)."""
-    near = 1e-6 * float(np.ptp(mesh.points, axis=0).max())
-    return isinstance(asked, tuple) and float(np.linalg.norm(np.asarray(asked) - spot)) > near
-
-
-def moved(name: str, asked: Position, spot: Floats) -> str:
-    """Say at which node's ``spot`` (dim,) a well or probe sits, and how far from the place asked for."""
-    away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot))
+def moved(mesh: SplitMesh, name: str, asked: Position, spot: Floats) -> str:
+    """Say at which node's ``spot`` (dim,) a well or probe sits, and how far from the coordinates asked for; "" if there."""
+    away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) if isinstance(asked, tuple) else 0.0
+    if away <= 1e-6 * float(np.ptp(mesh.points, axis=0).max()):
+        return ""
     return f"{name} sits on the node at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
 
 
@@ -214,7 +208,7 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
     count = len(mesh.flow_origin)
     if not scene.has_flow or not count or not any(stage.kind == "steady" for stage in scene.stage):
         return
-    label = label_components(mesh.joint_flow, np.ones(len(mesh.joint_flow), dtype=bool), count)
+    label = components(mesh.joint_flow[:, 0], mesh.joint_flow[:, 1], count)
     drained = {int(label[wells[w.name]]) for w in scene.well if w.pressure is not None}
     held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
@@ -234,11 +228,7 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -
 
 
 def set_up(
-    scene: Scene,
-    comm: MPI.Comm,
-    mesh: SplitMesh | None,
-    placed: Placed,
-    cell_rank: Ints | None = None,
+    scene: Scene, comm: MPI.Comm, mesh: SplitMesh | None, placed: Placed, cell_rank: Ints | None = None
 ) -> Model:
     """Blocks, operators and loads of a scene whose sizes are known. Raises InputError, on every rank. Collective.
 

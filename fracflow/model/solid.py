@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.elements import solid
 from fracflow.laws.elastic import STIFFNESS
-from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.properties import body_force, initial_stress
@@ -40,12 +40,6 @@ def nodal_layout(blocks: Blocks) -> tuple[int, int]:
     return blocks.solid.owned * blocks.sizes.dim, blocks.sizes.nodes * blocks.sizes.dim
 
 
-def unknown_layout(blocks: Blocks) -> tuple[int, int]:
-    """Local and global size of the vector of displacement unknowns."""
-    starts = blocks.solid.unknown_starts
-    return int(np.diff(starts)[blocks.comm.rank]), int(starts[-1])
-
-
 def expansion(blocks: Blocks) -> PETSc.Mat | None:
     """Nodal displacements from the unknowns, u = E q: a rigid body moves by translations and turns, tied nodes as one.
 
@@ -54,7 +48,8 @@ def expansion(blocks: Blocks) -> PETSc.Mat | None:
     block, dim = blocks.solid, blocks.sizes.dim
     if not len(block.body_rock) and not len(block.unused):
         return None
-    matrix = create_matrix((nodal_layout(blocks), unknown_layout(blocks)), block.body_unknown.shape[1], blocks.comm)
+    unknowns = int(np.diff(block.unknown_starts)[blocks.comm.rank]), int(block.unknown_starts[-1])
+    matrix = create_matrix((nodal_layout(blocks), unknowns), block.body_unknown.shape[1], blocks.comm)
     own = np.arange(block.owned)
     free = own[block.body[own] < 0]
     rows = node_unknowns(blocks, free)
@@ -72,7 +67,11 @@ def expansion(blocks: Blocks) -> PETSc.Mat | None:
     return matrix
 
 
-def _assemble(blocks: Blocks, chosen: Ints, kernel: Callable[[Ints, Ints], Floats], width: int) -> PETSc.Mat:
+def assembled(blocks: Blocks, chosen: Ints, kernel: Callable[[Ints, Ints], Floats], width: int) -> PETSc.Mat:
+    """Matrices (n, k dim, k dim) of chosen local cells on all nodes, by numbers (n,) and nodes (n, k). Collective.
+
+    width  entries of a row that there is room for; the caller destroys the result
+    """
     dim = blocks.sizes.dim
     matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), width, blocks.comm)
     for group, nodes in by_shape(blocks.solid.cells[chosen]):
@@ -80,6 +79,17 @@ def _assemble(blocks: Blocks, chosen: Ints, kernel: Callable[[Ints, Ints], Float
         add_blocks(matrix, numbers, numbers, kernel(chosen[group], nodes))
     matrix.assemble()
     return matrix
+
+
+def assembled_at_nodes(blocks: Blocks, parts: Iterable[tuple[Ints, Floats]], expand: PETSc.Mat | None) -> PETSc.Mat:
+    """Blocks (n, k, dim, dim) at nodes (n, k), summed on the unknowns. The caller destroys it. Collective."""
+    matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), blocks.sizes.dim, blocks.comm)
+    for nodes, values in parts:
+        for corner in range(nodes.shape[1]):
+            numbers = node_unknowns(blocks, nodes[:, corner])
+            add_blocks(matrix, numbers, numbers, values[:, corner])
+    matrix.assemble()
+    return projected(matrix, expand)
 
 
 def projected(matrix: PETSc.Mat, expand: PETSc.Mat | None) -> PETSc.Mat:
@@ -124,28 +134,24 @@ def stiffness_of(blocks: Blocks, cells: Ints, moduli: Floats) -> PETSc.Mat:
     """
     points = blocks.solid.points
     room = {2: 20, 3: 90}[blocks.sizes.dim]
-    return _assemble(blocks, cells, lambda here, nodes: solid.stiffness(points[nodes], moduli[here]), room)
+    return assembled(blocks, cells, lambda here, nodes: solid.stiffness(points[nodes], moduli[here]), room)
 
 
 def mass(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
     """M of (2.38), lumped or consistent as the scene says [mass per thickness]. The caller destroys it. Collective."""
     density = rock_values(blocks, scene, "density")
     points, dim = blocks.solid.points, blocks.sizes.dim
-    lumped = scene.method.mass == "lumped"
 
     def kernel(cells: Ints, nodes: Ints) -> Floats:
-        if not lumped:
-            of_nodes = solid.mass_consistent(points[nodes], density[cells])
-            return np.kron(of_nodes, np.eye(dim))
-        nodal = np.repeat(solid.mass_lumped(points[nodes], density[cells]), dim, axis=1)
-        return nodal[..., None]
+        return np.kron(solid.mass_consistent(points[nodes], density[cells]), np.eye(dim))
 
-    if not lumped:
-        return projected(_assemble(blocks, np.arange(len(blocks.solid.cells)), kernel, 20), expand)
+    if scene.method.mass != "lumped":
+        return projected(assembled(blocks, np.arange(len(blocks.solid.cells)), kernel, 20), expand)
     matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), 1, blocks.comm)
     for cells, nodes in by_shape(blocks.solid.cells):
         numbers = node_unknowns(blocks, nodes).reshape(-1, 1)
-        add_blocks(matrix, numbers, numbers, kernel(cells, nodes).reshape(-1, 1, 1))
+        nodal = np.repeat(solid.mass_lumped(points[nodes], density[cells]), dim, axis=1)
+        add_blocks(matrix, numbers, numbers, nodal.reshape(-1, 1, 1))
     matrix.assemble()
     return projected(matrix, expand)
 
@@ -153,9 +159,7 @@ def mass(blocks: Blocks, scene: Scene, expand: PETSc.Mat | None) -> PETSc.Mat:
 def nodal_force(blocks: Blocks, nodes: Ints, force: Floats, expand: PETSc.Mat | None) -> PETSc.Vec:
     """Forces (..., dim) at local nodes, summed and brought to the unknowns. The caller destroys it. Collective."""
     vector = PETSc.Vec().createMPI(nodal_layout(blocks), comm=blocks.comm)
-    vector.setValues(
-        node_unknowns(blocks, nodes).ravel().astype(PETSc.IntType), force.ravel(), addv=PETSc.InsertMode.ADD
-    )
+    vector.setValues(petsc_ints(node_unknowns(blocks, nodes).ravel()), force.ravel(), addv=PETSc.InsertMode.ADD)
     vector.assemble()
     if expand is None:
         return vector

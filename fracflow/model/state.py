@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.mesh.data import Floats
 
 SectionHistory = tuple[Mapping[str, Floats], ...]
@@ -36,10 +36,13 @@ class Motion:
         """This rank's share as arrays, to read."""
         return MotionValues(*(v.getArray(readonly=True) for v in (self.displacement, self.velocity, self.acceleration)))
 
+    def copy(self) -> Motion:
+        """The same in vectors of its own."""
+        return Motion(self.displacement.copy(), self.velocity.copy(), self.acceleration.copy())
+
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        for vector in (self.displacement, self.velocity, self.acceleration):
-            vector.destroy()
+        destroy(self.displacement, self.velocity, self.acceleration)
 
 
 @dataclass(frozen=True)
@@ -90,16 +93,12 @@ class Forces:
         """The same in vectors of its own."""
         of_terms = {name: vector.copy() for name, vector in self.of_terms.items()}
         anchor = None if self.anchor is None else self.anchor.copy()
-        load, support, conduction, source = (
-            vector.copy() for vector in (self.load, self.support, self.conduction, self.source)
-        )
-        return Forces(load, support, conduction, source, of_terms, self.powers, anchor)
+        others = {name: getattr(self, name).copy() for name in ("load", "support", "conduction", "source")}
+        return replace(self, of_terms=of_terms, anchor=anchor, **others)
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        kept = () if self.anchor is None else (self.anchor,)
-        for vector in (self.load, self.support, self.conduction, self.source, *self.of_terms.values(), *kept):
-            vector.destroy()
+        destroy(self.load, self.support, self.conduction, self.source, self.anchor, *self.of_terms.values())
 
 
 @dataclass(frozen=True)
@@ -119,9 +118,7 @@ class PreviousStep:
 
     def destroy(self) -> None:
         """Free the vectors; their owner calls it."""
-        for vector in (self.velocity, self.uptake):
-            if vector is not None:
-                vector.destroy()
+        destroy(self.velocity, self.uptake)
 
 
 @dataclass(frozen=True)
@@ -159,19 +156,13 @@ class State:
 
     def destroy(self) -> None:
         """Free the vectors; called once the next state is accepted."""
-        self.motion.destroy()
-        self.pressure.destroy()
-        self.forces.destroy()
-        self.previous_step.destroy()
-        if self.uptake is not None:
-            self.uptake.destroy()
+        destroy(self.motion, self.pressure, self.forces, self.previous_step, self.uptake)
 
 
 def forgetful(state: State) -> State:
     """A copy with vectors of its own, without the previous step."""
-    motion = Motion(*(v.copy() for v in (state.motion.displacement, state.motion.velocity, state.motion.acceleration)))
     uptake = None if state.uptake is None else state.uptake.copy()
-    forces, pressure = state.forces.copy(), state.pressure.copy()
+    motion, forces, pressure = state.motion.copy(), state.forces.copy(), state.pressure.copy()
     return replace(state, motion=motion, pressure=pressure, forces=forces, previous_step=PreviousStep(), uptake=uptake)
 
 

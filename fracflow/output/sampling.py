@@ -166,10 +166,6 @@ class JointEnds:
         return self.network.conductance * (self.network.pressure[:, 0] - self.network.pressure[:, 1])
 
     @property
-    def _depth(self) -> float:
-        return self._scene.fluid.flow_depth if self._scene.fluid is not None else 1.0
-
-    @property
     def aperture(self) -> Floats:
         """(3.1b) d0 + opening (j, 2); NaN where no aperture is given [length]."""
         flow = self._operators.flow
@@ -187,7 +183,7 @@ class JointEnds:
     @property
     def flow_rate(self) -> Floats:
         """Flow (j, 2) along the joint, over the whole depth; NaN without flow [volume rate]."""
-        return np.repeat(self._through[:, None] * self._depth, 2, axis=1)
+        return np.repeat(self._through[:, None] * self._scene.flow_depth, 2, axis=1)
 
     @property
     def specific_weight(self) -> float:
@@ -201,7 +197,7 @@ class JointEnds:
             return 0, 0.0
         ends = flow.at_least(self._state.motion.displacement, self._openings)
         through = np.abs(self._through)[ends.any(axis=1)]
-        most = comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX) * self._depth
+        most = comm.allreduce(float(through.max(initial=0.0)), op=MPI.MAX) * self._scene.flow_depth
         return comm.allreduce(int(ends.sum())), most
 
 

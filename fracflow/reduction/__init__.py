@@ -12,21 +12,44 @@ outputs    fields of steps that are not requested; rock beyond absorbing sides
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 
-from fracflow.reduction import flow, outputs, solver
+from fracflow.elements import dashpot
+from fracflow.reduction import flow, solver
 from fracflow.reduction.decision import Decision, ReductionInput
 from fracflow.reduction.inertia import decide_inertia
-from fracflow.reduction.locked_fractures import decide_tied
+from fracflow.reduction.locked_fractures import decide_locked
 from fracflow.reduction.solver import factorisations
 from fracflow.reduction.unloaded_blocks import decide_parts
 
 __all__ = ["Decision", "ReductionInput", "as_lines", "as_records", "decide", "factorisations"]
 
+
+def fields(facts: ReductionInput) -> Iterator[Decision]:
+    """Stresses and energy densities of the rock, and files of whole fields."""
+    every = facts.scene.output.fields_every
+    value = "the first and the last state" if every == 0 else f"every {every} steps"
+    saves = "stresses, densities and files of the other steps" if every != 1 else "nothing: every step is asked for"
+    yield Decision("fields", every != 1, "output.fields_every", value, "asked for", "none", saves)
+
+
+def far_field(facts: ReductionInput) -> Iterator[Decision]:
+    """Rock beyond absorbing sides, which changes waves that meet them at an angle."""
+    scene = facts.scene
+    sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)
+    ratios = {rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None}
+    for ratio in sorted(ratios) if sides and scene.has_dynamics else ():
+        yield Decision(
+            "rock beyond absorbing sides", True, f"share of P and S waves that {sides} send back, by their angle to the normal",
+            f"of {'; of '.join(dashpot.reflections(ratio))}; for Poisson's ratio {ratio:g}", "0 at 0 degrees",
+            "waves that meet a side at a slant come back weaker: move it away, or turn it towards them", "the rock there",
+        )  # fmt: skip
+
+
 DECISIONS = (
     flow.flow_block, flow.one_way, flow.fracture_storage, flow.compressibility, flow.fluid_inertia,
-    decide_inertia, decide_tied, decide_parts, solver.new_factors, solver.condensed_rock, outputs.fields, outputs.far_field,
+    decide_inertia, decide_locked, decide_parts, solver.new_factors, solver.condensed_rock, fields, far_field,
 )  # fmt: skip
 
 

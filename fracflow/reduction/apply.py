@@ -30,10 +30,8 @@ def planned(
     undone     decisions that an earlier try of the same run has undone
     cell_rank  partition (cells,) of an earlier run, on rank 0
     """
-    shut, undone = (
-        find_locked(model, ReductionInput(model.scene, unknowns=int(model.operators.layout.solid_starts[-1]))),
-        {PART if part == EARLIER else part: when for part, when in (undone or {}).items()},
-    )
+    shut = find_locked(model, ReductionInput(model.scene, unknowns=int(model.operators.layout.solid_starts[-1])))
+    undone = {PART if part == EARLIER else part: when for part, when in (undone or {}).items()}
     if shut.names and PART not in undone:
         model = tied(model, shut.names, cell_rank)
         refuse_imbalance(model)

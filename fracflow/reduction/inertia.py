@@ -65,9 +65,8 @@ def why_not(scene: Scene, number: int, start: float, end: float) -> str:
     rates = {name for name, row in probed().items() if row.is_rate}
     for probe in scene.probe:
         if asked := sorted(rates.intersection(probe.quantities or rates)):
-            return (
-                f"probe {probe.name} measures {asked[0]}, of which vibration is all (its quantities may leave that out)"
-            )
+            own = "of which vibration is all (its quantities may leave that out)"
+            return f"probe {probe.name} measures {asked[0]}, {own}"
     for term in scene.terms:
         if term.moving:
             return term.moving
@@ -104,12 +103,9 @@ def decide_stage(facts: ReductionInput, number: int, stage: Stage, start: float,
 
     if not facts.leaves_out:
         return kept(f'model = "{facts.scene.model}" leaves nothing out', "not asked")
-    if why := why_not(facts.scene, number, start, end):
+    at_once = f"{facts.unrest:.3g} of the loads come at once" if facts.unrest > limit else ""
+    if why := why_not(facts.scene, number, start, end) or at_once:
         return kept("inertia is what moves it", why, "slow loads, and no jump")
-    if facts.unrest > limit:
-        return kept(
-            "inertia is what moves it", f"{facts.unrest:.3g} of the loads come at once", "slow loads, and no jump"
-        )
     if not isfinite(facts.period):
         return kept("inertia is what holds it", "no longest period: something floats")
     value = _kicks(facts, start, end)
@@ -123,23 +119,18 @@ def decide_stage(facts: ReductionInput, number: int, stage: Stage, start: float,
     return Decision(PART, True, CRITERION, value, limit, error, f"steps up to {fewer:.3g} times longer", label)
 
 
-def decide_inertia(facts: ReductionInput) -> list[Decision]:
+def decide_inertia(facts: ReductionInput) -> Iterator[Decision]:
     """One decision for each dynamic stage, or one for a scene that has none."""
-    bounded = {number: (start, end) for number, _, start, end in spans(facts.scene)}
-    found = []
-    for number, stage in enumerate(facts.scene.stage):
-        if stage.kind == "dynamic" and number in bounded:
-            found.append(decide_stage(facts, number, stage, *bounded[number]))
-    if found:
-        return found
-    kinds = ", ".join(sorted({stage.kind for stage in facts.scene.stage}))
-    return [
-        Decision(
+    found = [span for span in spans(facts.scene) if span[1].kind == "dynamic"]
+    for number, stage, start, end in found:
+        yield decide_stage(facts, number, stage, start, end)
+    if not found:
+        kinds = ", ".join(sorted({stage.kind for stage in facts.scene.stage}))
+        yield Decision(
             PART, not facts.scene.has_dynamics, "a dynamic stage in the scene", f"stages {kinds}", "dynamic, auto",
             "slip in stages without inertia is that of a slow process: up to half of the dynamic one",
             "what the scene does not ask for",
-        )
-    ]  # fmt: skip
+        )  # fmt: skip
 
 
 def key_of(number: int, stage: Stage) -> str:
@@ -151,24 +142,18 @@ def slow_stages(facts: ReductionInput) -> dict[int, Stage]:
     """Number -> the stage auto that takes the place of a dynamic one, where that was not undone."""
     found = {}
     for number, stage, start, end in spans(facts.scene) if facts.leaves_out else ():
-        if (
-            stage.kind != "dynamic"
-            or key_of(number, stage) in facts.undone
-            or not (decision := decide_stage(facts, number, stage, start, end)).left_out
-        ):
+        if stage.kind != "dynamic" or key_of(number, stage) in facts.undone:
             continue
-        assert isinstance(decision.value, float)
-        step = longest_step(facts, decision.value, start, end)
-        change = {"kind": "auto", "steps": None, "end": end, "time_step": step, "dynamic_time_step": stage.time_step}
-        found[number] = stage.model_copy(update={**change, "name": stage.title})
+        decision = decide_stage(facts, number, stage, start, end)
+        if decision.left_out and isinstance(decision.value, float):
+            step = longest_step(facts, decision.value, start, end)
+            times = {"end": end, "time_step": step, "dynamic_time_step": stage.time_step}
+            found[number] = stage.model_copy(update={"kind": "auto", "steps": None, "name": stage.title, **times})
     return found
 
 
 def reduced(facts: ReductionInput) -> Scene:
     """The scene that is run: what the plan leaves out is not in it."""
     slow = slow_stages(facts)
-    if not slow:
-        return facts.scene
     stages = tuple(slow.get(number, stage) for number, stage in enumerate(facts.scene.stage))
-    scene = facts.scene.model_copy(update={"stage": stages})
-    return scene
+    return facts.scene.model_copy(update={"stage": stages}) if slow else facts.scene

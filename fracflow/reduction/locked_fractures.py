@@ -19,8 +19,8 @@ a^2) - 1 of what it loses at a distance x from its middle, along its own line, w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 import numpy as np
@@ -192,39 +192,31 @@ def choose(facts: ReductionInput, rock: Fractures, start: Mapping[str, float], u
             break
         kept[rock.group[fails]] = True
         if kept.all():
-            return LockedFractures(
-                why="their strength might not suffice", use=float(found[fails].min()), stress=float(stress.min())
-            )
+            why, use_of = "their strength might not suffice", float(found[fails].min())
+            return LockedFractures(why=why, use=use_of, stress=float(stress.min()))
     tied = ~kept[rock.group]
     share = float(rock.jumps[tied].sum() / rock.jumps.sum())
     softest = max(float(soft[tied].max()), float(adds[:, ~kept].sum(axis=1).max()))
-    record = LockedFractures(
-        (), share, int(rock.jumps[tied].sum()), softest, float(found[tied].max()), float(stress[tied].max()), ""
-    )
+    jumps, used = int(rock.jumps[tied].sum()), float(found[tied].max())
+    record = LockedFractures((), share, jumps, softest, used, float(stress[tied].max()), "")
     if share < SHARE:
-        return LockedFractures(**{**vars(record), "why": f"they would be {share:.2g} of all jumps, below {SHARE:g}"})
+        return replace(record, why=f"they would be {share:.2g} of all jumps, below {SHARE:g}")
     if tied.all() and scene.has_flow:
-        return LockedFractures(**{**vars(record), "why": "no fracture would be left for the fluid"})
-    return LockedFractures(
-        **{**vars(record), "names": tuple(name for name, is_out in zip(rock.names, tied, strict=True) if is_out)}
-    )
+        return replace(record, why="no fracture would be left for the fluid")
+    return replace(record, names=tuple(np.array(rock.names)[tied].tolist()))
 
 
-def decide_tied(facts: ReductionInput) -> list[Decision]:
+def decide_locked(facts: ReductionInput) -> Iterator[Decision]:
     """Whether fractures are locked, and which."""
     shut = facts.locked
-    told = ", ".join(shut.names[:LISTED]) + (
-        f" and {len(shut.names) - LISTED} more" if len(shut.names) > LISTED else ""
-    )
+    more = len(shut.names) - LISTED
     criterion = "E'/(k L); share of the strength used, under the loads of the scene; share of all jumps"
     if shut.names:
+        told = ", ".join(shut.names[:LISTED]) + (f" and {more} more" if more > 0 else "")
         criterion = f"of {told}: {criterion}; no fluid, and nothing of the scene that names them"
     saves = f"{shut.jumps} of the jumps of joints" if shut.names else f"nothing: {shut.why}"
     value = f"{shut.compliance:.2g}; {shut.use:.2g}, by {shut.stress:.3g} of stress; {shut.share:.2g}"
+    found = value if not shut.why or shut.share else shut.why
     limit = f"{facts.tolerance:g}; {USE:g}; > {SHARE:g}"
     error = "of displacements and stresses, relative: E'/(k L); their own fields are not written"
-    return [
-        Decision(
-            PART, bool(shut.names), criterion, value if not shut.why or shut.share else shut.why, limit, error, saves
-        )
-    ]
+    yield Decision(PART, bool(shut.names), criterion, found, limit, error, saves)

@@ -40,11 +40,8 @@ def use_of_strength(model: Model, added: Floats) -> Floats:
     traction = joints.initial + added
     for group in joints.laws:
         here, count = traction[group.sections], len(group.sections)
-        pressed = {
-            "initial_normal_traction": np.minimum(here[:, -1], -least),
-            "initial_shear_traction": 0.0 * here[:, :-1],
-        }
-        law = replace(group.law, **pressed)  # type: ignore[type-var]
+        normal, shear = np.minimum(here[:, -1], -least), 0.0 * here[:, :-1]
+        law = replace(group.law, initial_normal_traction=normal, initial_shear_traction=shear)  # type: ignore[type-var]
         strength = law.evaluate(np.zeros_like(here), law.initial_history(count, joints.dim), HELD).strength
         used = np.linalg.norm(here[:, :-1], axis=1) / np.maximum(strength, least)
         found[group.sections] = np.where(law.opens & (here[:, -1] >= 0.0), inf, used)
@@ -82,15 +79,9 @@ def find_locked(model: Model, facts: ReductionInput) -> LockedFractures:
         added[:, -1] = stress[fracture] * (2.0 if scene.has_flow else 1.0)  # fluid that stays takes up what presses
         return _largest(model, use_of_strength(model, added), count)
 
-    spots = comm.bcast(_well_points(model))
+    mesh, wells = model.mesh, model.placed.wells
+    spots = comm.bcast(None if mesh is None else {n: mesh.points[mesh.flow_origin[at]] for n, at in wells.items()})
     return choose(facts, known, {name: float(initial_pressure(scene, point)) for name, point in spots.items()}, use)
-
-
-def _well_points(model: Model) -> dict[str, Floats]:
-    mesh = model.mesh
-    return (
-        {} if mesh is None else {name: mesh.points[mesh.flow_origin[node]] for name, node in model.placed.wells.items()}
-    )
 
 
 def _of_mesh(model: Model) -> Fractures | None:
@@ -120,10 +111,8 @@ def _of_mesh(model: Model) -> Fractures | None:
         np.minimum.at(row, fracture, distance[mesh.joint_flow].min(axis=1))
     used = np.unique(mesh.cell_rock)
     elastic = [rock for rock in (scene.rock[mesh.rocks[i]] for i in used) if not rock.rigid]
-    young, poisson, density = (
-        np.array([getattr(rock, key) or 0.0 for rock in elastic])
-        for key in ("youngs_modulus", "poissons_ratio", "density")
-    )
+    keys = ("youngs_modulus", "poissons_ratio", "density")
+    young, poisson, density = (np.array([getattr(rock, key) or 0.0 for rock in elastic]) for key in keys)
     waves = plane_strain_stiffness(young, poisson)[..., 0, 0] if elastic else young
     return Fractures(
         names=mesh.fractures, group=group, jumps=joints * model.operators.joints.points * mesh.points.shape[1],
@@ -168,15 +157,14 @@ def _chosen(mesh: SplitMesh, names: tuple[str, ...]) -> Bools:
 def tied(model: Model, names: tuple[str, ...], cell_rank: Ints | None = None) -> Model:
     """The model without the named fractures, to be settled; partition (cells,). Its ``whole`` is the old one. Collective."""
     comm, ops = model.operators.layout.comm, model.operators
-    mesh = on_root(
-        comm, lambda: merged_faces(model.mesh, _chosen(model.mesh, names)) if model.mesh is not None else None
-    )
+    whole = model.mesh
+    mesh = on_root(comm, lambda: None if whole is None else merged_faces(whole, _chosen(whole, names)))
     for matrix in (ops.stiffness, ops.mass):  # only its mesh and its laws are asked for again
         matrix.destroy()
     return replace(prepare(model.scene, comm, mesh, cell_rank), whole=model, locked=names)
 
 
-def watch_tied(model: Model, state: State) -> None:
+def watch_locked(model: Model, state: State) -> None:
     """Raise ReductionInvalid, on every rank, where rock beside locked fractures uses more than USE of their strength.
 
     Collective.

@@ -14,8 +14,7 @@ from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.plane.quality import cell_areas
-from fracflow.mesh.plane.snap import natural_snap
-from fracflow.mesh.plane.traces import polygon_area
+from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
 from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
@@ -135,20 +134,14 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, int]) -> list[
     view = CheckInput(scene, gather(scene, mesh, wells))
     unit = view.unit(LENGTH)
     coarse = slip.coarse_of_slip(scene, mesh, wells) if any(stage.kind == "auto" for stage in scene.stage) else {}
-    return (
-        [
-            f"mesh: {what} is not resolved: how slip begins and how far it runs depends on the mesh in"
-            f" {slip.of_fractures(names)}"
-            for what, names in coarse.items()
-        ]
-        + [
-            f"mesh: {need.what} is not resolved: it needs {'joints' if need.along else 'cells'} of {need.size:.3g}{unit}, and"
-            f" has {need.found:.3g}{unit}, {need.where}"
-            for need in needs(view, mesh)
-            if need.is_told and SAME * need.found > need.size
-        ]
-        + coarse_beside(view, mesh, cell_sizes(mesh))
-    )
+    late = "how slip begins and how far it runs depends on the mesh in"
+    lines = [f"mesh: {what} is not resolved: {late} {slip.of_fractures(names)}" for what, names in coarse.items()]
+    for need in needs(view, mesh):
+        if need.is_told and SAME * need.found > need.size:
+            asked = f"{'joints' if need.along else 'cells'} of {need.size:.3g}{unit}"
+            has = f"has {need.found:.3g}{unit}, {need.where}"
+            lines.append(f"mesh: {need.what} is not resolved: it needs {asked}, and {has}")
+    return lines + coarse_beside(view, mesh, cell_sizes(mesh))
 
 
 def needs(view: CheckInput, mesh: SplitMesh) -> list[Need]:
@@ -160,7 +153,7 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     joints = view.joints
     if not len(joints.length):
         return
-    middle, limits = mesh.points[mesh.joint_bottom].mean(axis=1), slip.longest_joints(view)
+    middle = mesh.points[mesh.joint_bottom].mean(axis=1)
 
     def need(what: str, size: Floats, is_told: bool = True) -> Iterator[Need]:
         worst = int(np.argmax(joints.length / size))
@@ -168,16 +161,15 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
             where = f"{joints.names[joints.fracture[worst]]} at {_spot(middle[worst])}"
             yield Need(what, float(size[worst]), float(joints.length[worst]), True, is_told, where)
 
-    for what, size in limits.items():
+    for what, size in slip.longest_joints(view).items():
         yield from need(what, size, is_told=False)
     each = np.bincount(joints.fracture, joints.length, len(joints.names))
     tipped = np.unique(joints.fracture[np.any(mesh.joint_bottom == mesh.joint_top, axis=1)])
     typical = np.where(np.isin(joints.fracture, tipped), typical_length(each[tipped]), np.inf)
     yield from need(f"length of fractures / {PER_LENGTH}", typical / PER_LENGTH)
     spacing = mean_spacing(float(cell_areas(mesh.points, mesh.cells).sum()), float(joints.length.sum()))
-    yield from need(
-        f"spacing of fractures / {PER_SPACING}", np.full_like(joints.length, spacing / PER_SPACING), len(tipped) > 0
-    )
+    apart = np.full_like(joints.length, spacing / PER_SPACING)
+    yield from need(f"spacing of fractures / {PER_SPACING}", apart, len(tipped) > 0)
     lasts = [end - start for stage, start, end in spans(view.scene) if stage.kind in ("quasi-static", "auto")]
     if view.flows and max(lasts, default=0.0) > 0.0:
         assert view.scene.fluid is not None
@@ -191,19 +183,16 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
 def _in_rock(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     edges = cell_sizes(mesh)
 
-    def need(what: str, size: Floats, is_told: bool) -> Iterator[Need]:
+    speed = cell_rocks(view.scene, mesh)["shear_speed"]
+    speed = np.where(np.isnan(speed), np.inf, speed)
+    for what, period, is_told in _periods(view, float(speed.min())):
+        wave = f"wave of {period:.3g}{view.unit(TIME)}, {what}, / {PER_WAVE}"
+        size = period * speed / PER_WAVE
         worst = int(np.argmax(edges / size))
         if np.isfinite(size[worst]):
             rock, nodes = mesh.rocks[mesh.cell_rock[worst]], mesh.cells[worst]
             where = f"{rock} at {_spot(mesh.points[nodes[nodes >= 0]].mean(axis=0))}"
-            yield Need(what, float(size[worst]), float(edges[worst]), False, is_told, where)
-
-    speed = cell_rocks(view.scene, mesh)["shear_speed"]
-    speed = np.where(np.isnan(speed), np.inf, speed)
-    for what, period, is_told in _periods(view, float(speed.min())):
-        yield from need(
-            f"wave of {period:.3g}{view.unit(TIME)}, {what}, / {PER_WAVE}", period * speed / PER_WAVE, is_told
-        )
+            yield Need(wave, float(size[worst]), float(edges[worst]), False, is_told, where)
 
 
 def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]]:
@@ -212,12 +201,9 @@ def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]
     speed  the lowest shear speed
     """
     joints, scene = view.joints, view.scene
-    slips = bool(view.drops.any() or view.weakens.any())
-    of_slip = (
-        corner_period(typical_length(np.bincount(joints.fracture, joints.length).astype(float)), speed)
-        if slips
-        else np.inf
-    )
+    of_slip = np.inf
+    if view.drops.any() or view.weakens.any():
+        of_slip = corner_period(typical_length(np.bincount(joints.fracture, joints.length).astype(float)), speed)
     for stage, start, end in spans(scene):
         if stage.kind in ("dynamic", "auto"):
             step = stage.time_step if stage.kind == "dynamic" else stage.dynamic_time_step
@@ -257,10 +243,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
             return snap | ({"growth": USUAL} if len(traces) else {}), why
         fine = geometry.size_at_fractures or geometry.size
         if cell_count(geometry.size, fine, area, total, GENTLE) > MOST_CELLS:
-            return snap, [
-                *why,
-                f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}",
-            ]
+            return snap, [*why, f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}"]
         return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
     width = Need(f"width of the domain / {ACROSS}", size, size, False, is_told=False)
@@ -353,14 +336,11 @@ def _finer(size: float, found: list[Need], along: bool) -> float:
 
 
 def _why(key: str, found: list[Need]) -> str:
-    fixed = {
-        "size_at_tips": f"length of fractures / {PER_TIP}",
-        "growth": "rock far from a tip is as coarse as its strains are smooth",
-    }
-    if key in fixed:
-        return fixed[key]
-    asked = [need for need in found if key == "size_at_fractures" or not need.along]
-    least = min(asked, key=lambda need: need.size)
+    if key == "size_at_tips":
+        return f"length of fractures / {PER_TIP}"
+    if key == "growth":
+        return "rock far from a tip is as coarse as its strains are smooth"
+    least = min((need for need in found if key == "size_at_fractures" or not need.along), key=lambda need: need.size)
     short = f"; {MOST_CELLS} cells, the most that are proposed, do not reach it" if least.found > least.size else ""
     return f"{least.what} = {least.size:.3g}{least.where and f', {least.where}'}{short}"
 
@@ -369,17 +349,13 @@ def _spot(point: Floats) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"
 
 
-def may_run_away(scene: Scene) -> bool:
-    """Whether a stage has no inertia, so that the onset of slip is a matter of the rock at rest."""
-    return any(stage.kind != "dynamic" for stage in scene.stage)
-
-
 def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]:
     """A line for each fracture whose joints may resolve where slip runs away, and the rock beside it, of ``edges`` (m,), not.
 
     Rock is too stiff by the square of the rate at which its cells grow away from a patch of the nucleation length.
     """
-    if not view.weakens.any() or not may_run_away(view.scene):
+    may_run_away = any(stage.kind != "dynamic" for stage in view.scene.stage)  # onset of slip in rock at rest
+    if not view.weakens.any() or not may_run_away:
         return []
     from scipy.spatial import cKDTree  # imports much
 
@@ -394,9 +370,7 @@ def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]
         own = weak[nearest]
         here = joints.fracture[own] == number
         here &= (away > 2.0 * joints.length[own]) & (away < reach[own])
-        if not here.any():
-            continue
-        grows = float((edges[here] - joints.length[own[here]]).sum() / away[here].sum())
+        grows = float((edges[here] - joints.length[own[here]]).sum() / away[here].sum()) if here.any() else 0.0
         if grows > GENTLE:
             lines.append(
                 f"mesh: the nucleation length of {name} is not resolved in the rock beside it: within"

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from fracflow._petsc import MPI
 from fracflow.mesh.data import Ints, SplitMesh
+from fracflow.model.network_parts import told_apart
 from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
-from fracflow.model.well_parts import told_apart
 from fracflow.reduction.mesh_size import proposed, unresolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.options import set_defaults
@@ -39,11 +39,7 @@ def _open_sizes(scene: Scene) -> tuple[dict[str, float], list[str]]:
 
 
 def prepare(
-    scene: Scene,
-    comm: MPI.Comm,
-    saved: SplitMesh | None = None,
-    cell_rank: Ints | None = None,
-    begins: bool = True,
+    scene: Scene, comm: MPI.Comm, saved: SplitMesh | None = None, cell_rank: Ints | None = None, begins: bool = True
 ) -> Model:
     """Mesh, blocks, operators and loads of a scene. Raises InputError, on every rank. Collective.
 

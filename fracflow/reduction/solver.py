@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import inf, isfinite
 
 from fracflow.reduction.decision import Decision, ReductionInput
@@ -11,46 +12,35 @@ from fracflow.solve.condensed_cost import AT_LEAST, USUAL, condensing, is_chosen
 from fracflow.solve.linear import LEAST_WORTH, are_kept
 
 
-def condensed_rock(facts: ReductionInput) -> list[Decision]:
+def condensed_rock(facts: ReductionInput) -> Iterator[Decision]:
     """The unknowns of the rock, which is linear: the choice is the coupling's, for the stages that the plan leaves."""
     scene = reduced(facts)
     if not facts.jumps or not _solves(scene):
-        return []
+        return
     plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
     chosen = scene.method.coupling == "condensed" or is_chosen(scene, facts.unknowns, plan)
     steps = inf if plan.has_events else max(plan.steps.values(), default=0.0)
     told = f"{steps:.0f} steps of one length" if isfinite(steps) else "as many steps as events take"
-    saves = (
-        "a factorisation in every step" if chosen else "nothing: kept, condensing would not pay, or was not asked for"
-    )
+    saves = "a factorisation in every step"
+    if not chosen:
+        saves = "nothing: kept, condensing would not pay, or was not asked for"
     limit = f"{AT_LEAST * plan.pays:.0f}" if isfinite(plan.pays) else "never pays"
-    return [
-        Decision(
-            "rock, condensed to its joints",
-            chosen,
-            "steps of one length, to pay twice over",
-            told,
-            limit,
-            "none: exact",
-            saves,
-        )
-    ]
+    criterion = "steps of one length, to pay twice over"
+    yield Decision("rock, condensed to its joints", chosen, criterion, told, limit, "none: exact", saves)
 
 
-def new_factors(facts: ReductionInput) -> list[Decision]:
+def new_factors(facts: ReductionInput) -> Iterator[Decision]:
     """Factors of a matrix that joints have changed since."""
     if not _solves(reduced(facts)):
-        return []
+        return
     total = facts.unknowns + facts.pressures
     kept, worth = are_kept(facts.scene, total), solves_per_factor(total)
     criterion = "solves in the time of a factorisation"
-    saves = (
-        f"a factorisation where {USUAL} solves serve"
-        if kept
-        else "nothing: kept, new factors cost no more than they save"
-    )
+    saves = f"a factorisation where {USUAL} solves serve"
+    if not kept:
+        saves = "nothing: kept, new factors cost no more than they save"
     error = "none: Newton's method ends at the same residual, with new factors where old ones do not serve"
-    return [Decision("new factors in every iteration", kept, criterion, worth, f"> {LEAST_WORTH:g}", error, saves)]
+    yield Decision("new factors in every iteration", kept, criterion, worth, f"> {LEAST_WORTH:g}", error, saves)
 
 
 def _solves(scene: Scene) -> bool:

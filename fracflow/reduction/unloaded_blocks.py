@@ -20,10 +20,8 @@ from fracflow.scene.time_table import TimeTable
 
 def moves(support: Support) -> bool:
     """Whether a support ever prescribes another displacement than none."""
-    tables = [
-        *(support.displacement or {}).values(),
-        *(entry for row in support.displacement_gradient or () for entry in row),
-    ]
+    entries = (entry for row in support.displacement_gradient or () for entry in row)
+    tables = (*(support.displacement or {}).values(), *entries)
     return any(value != 0.0 for table in tables for value in table.values)
 
 
@@ -47,10 +45,8 @@ def idle_nodes(model: Model) -> tuple[Bools, UnloadedBlocks]:
     part = np.unique(parts(mesh, placed.ties), return_inverse=True)[1].ravel()
     count = int(part.max(initial=-1)) + 1
     none = np.zeros(len(part), dtype=bool)
-    asked = (
-        scene.model == "default" and scene.initial is None and not scene.equilibrates and not scene.carries_unbalanced
-    )
-    if count < 2 or not asked:
+    at_rest = scene.initial is None and not scene.equilibrates and not scene.carries_unbalanced
+    if count < 2 or scene.model != "default" or not at_rest:
         return none, UnloadedBlocks(count, count)
     loaded = np.zeros(count, dtype=bool)
     for name in loaded_names(scene):
@@ -103,13 +99,12 @@ def without_idle(model: Model) -> tuple[Model, UnloadedBlocks]:
     return replace(model, loads=held), replace(found, unknowns=int(comm.allreduce(len(free), op=MPI.SUM)))
 
 
-def decide_parts(facts: ReductionInput) -> list[Decision]:
+def decide_parts(facts: ReductionInput) -> Iterator[Decision]:
     """How many of them there are, and how many are held."""
     parts = facts.parts
     idle = parts.count - parts.loaded
     value = f"{parts.loaded} of {parts.count}" if parts.count > 1 else "all of it is one"
     saves = f"{parts.unknowns} unknowns, which are held" if idle else "nothing: each part is loaded"
     criterion = "parts of the rock that hang together, and carry a load, a support that moves, a wave or a well"
-    return [
-        Decision("parts of the rock that nothing loads", idle > 0, criterion, value, "all parts", "none: exact", saves)
-    ]
+    part = "parts of the rock that nothing loads"
+    yield Decision(part, idle > 0, criterion, value, "all parts", "none: exact", saves)

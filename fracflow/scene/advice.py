@@ -114,11 +114,8 @@ def _ringing(scene: Scene) -> Iterator[str]:
     unlike = geometry is not None and bool(ruptures)
     damps = method.stepper == "explicit" and method.fault_damping != 0.0
     if unlike and not damps and scene.model != "report" and scene.has_dynamics:
-        remedy = (
-            "method.fault_damping above 0"
-            if method.stepper == "explicit"
-            else 'method.stepper = "explicit", which damps it'
-        )
+        explicit = method.stepper == "explicit"
+        remedy = "method.fault_damping above 0" if explicit else 'method.stepper = "explicit", which damps it'
         yield (
             f"fracture.{ruptures[0]}: behind a rupture on walls that are not meshed as mirror images the normal traction rings"
             f" by some hundredths of its value, and slip comes out too large, more so on finer cells: use {remedy}, or a [mesh]"
@@ -197,10 +194,8 @@ def _jagged(scene: Scene) -> Iterator[str]:
     deforms = any(not rock.rigid for rock in scene.rock.values())
     if not (scene.has_dynamics and slides and names and deforms):
         return
-    least = _transit(scene)
-    here = (
-        "" if least is None else f" = {TRANSITS * least:.3g} {scene.unit_system.unit(TIME)} by the sizes of [geometry]"
-    )
+    least, unit = _transit(scene), scene.unit_system.unit(TIME)
+    here = "" if least is None else f" = {TRANSITS * least:.3g} {unit} by the sizes of [geometry]"
     yield (
         f"probe.{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: behind sharp fronts slip_rate rings with"
         " periods of a few cell transits h/c_s, and finer cells do not lessen it: read slip, or its increase over a time of at"

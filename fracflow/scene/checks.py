@@ -67,10 +67,8 @@ def _method(scene: Tables) -> Iterator[Fault]:
         needs["contact"] = "lumped"
     for key, value in needs.items() if method.stepper == "explicit" else ():
         if getattr(method, key) != value:
-            yield (
-                ("method", key),
-                f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"',
-            )
+            why = f'contradicts stepper = "explicit", which needs "{value}"; or use stepper = "newmark"'
+            yield ("method", key), why
     for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
         names = " or ".join(f'"{value}"' for value in allowed)
         yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
@@ -84,10 +82,8 @@ def _method(scene: Tables) -> Iterator[Fault]:
     for key, (default, _, _) in keys_of(with_inertia()).items():
         if key not in keys[method.stepper] and getattr(method, key) != default:  # a scene written back has all defaults
             users = ", ".join(name for name, own in keys.items() if key in own)
-            yield (
-                ("method", key),
-                f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper',
-            )
+            why = f'is no key of stepper = "{method.stepper}", but of {users}; remove it, or set stepper'
+            yield ("method", key), why
 
 
 def against_condensing(scene: Tables) -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -105,10 +101,8 @@ def _absorbing(scene: Tables) -> Iterator[Fault]:
     for index, absorbing in enumerate(scene.absorbing):
         for name in absorbing.on if absorbing.wave is not None else ():
             if name in held:
-                yield (
-                    ("absorbing", index, "on"),
-                    f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one',
-                )
+                why = f'"{name}" is held by a [[support]] too, so that its wave cannot come in; remove one'
+                yield ("absorbing", index, "on"), why
 
 
 def _terms(scene: Tables) -> Iterator[Fault]:
@@ -121,10 +115,7 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
     geometry = scene.geometry
     if (geometry is None) == (scene.mesh is None):
         both = geometry is not None
-        yield (
-            ("geometry",),
-            "contradicts [mesh]; give one of them" if both else "missing; give [geometry] or [mesh]",
-        )
+        yield ("geometry",), "contradicts [mesh]; give one of them" if both else "missing; give [geometry] or [mesh]"
     if geometry is None:
         return
     traces = [trace.name for trace in geometry.fracture]
@@ -132,10 +123,7 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
         yield ("geometry", "fracture", index, "name"), "stands twice; names must differ"
     for index, name in enumerate(traces):
         if name == "default":
-            yield (
-                ("geometry", "fracture", index, "name"),
-                "is kept for [fracture.default]; choose another name",
-            )
+            yield ("geometry", "fracture", index, "name"), "is kept for [fracture.default]; choose another name"
         if name not in scene.fracture and "default" not in scene.fracture:
             yield ("fracture", name), f'missing; the fracture "{name}" needs a table, or [fracture.default]'
     fine = geometry.size_at_fractures or geometry.size or math.inf  # what is not given follows later, from what is
@@ -171,10 +159,10 @@ def _materials(scene: Tables) -> Iterator[Fault]:
     if scene.fluid is not None and scene.fluid.compressibility and scene.units != "none":
         in_si = scene.fluid.compressibility * scene.unit_system.to_si(COMPRESSIBILITY)
         if in_si > MOST_COMPRESSIBLE:
-            yield (
-                ("fluid", "compressibility"),
-                f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water",
+            why = (
+                f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water"
             )
+            yield ("fluid", "compressibility"), why
     if scene.fluid is None and scene.well:
         yield ("fluid",), "missing; a scene with wells needs [fluid] with viscosity"
 
@@ -184,10 +172,7 @@ def _controls(scene: Tables) -> Iterator[Fault]:
     for key in ("well", "load", "stage"):
         for index, entry in enumerate(getattr(scene, key)):
             if entry.control is not None and entry.control not in scene.control:
-                yield (
-                    (key, index, "control"),
-                    f"no [control] of that name; {nearest(entry.control, scene.control)}",
-                )
+                yield (key, index, "control"), f"no [control] of that name; {nearest(entry.control, scene.control)}"
             elif entry.control is not None and entry.control not in followers:
                 yield (key, index, "control"), "no well or load has this control: give one control = ..."
 
@@ -222,11 +207,7 @@ def _actions(scene: Tables) -> Iterator[Fault]:
 
 
 def check_mesh_names(
-    scene: Tables,
-    rocks: Collection[str],
-    fractures: Collection[str],
-    sides: Collection[str],
-    points: Collection[str],
+    scene: Tables, rocks: Collection[str], fractures: Collection[str], sides: Collection[str], points: Collection[str]
 ) -> None:
     """Compare the names a scene uses with those its mesh has; raises InputError for the first stranger."""
     for place, name, allowed in _used_names(scene, rocks, fractures, sides, points):
@@ -239,11 +220,7 @@ def check_mesh_names(
 
 
 def _used_names(
-    scene: Tables,
-    rocks: Collection[str],
-    fractures: Collection[str],
-    sides: Collection[str],
-    points: Collection[str],
+    scene: Tables, rocks: Collection[str], fractures: Collection[str], sides: Collection[str], points: Collection[str]
 ) -> Iterator[tuple[str, str, Collection[str]]]:
     """List (key, name, allowed names) of all names that the mesh must have."""
     for name in scene.rock:

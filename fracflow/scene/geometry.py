@@ -61,9 +61,8 @@ def read_traces_csv(path: str | Path) -> list[TraceRow]:
     for number, words in rows[1:]:
         where = f"{path}: line {number}"
         if len(words) != len(columns):
-            raise InputError(
-                f"{where}: has {len(words)} fields, the first line names {len(columns)} columns; give as many"
-            )
+            named = f"the first line names {len(columns)} columns"
+            raise InputError(f"{where}: has {len(words)} fields, {named}; give as many")
         row = dict(zip(columns, words, strict=True))
         name, values = row["name"], [_number(row[key], key, where) for key in layout]
         if not name:
@@ -122,9 +121,8 @@ def _table(row: TraceRow, tables: Mapping[str, Any], where: str, units: Any) -> 
     shut = {key for pair in ALTERNATIVES if set(pair) & set(row.properties) for key in pair}
     table = {key: value for key, value in own.items() if key not in shut} if isinstance(own, Mapping) else {}
     table |= row.properties
-    filled = with_default_fracture({"fracture": {"default": tables.get("default"), row.name: table}})["fracture"][
-        row.name
-    ]
+    given = {"fracture": {"default": tables.get("default"), row.name: table}}
+    filled = with_default_fracture(given)["fracture"][row.name]
     try:
         Fracture.model_validate(filled, context={"units": UnitSystem.parse(units)})
     except ValidationError as error:
@@ -186,10 +184,8 @@ def _go_on(trace: TraceRow, given: dict[str, Any], where: str) -> None:
     for key, value in given.items():
         if trace.properties.get(key) != value:
             first = write_value(trace.properties[key]) if key in trace.properties else "empty"
-            raise InputError(
-                f'{where}: {key} = {write_value(value)}: it is {first} in the first row of "{trace.name}";'
-                " a fracture has one value"
-            )
+            why = f'it is {first} in the first row of "{trace.name}"; a fracture has one value'
+            raise InputError(f"{where}: {key} = {write_value(value)}: {why}")
 
 
 def _extend(points: list[list[float]], values: list[float], what: str) -> None:

@@ -27,9 +27,8 @@ def known_law(name: str) -> str:
         near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)
         raise fault(f"unknown; allowed: {allowed}" + (f'; did you mean "{near[0]}"?' if near else ""))
     if name not in KEYS:
-        raise RuntimeError(
-            f"the joint law {name} was registered after the keys of scenes were made: register it before"
-        )
+        late = "was registered after the keys of scenes were made: register it before"
+        raise RuntimeError(f"the joint law {name} {late}")
     return name
 
 

@@ -8,30 +8,16 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, StrictBool, create_model, model_validator
 
 from fracflow.laws import JOINT_LAWS
+from fracflow.scene import units
 from fracflow.scene.laws import Property, check, check_order, defaults, describe_laws, known_law, law_fields
 from fracflow.scene.method import Size, Stress, Table
 from fracflow.scene.profiles import Along, AlongInTime, Pressures, Profile
-from fracflow.scene.units import (
-    ACCELERATION,
-    ANGLE,
-    COMPRESSIBILITY,
-    CONDUCTANCE,
-    DENSITY,
-    LENGTH,
-    RATE,
-    STIFFNESS,
-    STRESS,
-    VELOCITY,
-    VISCOSITY,
-    WEIGHT,
-    Quantity,
-    fault,
-)
+from fracflow.scene.units import Quantity, fault
 
-Position = Annotated[float, Quantity(LENGTH)]
+Position = Annotated[float, Quantity(units.LENGTH)]
 Number = Annotated[float, Quantity()]
-Speed = Annotated[float, Quantity(VELOCITY)]
-Rate = Annotated[float, Quantity(RATE)]
+Speed = Annotated[float, Quantity(units.VELOCITY)]
+Rate = Annotated[float, Quantity(units.RATE)]
 
 
 def _along(dimension: str = "1", **limits: float) -> Along:
@@ -41,16 +27,14 @@ def _along(dimension: str = "1", **limits: float) -> Along:
 class Rock(Table):
     """[rock.NAME] An elastic rock in plane strain, or a rigid body."""
 
-    youngs_modulus: Annotated[float, Quantity(STRESS, above=0.0)] | None = Field(
-        default=None, description="E [force/length**2]; required unless rigid"
-    )
-    poissons_ratio: Annotated[float, Quantity(above=-1.0, below=0.5)] | None = Field(
-        default=None, description="nu [1]; required unless rigid"
-    )
-    density: Annotated[float, Quantity(DENSITY, above=0.0)] | None = Field(
-        default=None, description="rho [force*time**2/length**4]; required by dynamic stages"
-    )
-    rigid: StrictBool = Field(default=False, description="true: each connected part moves as a rigid body")
+    youngs_modulus: Annotated[float, Quantity(units.STRESS, above=0.0)] | None = None
+    """E [force/length**2]; required unless rigid"""
+    poissons_ratio: Annotated[float, Quantity(above=-1.0, below=0.5)] | None = None
+    """nu [1]; required unless rigid"""
+    density: Annotated[float, Quantity(units.DENSITY, above=0.0)] | None = None
+    """rho [force*time**2/length**4]; required by dynamic stages"""
+    rigid: StrictBool = False
+    """true: each connected part moves as a rigid body"""
 
     @model_validator(mode="after")
     def _complete(self) -> Rock:
@@ -63,61 +47,67 @@ class Rock(Table):
 class StressGradient(Table):
     """[initial_stress.gradient] Change of the initial stress with depth, which grows towards -y."""
 
-    xx: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="d sigma_xx / d depth [force/length**3]")
-    yy: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="d sigma_yy / d depth [force/length**3]")
-    zz: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="d sigma_zz / d depth [force/length**3]")
-    xy: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="d sigma_xy / d depth [force/length**3]")
+    xx: Annotated[float, Quantity(units.WEIGHT)] = 0.0
+    """d sigma_xx / d depth [force/length**3]"""
+    yy: Annotated[float, Quantity(units.WEIGHT)] = 0.0
+    """d sigma_yy / d depth [force/length**3]"""
+    zz: Annotated[float, Quantity(units.WEIGHT)] = 0.0
+    """d sigma_zz / d depth [force/length**3]"""
+    xy: Annotated[float, Quantity(units.WEIGHT)] = 0.0
+    """d sigma_xy / d depth [force/length**3]"""
 
 
 class InitialStress(Table):
     """[initial_stress] Stress at the start, tension positive; joint tractions follow by (2.14)."""
 
-    xx: Stress = Field(default=0.0, description="sigma_xx [force/length**2]")
-    yy: Stress = Field(default=0.0, description="sigma_yy [force/length**2]")
-    zz: Stress = Field(default=0.0, description="sigma_zz, out of plane [force/length**2]")
-    xy: Stress = Field(default=0.0, description="sigma_xy [force/length**2]")
-    gradient: StressGradient = Field(default_factory=StressGradient, description="change with depth")
-    datum: Position = Field(
-        default=0.0, description="y at which the values above hold; the depth is datum - y [length]"
-    )
-    unbalanced: Literal["refuse", "carried"] = Field(
-        default="refuse",
-        description="initial tractions of fractures that are not those of the stress: refuse them, or let the rock carry the"
-        " difference in a stress that balances them, as in benchmarks of rupture; what is past its strength slips at once",
-    )
+    xx: Stress = 0.0
+    """sigma_xx [force/length**2]"""
+    yy: Stress = 0.0
+    """sigma_yy [force/length**2]"""
+    zz: Stress = 0.0
+    """sigma_zz, out of plane [force/length**2]"""
+    xy: Stress = 0.0
+    """sigma_xy [force/length**2]"""
+    gradient: StressGradient = Field(default_factory=StressGradient)
+    """change with depth"""
+    datum: Position = 0.0
+    """y at which the values above hold; the depth is datum - y [length]"""
+    unbalanced: Literal["refuse", "carried"] = "refuse"
+    """initial tractions of fractures that are not those of the stress: refuse them, or let the rock carry the
+    difference in a stress that balances them, as in benchmarks of rupture; what is past its strength slips at once"""
 
 
 class BodyForce(Table):
     """[body_force] A force on the volume of the rock, from the first instant."""
 
-    x: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="along x [force/length**3]")
-    y: Annotated[float, Quantity(WEIGHT)] = Field(default=0.0, description="along y [force/length**3]")
-    gravity: Annotated[float, Quantity(ACCELERATION)] = Field(
-        default=0.0, description="acceleration towards -y; acts on the density of each rock [length/time**2]"
-    )
+    x: Annotated[float, Quantity(units.WEIGHT)] = 0.0
+    """along x [force/length**3]"""
+    y: Annotated[float, Quantity(units.WEIGHT)] = 0.0
+    """along y [force/length**3]"""
+    gravity: Annotated[float, Quantity(units.ACCELERATION)] = 0.0
+    """acceleration towards -y; acts on the density of each rock [length/time**2]"""
 
 
 class InitialMotion(Table):
     """[initial.rock.NAME] Displacement and velocity of a rock at the start: a value at the origin and its gradient."""
 
-    displacement: tuple[Position, Position] | None = Field(default=None, description="[u_x, u_y] [length]")
-    displacement_gradient: tuple[tuple[Number, Number], tuple[Number, Number]] | None = Field(
-        default=None, description="[[du_x/dx, du_x/dy], [du_y/dx, du_y/dy]] [1]"
-    )
-    velocity: tuple[Speed, Speed] | None = Field(default=None, description="[v_x, v_y] [length/time]")
-    velocity_gradient: tuple[tuple[Rate, Rate], tuple[Rate, Rate]] | None = Field(
-        default=None, description="[[dv_x/dx, dv_x/dy], [dv_y/dx, dv_y/dy]] [1/time]"
-    )
+    displacement: tuple[Position, Position] | None = None
+    """[u_x, u_y] [length]"""
+    displacement_gradient: tuple[tuple[Number, Number], tuple[Number, Number]] | None = None
+    """[[du_x/dx, du_x/dy], [du_y/dx, du_y/dy]] [1]"""
+    velocity: tuple[Speed, Speed] | None = None
+    """[v_x, v_y] [length/time]"""
+    velocity_gradient: tuple[tuple[Rate, Rate], tuple[Rate, Rate]] | None = None
+    """[[dv_x/dx, dv_x/dy], [dv_y/dx, dv_y/dy]] [1/time]"""
 
 
 class Initial(InitialMotion):
     """[initial] A start away from the state that initial_stress and fluid.initial_pressure describe."""
 
-    pressure: Annotated[float, Quantity(STRESS)] | None = Field(
-        default=None,
-        description="pressure in all fractures at the start [force/length**2]; else fluid.initial_pressure",
-    )
-    rock: dict[str, InitialMotion] = Field(default_factory=dict, description="rocks that start otherwise, by name")
+    pressure: Annotated[float, Quantity(units.STRESS)] | None = None
+    """pressure in all fractures at the start [force/length**2]; else fluid.initial_pressure"""
+    rock: dict[str, InitialMotion] = Field(default_factory=dict)
+    """rocks that start otherwise, by name"""
 
 
 class _Joint(Table):
@@ -126,40 +116,30 @@ class _Joint(Table):
         description=describe_laws(),
         json_schema_extra={"enum": [name for name in JOINT_LAWS]},
     )
-    normal_stiffness: Annotated[Property, _along(STIFFNESS, above=0.0)] = Field(
-        description="k_n0, at the initial state [force/length**3]"
-    )
-    shear_stiffness: Annotated[Property, _along(STIFFNESS, above=0.0)] = Field(description="k_s0 [force/length**3]")
-    aperture: Annotated[Property | None, _along(LENGTH, above=0.0)] = Field(
-        default=None, description="d0, at the initial state [length]; a linear joint without flow needs none"
-    )
-    minimum_hydraulic_aperture: Annotated[Property, _along(LENGTH, at_least=0.0)] = Field(
-        default=0.0, description="aperture below which the conductance falls no further [length]"
-    )
-    friction_angle_deg: Annotated[Property | None, _along(ANGLE, at_least=0.0, below=90.0)] = Field(
-        default=None, description="arctan of friction_coefficient, in place of it [degree]"
-    )
+    normal_stiffness: Annotated[Property, _along(units.STIFFNESS, above=0.0)]
+    """k_n0, at the initial state [force/length**3]"""
+    shear_stiffness: Annotated[Property, _along(units.STIFFNESS, above=0.0)]
+    """k_s0 [force/length**3]"""
+    aperture: Annotated[Property | None, _along(units.LENGTH, above=0.0)] = None
+    """d0, at the initial state [length]; a linear joint without flow needs none"""
+    minimum_hydraulic_aperture: Annotated[Property, _along(units.LENGTH, at_least=0.0)] = 0.0
+    """aperture below which the conductance falls no further [length]"""
+    friction_angle_deg: Annotated[Property | None, _along(units.ANGLE, at_least=0.0, below=90.0)] = None
+    """arctan of friction_coefficient, in place of it [degree]"""
 
 
 class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # type: ignore[misc]
     """[fracture.NAME] Joint law and aperture of a fracture; "default" serves all, and fills what a table leaves open."""
 
-    initial_normal_traction: Annotated[Property | None, _along(STRESS)] = Field(
-        default=None,
-        description="f_n0, effective, compression negative [force/length**2]; else from initial_stress",
-    )
-    initial_shear_traction: Annotated[Property | None, _along(STRESS)] = Field(
-        default=None, description="f_s0 [force/length**2]; else from initial_stress (2.14)"
-    )
-    conductance: Annotated[Property | None, _along(CONDUCTANCE, above=0.0)] = Field(
-        default=None,
-        description="flow per thickness and pressure gradient [length**5/(force*time)], in place of the cubic law",
-    )
-    pressure: Annotated[Pressures | None, AlongInTime(STRESS)] = Field(
-        default=None,
-        description="pressure prescribed in the whole fracture: a number, [[t, p], ...], {along, value} or"
-        " {along, time, value} [force/length**2]",
-    )
+    initial_normal_traction: Annotated[Property | None, _along(units.STRESS)] = None
+    """f_n0, effective, compression negative [force/length**2]; else from initial_stress"""
+    initial_shear_traction: Annotated[Property | None, _along(units.STRESS)] = None
+    """f_s0 [force/length**2]; else from initial_stress (2.14)"""
+    conductance: Annotated[Property | None, _along(units.CONDUCTANCE, above=0.0)] = None
+    """flow per thickness and pressure gradient [length**5/(force*time)], in place of the cubic law"""
+    pressure: Annotated[Pressures | None, AlongInTime(units.STRESS)] = None
+    """pressure prescribed in the whole fracture: a number, [[t, p], ...], {along, value} or {along, time, value}
+    [force/length**2]"""
 
     @model_validator(mode="after")
     def _consistent(self) -> Fracture:
@@ -184,24 +164,19 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
 class Fluid(Table):
     """[fluid] The fluid in the fractures; viscosity, specific weight or density zero: no flow is modelled."""
 
-    viscosity: Annotated[float, Quantity(VISCOSITY, at_least=0.0)] = Field(
-        description="mu [force*time/length**2]; 0 leaves the flow out"
-    )
-    specific_weight: Annotated[float, Quantity(WEIGHT, at_least=0.0)] | None = Field(
-        default=None,
-        description="gamma [force/length**3]; used by head = p/gamma only; 0 leaves the flow out",
-    )
-    density: Annotated[float, Quantity(DENSITY, at_least=0.0)] | None = Field(
-        default=None, description="density of the fluid [force*time**2/length**4]; 0 leaves the flow out"
-    )
-    compressibility: Annotated[float, Quantity(COMPRESSIBILITY, at_least=0.0)] = Field(
-        default=0.0, description="c_f, relative change of volume by pressure [length**2/force]; 0: incompressible"
-    )
-    initial_pressure: Stress = Field(default=0.0, description="p0 [force/length**2]")
-    pressure_gradient: Annotated[float, Quantity(WEIGHT)] = Field(
-        default=0.0,
-        description="change of p0 with depth, at which the fluid is at rest: only what exceeds it makes it flow"
-        " [force/length**3]",
-    )
-    datum: Position = Field(default=0.0, description="y at which p0 holds; the depth is datum - y [length]")
-    flow_depth: Size = Field(default=1.0, description="A, depth out of the plane that flow rates refer to [length]")
+    viscosity: Annotated[float, Quantity(units.VISCOSITY, at_least=0.0)]
+    """mu [force*time/length**2]; 0 leaves the flow out"""
+    specific_weight: Annotated[float, Quantity(units.WEIGHT, at_least=0.0)] | None = None
+    """gamma [force/length**3]; used by head = p/gamma only; 0 leaves the flow out"""
+    density: Annotated[float, Quantity(units.DENSITY, at_least=0.0)] | None = None
+    """density of the fluid [force*time**2/length**4]; 0 leaves the flow out"""
+    compressibility: Annotated[float, Quantity(units.COMPRESSIBILITY, at_least=0.0)] = 0.0
+    """c_f, relative change of volume by pressure [length**2/force]; 0: incompressible"""
+    initial_pressure: Stress = 0.0
+    """p0 [force/length**2]"""
+    pressure_gradient: Annotated[float, Quantity(units.WEIGHT)] = 0.0
+    """change of p0 with depth, at which the fluid is at rest: only what exceeds it makes it flow [force/length**3]"""
+    datum: Position = 0.0
+    """y at which p0 holds; the depth is datum - y [length]"""
+    flow_depth: Size = 1.0
+    """A, depth out of the plane that flow rates refer to [length]"""

@@ -72,7 +72,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
         if not isinstance(path[-1], str):
             return f"missing; the list must be longer by entry {path[-1]}"
         field = _model_at(model, path[:-1]).model_fields[path[-1]]
-        return f"missing; required: {field.description}"
+        return f"missing; required: {' '.join((field.description or '').split())}"
     if kind == "literal_error":
         allowed = str(context["expected"]).replace("'", '"').replace(" or ", ", ")
         close = get_close_matches(str(error["input"]), [word.strip('"') for word in allowed.split(", ")], 1, 0.5)

@@ -19,13 +19,7 @@ from pydantic import (
 from fracflow.integrators import flow_integrators, keys_of, with_inertia
 from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
-from fracflow.scene.units import (
-    LENGTH,
-    LINE_FORCE,
-    STRESS,
-    Quantity,
-    fault,
-)
+from fracflow.scene.units import LENGTH, LINE_FORCE, STRESS, Quantity, fault
 from fracflow.scene.values import Domain, Polyline
 from fracflow.storage.files import PLAIN_TEXT
 
@@ -52,10 +46,25 @@ def _option(value: object) -> object:
 Option = Annotated[StrictBool | StrictInt | StrictFloat | StrictStr, BeforeValidator(_option)]
 
 
-class Table(BaseModel):
-    """A table of a scene: frozen, and refuses keys it does not know."""
+def _on_one_line(schema: dict[str, Any]) -> None:
+    """The meanings of keys without the line ends of their docstrings."""
+    for key in schema.get("properties", {}).values():
+        if "description" in key:
+            key["description"] = " ".join(key["description"].split())
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class Table(BaseModel):
+    """A table of a scene: frozen, and refuses keys it does not know; the docstring of a key is its meaning."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, use_attribute_docstrings=True, json_schema_extra=_on_one_line
+    )
+
+    def _refuse(self, why: str, *keys: str) -> None:
+        """Raise the fault of the first of some keys that is given."""
+        for key in keys:
+            if getattr(self, key) is not None:
+                raise fault(why, key=key)
 
 
 if TYPE_CHECKING:
@@ -77,96 +86,66 @@ else:
 class Method(StepperKeys):
     """[method] How the equations are discretised and solved; defaults follow from ``model``."""
 
-    quadrature: Literal["nodal", "gauss2", "one-point"] = Field(
-        default="nodal",
-        description="points where a joint keeps its state: its ends (2.30), two Gauss points, its middle",
-    )
-    storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = Field(
-        default="lumped",
-        description="matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one"
-        " for both; report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work",
-    )
-    conductance: Literal[tuple(FLOW_LAWS)] = Field(  # type: ignore[valid-type]
-        default="exact",
-        description="mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)",
-    )
-    mass: Literal["lumped", "consistent"] = Field(default="lumped", description="mass matrix of the rock")
-    contact: Literal["redistributed", "lumped"] = Field(
-        default="redistributed",
-        description="inertia of fracture walls along their normal in dynamic stages: carried by the nodes next to them inside"
-        " the rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which"
-        ' damps them, of explicit steps, and of model = "report"',
-    )
-    flow_integrator: FilmStepper = Field(
-        default="backward-euler",
-        description="time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of"
-        " scenes that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a"
-        " stage is one of backward Euler",
-    )
-    stepper: InertiaStepper = Field(
-        default="newmark",
-        description="time integrator of dynamic stages: newmark (4.1)-(4.3); hht and generalised-alpha, which damp what the"
-        " time step does not resolve and are of second order; implicit-euler, of first order, which damps all; explicit,"
-        " central differences of the rock with joints and flow solved at the end of each step, in stable substeps",
-    )
-    fault_damping: Literal["auto"] | Annotated[float, Quantity(at_least=0.0)] = Field(
-        default="auto",
-        description="damping of the fastest vibration of the cells at fractures that can slide, over the critical one, in"
-        " explicit steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a"
-        " prescribed pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is"
-        ' none, and the default of model = "report"; counted as damping in the energy balance [1]',
-    )
-    coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = Field(
-        default="auto",
-        description="how rock and fluid are solved together: at once, by iterations over both parts (monolithic), by one direct"
-        " solve (whole-lu); by turns (4.5); on the fractures alone, with the rock condensed to them once for each length of"
-        " time step; or by auto: condensed where enough steps are planned for it to pay, else whole-lu, but monolithic from two"
-        " million displacements on, where options are given to it, and where the direct solve does not converge",
-    )
-    fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = Field(
-        default="plain",
-        description="how the pressures of the fixed point (4.5) go on: as the flow gives them, relaxed by Aitken or Anderson,"
-        " or with storage added to the flow",
-    )
-    on_divergence: Literal["refuse", "monolithic"] = Field(
-        default="refuse",
-        description="what to do with a step whose fixed point (4.5) diverges, by prediction or by measurement",
-    )
-    events: Literal["auto", "located", "at-step-ends"] = Field(
-        default="auto",
-        description="changes of friction, opening and closing in dynamic stages: each ends a substep (located), or is"
-        " taken as the end of a step finds it; auto: located where no rock deforms, and while fewer"
-        " than 16 sections slide, twice as many for each refine",
-    )
-    newton: Literal["newton", "modified", "secant"] = Field(
-        default="newton",
-        description="stiffness that an iteration corrects by: the tangent (4.7), that of the step's start (4.10), the secant",
-    )
-    factors: Literal["kept", "new"] = Field(
-        default="kept",
-        description="factors of a matrix that joints have changed since: they precondition GMRES as long as that is cheaper, or"
-        ' new ones are made in every iteration, as in model = "full" and "report"',
-    )
-    overshoot: Literal["hold", "one-change"] = Field(
-        default="hold",
-        description="when joints may change between sticking and sliding: once the balances hold with the statuses there"
-        " were, or in every iteration, but each section once only (5.1): an overshoot may then end in a sliding state where an"
-        " elastic one exists",
-    )
-    line_search: Literal["none", "residual", "energy"] = Field(
-        default="energy",
-        description="measure that shortens a step of Newton once joints open and close in cycles, or whole steps do not"
-        " converge: nothing, the size of the residual, or the work that the unbalanced forces do along the step",
-    )
-    newton_test: Literal["residual", "out-of-balance", "displacement"] = Field(
-        default="residual", description="when Newton stops: scaled residuals, (4.9a), or (4.9b)"
-    )
-    tangent: Literal["consistent", "decoupled"] = Field(
-        default="consistent", description="joint tangent with d f_s/d opening, or k_s and k_n alone"
-    )
-    open_strength: Literal["none", "cohesion"] = Field(
-        default="none", description="shear strength of an open joint: none, or the cohesion (2.12)"
-    )
+    quadrature: Literal["nodal", "gauss2", "one-point"] = "nodal"
+    """points where a joint keeps its state: its ends (2.30), two Gauss points, its middle"""
+    storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = "lumped"
+    """matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one for both;
+    report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work"""
+    conductance: Literal[tuple(FLOW_LAWS)] = "exact"  # type: ignore[valid-type]
+    """mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)"""
+    mass: Literal["lumped", "consistent"] = "lumped"
+    """mass matrix of the rock"""
+    contact: Literal["redistributed", "lumped"] = "redistributed"
+    """inertia of fracture walls along their normal in dynamic stages: carried by the nodes next to them inside the
+    rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which
+    damps them, of explicit steps, and of model = "report"
+    """
+    flow_integrator: FilmStepper = "backward-euler"
+    """time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of scenes
+    that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a stage is
+    one of backward Euler"""
+    stepper: InertiaStepper = "newmark"
+    """time integrator of dynamic stages: newmark (4.1)-(4.3); hht and generalised-alpha, which damp what the time step
+    does not resolve and are of second order; implicit-euler, of first order, which damps all; explicit, central
+    differences of the rock with joints and flow solved at the end of each step, in stable substeps"""
+    fault_damping: Literal["auto"] | Annotated[float, Quantity(at_least=0.0)] = "auto"
+    """damping of the fastest vibration of the cells at fractures that can slide, over the critical one, in explicit
+    steps: what the mesh cannot carry would ring in their normal traction, and drive slip; auto: 0.45 where a prescribed
+    pressure takes strength away at once, else 0.25 where the walls are not meshed as mirror images; 0 is none, and the
+    default of model = "report"; counted as damping in the energy balance [1]"""
+    coupling: Literal["auto", "monolithic", "fixed-point", "whole-lu", "condensed"] = "auto"
+    """how rock and fluid are solved together: at once, by iterations over both parts (monolithic), by one direct solve
+    (whole-lu); by turns (4.5); on the fractures alone, with the rock condensed to them once for each length of time
+    step; or by auto: condensed where enough steps are planned for it to pay, else whole-lu, but monolithic from two
+    million displacements on, where options are given to it, and where the direct solve does not converge"""
+    fixed_point: Literal["plain", "aitken", "anderson", "added-storage"] = "plain"
+    """how the pressures of the fixed point (4.5) go on: as the flow gives them, relaxed by Aitken or Anderson, or with
+    storage added to the flow"""
+    on_divergence: Literal["refuse", "monolithic"] = "refuse"
+    """what to do with a step whose fixed point (4.5) diverges, by prediction or by measurement"""
+    events: Literal["auto", "located", "at-step-ends"] = "auto"
+    """changes of friction, opening and closing in dynamic stages: each ends a substep (located), or is taken as the end
+    of a step finds it; auto: located where no rock deforms, and while fewer than 16 sections slide, twice as many for
+    each refine"""
+    newton: Literal["newton", "modified", "secant"] = "newton"
+    """stiffness that an iteration corrects by: the tangent (4.7), that of the step's start (4.10), the secant"""
+    factors: Literal["kept", "new"] = "kept"
+    """factors of a matrix that joints have changed since: they precondition GMRES as long as that is cheaper, or new
+    ones are made in every iteration, as in model = "full" and "report"
+    """
+    overshoot: Literal["hold", "one-change"] = "hold"
+    """when joints may change between sticking and sliding: once the balances hold with the statuses there were, or in
+    every iteration, but each section once only (5.1): an overshoot may then end in a sliding state where an elastic one
+    exists"""
+    line_search: Literal["none", "residual", "energy"] = "energy"
+    """measure that shortens a step of Newton once joints open and close in cycles, or whole steps do not converge:
+    nothing, the size of the residual, or the work that the unbalanced forces do along the step"""
+    newton_test: Literal["residual", "out-of-balance", "displacement"] = "residual"
+    """when Newton stops: scaled residuals, (4.9a), or (4.9b)"""
+    tangent: Literal["consistent", "decoupled"] = "consistent"
+    """joint tangent with d f_s/d opening, or k_s and k_n alone"""
+    open_strength: Literal["none", "cohesion"] = "none"
+    """shear strength of an open joint: none, or the cohesion (2.12)"""
 
     PRESETS: ClassVar[dict[str, dict[str, str | float]]] = {
         "default": {},
@@ -188,72 +167,58 @@ class Method(StepperKeys):
 class Output(Table):
     """[output] What a run writes beside its histories."""
 
-    fields_every: Annotated[int, Field(strict=True, ge=0)] = Field(
-        default=0,
-        description="write whole fields every so many steps; 0 writes the first and the last state only",
-    )
-    checkpoint_every: Annotated[int, Field(strict=True, ge=0)] = Field(
-        default=0,
-        description="save the state every so many steps; 0 leaves it to the clock, to signals and to failures",
-    )
-    checkpoint_seconds: Annotated[float, Quantity(above=0.0)] = Field(
-        default=60.0, description="save the state when so many seconds of wall clock have passed [s]"
-    )
-    event_length: Size | None = Field(
-        default=None, description="width of events of a stage auto across the plane, for magnitudes [length]"
-    )
-    pictures: StrictBool = Field(default=True, description="draw pictures for the report page")
+    fields_every: Annotated[int, Field(strict=True, ge=0)] = 0
+    """write whole fields every so many steps; 0 writes the first and the last state only"""
+    checkpoint_every: Annotated[int, Field(strict=True, ge=0)] = 0
+    """save the state every so many steps; 0 leaves it to the clock, to signals and to failures"""
+    checkpoint_seconds: Annotated[float, Quantity(above=0.0)] = 60.0
+    """save the state when so many seconds of wall clock have passed [s]"""
+    event_length: Size | None = None
+    """width of events of a stage auto across the plane, for magnitudes [length]"""
+    pictures: StrictBool = True
+    """draw pictures for the report page"""
 
 
 class Trace(Table):
     """[[geometry.fracture]] A fracture as a polyline."""
 
-    name: Name = Field(description="name that [fracture.NAME] refers to")
-    points: Annotated[Points, Polyline()] = Field(description="[[x, y], ...] from its start to its end [length]")
+    name: Name
+    """name that [fracture.NAME] refers to"""
+    points: Annotated[Points, Polyline()]
+    """[[x, y], ...] from its start to its end [length]"""
 
 
 class Geometry(Table):
     """[geometry] A domain with fracture traces, meshed by the program; its rock is called "rock"."""
 
-    domain: Annotated[Points, Domain()] = Field(
-        description="[xmin, ymin, xmax, ymax] or the corners [[x, y], ...] [length]"
-    )
-    fracture: tuple[Trace, ...] = Field(
-        default=(), description="fracture traces; they may cross, and reach the boundary"
-    )
-    fractures_csv: FileName | None = Field(
-        default=None,
-        description="file of more traces and their properties, relative to the scene; a loaded scene has them in its place",
-    )
-    size: Size | None = Field(
-        default=None,
-        description="mesh size away from fractures [length]; if not given, both sizes follow from the lengths of the scene",
-    )
-    size_at_fractures: Size | None = Field(
-        default=None, description="mesh size at fractures [length]; as size if only that is given"
-    )
-    size_at_tips: Size | None = Field(
-        default=None,
-        description="mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given",
-    )
-    growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = Field(
-        default=None,
-        description="growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken"
-        " with slip [1]",
-    )
-    snap: Size | None = Field(
-        default=None,
-        description="points nearer than this to another, a trace or a side become one with it, and cells between near traces"
-        " are never under twice as long [length]; if not given, 0.4 % of the median length of traces, whatever the mesh",
-    )
-    cells: Literal["triangles", "quads"] = Field(default="triangles", description="shape of the cells")
+    domain: Annotated[Points, Domain()]
+    """[xmin, ymin, xmax, ymax] or the corners [[x, y], ...] [length]"""
+    fracture: tuple[Trace, ...] = ()
+    """fracture traces; they may cross, and reach the boundary"""
+    fractures_csv: FileName | None = None
+    """file of more traces and their properties, relative to the scene; a loaded scene has them in its place"""
+    size: Size | None = None
+    """mesh size away from fractures [length]; if not given, both sizes follow from the lengths of the scene"""
+    size_at_fractures: Size | None = None
+    """mesh size at fractures [length]; as size if only that is given"""
+    size_at_tips: Size | None = None
+    """mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given"""
+    growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = None
+    """growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken with
+    slip [1]"""
+    snap: Size | None = None
+    """points nearer than this to another, a trace or a side become one with it, and cells between near traces are never
+    under twice as long [length]; if not given, 0.4 % of the median length of traces, whatever the mesh"""
+    cells: Literal["triangles", "quads"] = "triangles"
+    """shape of the cells"""
     refine: Refine = Field(default=0, description=REFINED)
 
 
 class Mesh(Table):
     """[mesh] A Gmsh geometry or a mesh; its physical groups name rocks, fractures, sides and points."""
 
-    file: FileName = Field(description=".geo or .msh file, relative to the scene")
+    file: FileName
+    """.geo or .msh file, relative to the scene"""
     refine: Refine = Field(default=0, description=REFINED)
 
 
@@ -296,10 +261,9 @@ def with_default_fracture(data: dict[str, Any]) -> dict[str, Any]:
 def _is_spare(data: dict[str, Any], tables: dict[str, Any], default: dict[str, Any]) -> bool:
     """Whether [fracture.default] only fills: every trace has a table of its own with a key that it has not."""
     geometry = data.get("geometry")
-    traces = geometry.get("fracture", ()) if isinstance(geometry, dict) else ()
-    names = (
-        [trace.get("name") for trace in traces if isinstance(trace, dict)] if isinstance(traces, list | tuple) else []
-    )
+    traces = geometry.get("fracture") if isinstance(geometry, dict) else None
+    drawn = traces if isinstance(traces, list | tuple) else ()
+    names = [trace.get("name") for trace in drawn if isinstance(trace, dict)]
     own = [tables.get(name) for name in names if isinstance(name, str)]
     more = [set(table) - set(default) for table in own if isinstance(table, dict)]
     return bool(names) and len(more) == len(names) and bool(set.intersection(*more))
@@ -308,36 +272,29 @@ def _is_spare(data: dict[str, Any], tables: dict[str, Any], default: dict[str, A
 class Accuracy(Table):
     """[accuracy] How accurate results are to be, when an iteration has converged, and when it is given up."""
 
-    residual: Fraction = Field(
-        default=1e-11, description="largest residual relative to what drives it (default test) [1]"
-    )
-    out_of_balance: Annotated[float, Quantity(LINE_FORCE, above=0.0)] | None = Field(
-        default=None,
-        description="epsilon_S of (4.9a), absolute, per unit thickness [force/length]; without it the residuals decide",
-    )
-    displacement: Fraction = Field(default=1e-12, description="relative change of displacement of (4.9b) [1]")
-    pressure: Fraction = Field(default=1e-10, description="epsilon_F of the fixed point (4.5), relative [1]")
-    digits: Annotated[int, Field(strict=True, ge=0, le=15)] = Field(
-        default=6,
-        description="digits that round-off must leave of the joint tractions, and of what wells with a pressure draw, or the"
-        " run stops; 0 lets it go on [1]",
-    )
-    max_iterations: Count = Field(default=50, description="Newton iterations of a step before it is halved or given up")
-    max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] = Field(
-        default=6, description="times that a step which does not converge is halved before the run stops"
-    )
-    tolerance: Fraction | None = Field(
-        default=None,
-        description="error of results that time steps may make in a stage, over the largest change: steps are cut in substeps"
-        " whose estimated errors add up to no more; with inertia of displacements, without it of the volume stored in"
-        " fractures; if not given, every step is of length time_step [1]",
-    )
-    step_error: Fraction | None = Field(
-        default=None,
-        description="largest error of displacement that a step may add, over the largest displacement so far: longer steps are"
-        " halved, at most max_halvings times; takes the place of tolerance [1]",
-    )
-    max_events: Annotated[int, Field(strict=True, ge=0)] = Field(
-        default=20, description="events of joints in a step that parts of it end at; later ones are taken as they fall"
-    )
-    max_cycles: Count = Field(default=50, description="cycles of the fixed point (4.5) before it is given up")
+    residual: Fraction = 1e-11
+    """largest residual relative to what drives it (default test) [1]"""
+    out_of_balance: Annotated[float, Quantity(LINE_FORCE, above=0.0)] | None = None
+    """epsilon_S of (4.9a), absolute, per unit thickness [force/length]; without it the residuals decide"""
+    displacement: Fraction = 1e-12
+    """relative change of displacement of (4.9b) [1]"""
+    pressure: Fraction = 1e-10
+    """epsilon_F of the fixed point (4.5), relative [1]"""
+    digits: Annotated[int, Field(strict=True, ge=0, le=15)] = 6
+    """digits that round-off must leave of the joint tractions, and of what wells with a pressure draw, or the run
+    stops; 0 lets it go on [1]"""
+    max_iterations: Count = 50
+    """Newton iterations of a step before it is halved or given up"""
+    max_halvings: Annotated[int, Field(strict=True, ge=0, le=30)] = 6
+    """times that a step which does not converge is halved before the run stops"""
+    tolerance: Fraction | None = None
+    """error of results that time steps may make in a stage, over the largest change: steps are cut in substeps whose
+    estimated errors add up to no more; with inertia of displacements, without it of the volume stored in fractures; if
+    not given, every step is of length time_step [1]"""
+    step_error: Fraction | None = None
+    """largest error of displacement that a step may add, over the largest displacement so far: longer steps are halved,
+    at most max_halvings times; takes the place of tolerance [1]"""
+    max_events: Annotated[int, Field(strict=True, ge=0)] = 20
+    """events of joints in a step that parts of it end at; later ones are taken as they fall"""
+    max_cycles: Count = 50
+    """cycles of the fixed point (4.5) before it is given up"""

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
-from pydantic_core import CoreSchema, core_schema
+from pydantic import ValidationInfo
 
-from fracflow.scene.units import LENGTH, TIME, Quantity, fault, number_schema
+from fracflow.scene.units import LENGTH, TIME, Annotation, Quantity, fault, number_schema
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +32,10 @@ class Profile:
     def __call__(self, along: Floats) -> Floats:
         """Sample at distances (n,) from the start of the trace."""
         return np.asarray(np.interp(along, self.along, self.values), dtype=float)
+
+    def plain(self) -> dict[str, Any]:
+        """The profile as a scene file has it."""
+        return {"along": list(self.along), "value": list(self.values)}
 
 
 def sample(value: float | Profile | None, along: Floats) -> Floats:
@@ -65,6 +68,10 @@ class Pressures:
         share = min(max((time - self.times[after - 1]) / span, 0.0), 1.0)
         return np.asarray((1.0 - share) * np.interp(along, self.along, self.values[after - 1]) + share * late)
 
+    def plain(self) -> dict[str, Any]:
+        """The pressures as a scene file has them."""
+        return {"along": list(self.along), "time": list(self.times), "value": [list(row) for row in self.values]}
+
     def fastest(self, along: Floats) -> Floats:
         """Largest rate of change, up or down, at distances (n,) [stress/time]."""
         rates = np.zeros(np.shape(along))
@@ -79,18 +86,8 @@ class Pressures:
         return bool(np.any(self.fastest(np.array(self.along)) * time_step > QUICK * spread))
 
 
-def write(value: Any) -> Any:
-    """Turn a value back into what a scene file holds."""
-    if isinstance(value, Profile):
-        return {"along": list(value.along), "value": list(value.values)}
-    if isinstance(value, Pressures):
-        rows = [list(row) for row in value.values]
-        return {"along": list(value.along), "time": list(value.times), "value": rows}
-    return value
-
-
 @dataclass(frozen=True)
-class Along:
+class Along(Annotation):
     """Annotation of a value that may change along a fracture; ``quantity`` is what each value must be."""
 
     quantity: Quantity
@@ -104,18 +101,14 @@ class Along:
         along, values = _columns(value, ("along", "value"), info)
         return Profile(along, tuple(self.quantity.read(each, info) for each in values))
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Let pydantic read the value with ``read``."""
-        return _schema(self)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         columns = {"type": "object", "required": ["along", "value"], "additionalProperties": False}
         return {"anyOf": [number_schema(self.quantity.dimension), columns]}
 
 
 @dataclass(frozen=True)
-class AlongInTime:
+class AlongInTime(Annotation):
     """Annotation of a pressure along a fracture and in time."""
 
     dimension: str
@@ -142,18 +135,9 @@ class AlongInTime:
             raise fault("value must have a row for each time, and in it a pressure for each distance")
         return Pressures(along, times, tuple(tuple(quantity.read(each, info) for each in row) for row in rows))
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Let pydantic read the value with ``read``."""
-        return _schema(self)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         return {"anyOf": [number_schema(self.dimension), {"type": "array"}, {"type": "object"}]}
-
-
-def _schema(annotation: Along | AlongInTime) -> CoreSchema:
-    writer = core_schema.plain_serializer_function_ser_schema(write)
-    return core_schema.with_info_plain_validator_function(annotation.read, serialization=writer)
 
 
 def _columns(table: dict[str, Any], keys: tuple[str, str], info: ValidationInfo) -> tuple[tuple[float, ...], list[Any]]:

@@ -24,9 +24,8 @@ def with_new_keys(data: Mapping[str, Any], source: str) -> tuple[dict[str, Any],
         if not isinstance(keys, dict) or old not in keys:
             continue
         if new in keys:
-            raise InputError(
-                f"{source}: {table}.{old}: {table}.{new} is its new name and stands there too; keep that one"
-            )
+            why = f"{table}.{new} is its new name and stands there too; keep that one"
+            raise InputError(f"{source}: {table}.{old}: {why}")
         found[table] = {new if key == old else key: value for key, value in keys.items()}
         notes.append(_notice(table, old, new))
     return found, tuple(notes)

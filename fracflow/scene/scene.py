@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import (
-    ValidationError,
-    model_validator,
-)
+from pydantic import ValidationError, model_validator
 
 from fracflow._version import __version__
 from fracflow.errors import InputError
-from fracflow.scene.absorbing import Absorbing
 from fracflow.scene.checks import check_mesh_names, contradictions
 from fracflow.scene.geometry import with_traces
 from fracflow.scene.messages import one_line
 from fracflow.scene.renamed import with_new_keys, with_new_path
+from fracflow.scene.tables import Tables
 from fracflow.scene.toml import override, read_toml, write_toml, write_value
 from fracflow.scene.units import UnitSystem, fault
-
-__all__ = ["Absorbing", "Scene", "load"]
-from fracflow.scene.tables import Tables
 
 BEFORE_TRACES = ("geometry.fractures_csv", "units")  # settings that say how the table of traces is read
 
@@ -61,15 +55,7 @@ class Scene(Tables):
         scene._file, scene._notes = file.absolute(), notes
         return scene
 
-    def check_mesh_names(
-        self,
-        rocks: Collection[str],
-        fractures: Collection[str],
-        sides: Collection[str],
-        points: Collection[str],
-    ) -> None:
-        """Compare the names the scene uses with those of its mesh; raises InputError."""
-        check_mesh_names(self, rocks, fractures, sides, points)
+    check_mesh_names = check_mesh_names
 
     def dump_toml(self, to: Path | None = None) -> str:
         """Write the scene with all defaults; file names relative to the folder ``to`` where that is given."""

@@ -7,17 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import (
-    BaseModel,
-    Field,
-    PrivateAttr,
-    model_validator,
-)
+from pydantic import BaseModel, Field, PrivateAttr, model_validator
 from typing_extensions import Self
 
 from fracflow._version import __version__
 from fracflow.errors import InputError
-from fracflow.scene.absorbing import Absorbing
 from fracflow.scene.boundary import Control, Load, Probe, Stage, Support, Tie, Well
 from fracflow.scene.materials import BodyForce, Fluid, Fracture, Initial, InitialStress, Rock
 from fracflow.scene.messages import nearest
@@ -32,7 +26,7 @@ from fracflow.scene.method import (
     with_default_fracture,
     with_preset,
 )
-from fracflow.scene.terms import TablesOfLaws, TermTable
+from fracflow.scene.terms import Absorbing, TablesOfLaws, TermTable
 from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import UnitSystem
 
@@ -40,43 +34,55 @@ from fracflow.scene.units import UnitSystem
 class Tables(TablesOfLaws):
     """All tables of a scene, each by itself valid."""
 
-    version: str = Field(default=__version__, description="version of fracflow that wrote the file")
-    title: Line = Field(default="", description="one line for reports")
-    units: str = Field(
-        default="SI",
-        description='units of plain numbers: "SI", LENGTH-FORCE-TIME such as "ft-lbf-s", or "none"',
-    )
-    model: Literal["default", "report", "full"] = Field(
-        default="default",
-        description="report: the choices of the 1976 report; full: the plan leaves nothing out",
-    )
-    method: Method = Field(default_factory=Method, description="how the equations are discretised and solved")
-    petsc: dict[str, Option] = Field(
-        default_factory=dict,
-        description="PETSc options, without the leading dash: methods, tolerances, limits; others at the command line after --",
-    )
-    accuracy: Accuracy = Field(
-        default_factory=Accuracy, description="how accurate results are to be; when iterations have converged"
-    )
-    output: Output = Field(default_factory=Output, description="what a run writes")
-    geometry: Geometry | None = Field(default=None, description="domain and fracture traces; or give mesh")
-    mesh: Mesh | None = Field(default=None, description="Gmsh geometry or mesh; or give geometry")
-    rock: dict[str, Rock] = Field(default_factory=dict, description="rocks by name")
-    initial_stress: InitialStress | None = Field(default=None, description="stress before the first step")
-    body_force: BodyForce | None = Field(default=None, description="forces on the volume of the rock")
-    initial: Initial | None = Field(default=None, description="a start away from the initial equilibrium")
-    fracture: dict[str, Fracture] = Field(
-        default_factory=dict, description='fractures by name; "default" serves those without a table'
-    )
-    fluid: Fluid | None = Field(default=None, description="the fluid in the fractures; without it no flow is modelled")
-    support: tuple[Support, ...] = Field(default=(), description="what is held or moved")
-    load: tuple[Load, ...] = Field(default=(), description="tractions on sides")
-    tie: tuple[Tie, ...] = Field(default=(), description="sides that move as one, or as each other")
-    absorbing: tuple[Absorbing, ...] = Field(default=(), description="sides that waves leave through")
-    well: tuple[Well, ...] = Field(default=(), description="where fluid is pumped, or its pressure kept")
-    control: dict[str, Control] = Field(default_factory=dict, description="factors that wells and loads share")
-    probe: tuple[Probe, ...] = Field(default=(), description="places whose history is written")
-    stage: tuple[Stage, ...] = Field(default=(), description="the parts of the run, one after another")
+    version: str = __version__
+    """version of fracflow that wrote the file"""
+    title: Line = ""
+    """one line for reports"""
+    units: str = "SI"
+    """units of plain numbers: "SI", LENGTH-FORCE-TIME such as "ft-lbf-s", or "none"
+    """
+    model: Literal["default", "report", "full"] = "default"
+    """report: the choices of the 1976 report; full: the plan leaves nothing out"""
+    method: Method = Field(default_factory=Method)
+    """how the equations are discretised and solved"""
+    petsc: dict[str, Option] = Field(default_factory=dict)
+    """PETSc options, without the leading dash: methods, tolerances, limits; others at the command line after --"""
+    accuracy: Accuracy = Field(default_factory=Accuracy)
+    """how accurate results are to be; when iterations have converged"""
+    output: Output = Field(default_factory=Output)
+    """what a run writes"""
+    geometry: Geometry | None = None
+    """domain and fracture traces; or give mesh"""
+    mesh: Mesh | None = None
+    """Gmsh geometry or mesh; or give geometry"""
+    rock: dict[str, Rock] = Field(default_factory=dict)
+    """rocks by name"""
+    initial_stress: InitialStress | None = None
+    """stress before the first step"""
+    body_force: BodyForce | None = None
+    """forces on the volume of the rock"""
+    initial: Initial | None = None
+    """a start away from the initial equilibrium"""
+    fracture: dict[str, Fracture] = Field(default_factory=dict)
+    """fractures by name; "default" serves those without a table"""
+    fluid: Fluid | None = None
+    """the fluid in the fractures; without it no flow is modelled"""
+    support: tuple[Support, ...] = ()
+    """what is held or moved"""
+    load: tuple[Load, ...] = ()
+    """tractions on sides"""
+    tie: tuple[Tie, ...] = ()
+    """sides that move as one, or as each other"""
+    absorbing: tuple[Absorbing, ...] = ()
+    """sides that waves leave through"""
+    well: tuple[Well, ...] = ()
+    """where fluid is pumped, or its pressure kept"""
+    control: dict[str, Control] = Field(default_factory=dict)
+    """factors that wells and loads share"""
+    probe: tuple[Probe, ...] = ()
+    """places whose history is written"""
+    stage: tuple[Stage, ...] = ()
+    """the parts of the run, one after another"""
 
     _file: Path = PrivateAttr(default=Path("scene.toml"))
     _notes: tuple[str, ...] = PrivateAttr(default=())
@@ -150,6 +156,11 @@ class Tables(TablesOfLaws):
         return fluid is not None and 0.0 not in (fluid.viscosity, fluid.specific_weight, fluid.density)
 
     @property
+    def flow_depth(self) -> float:
+        """Depth out of the plane that flow rates refer to [length]; 1 without a fluid."""
+        return self.fluid.flow_depth if self.fluid is not None else 1.0
+
+    @property
     def has_dynamics(self) -> bool:
         """Whether a stage has inertia, or may need it."""
         return any(stage.kind in ("dynamic", "auto") for stage in self.stage)
@@ -163,7 +174,7 @@ class Tables(TablesOfLaws):
     def term_tables(self) -> Mapping[str, tuple[TermTable, ...]]:
         """The same by their keys."""
         given = {key: getattr(self, key) for key in type(self).model_fields}
-        return {key: value for key, value in given.items() if value and _are_terms(value)}
+        return {key: v for key, v in given.items() if isinstance(v, tuple) and v and isinstance(v[0], TermTable)}
 
     @property
     def drained(self) -> frozenset[str]:
@@ -214,10 +225,6 @@ class Tables(TablesOfLaws):
     def is_of(self, fracture: str, table: str) -> bool:
         """Whether [fracture.TABLE] is the table of a fracture: by its name, or as the default one."""
         return table == fracture or (table == "default" and fracture not in self.fracture)
-
-
-def _are_terms(value: Any) -> bool:
-    return isinstance(value, tuple) and isinstance(value[0], TermTable)
 
 
 def _tables(thing: Any) -> Iterator[TimeTable]:

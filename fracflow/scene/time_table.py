@@ -37,6 +37,12 @@ class TimeTable:
         """Make a table that has one value for ever."""
         return TimeTable((0.0,), (value,))
 
+    def plain(self) -> Any:
+        """The table as a scene file has it: one that is constant as a number."""
+        if self == TimeTable.constant(self.values[0]):
+            return self.values[0]
+        return {"time": list(self.times), "value": list(self.values), "interpolation": self.interpolation}
+
     def __call__(self, time: float, around: Around = AT_ONCE) -> float:
         """Sample the table; at a jump, within 1e-12 of its time, by default the mean of both sides."""
         return float(self.around(time, *around)[0])
@@ -127,9 +133,7 @@ class TimeTable:
         """Its integral between two times over the time between them, to round-off; ``begin`` < ``end``."""
         times = np.array(self.times)
         knots = np.concatenate([[begin], np.unique(times[(times > begin) & (times < end)]), [end]])
-        first, last = (
-            self.around(knots[part], *side) for part, side in ((slice(-1), JUST_AFTER), (slice(1, None), JUST_BEFORE))
-        )
+        first, last = self.around(knots[:-1], *JUST_AFTER), self.around(knots[1:], *JUST_BEFORE)
         return float(np.diff(knots) @ (0.5 * (first + last))) / (end - begin)
 
     def bent(self, time: float, before: float, after: float) -> float:

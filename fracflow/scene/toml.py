@@ -88,16 +88,17 @@ def override(data: dict[str, Any], setting: str) -> None:
     if not equals or not keys or not all(keys) or len(keys) > DEEPEST:
         raise InputError(f"--set {_one_line(setting)}: must be path.to.key=value, such as stage.0.time_step=0.1")
     here: Any = data
-    for depth, key in enumerate(keys[:-1]):
-        here = _entry(here, key, ".".join(keys[: depth + 1]), setting)
-    if isinstance(here, list):
-        here[_index(here, keys[-1], path, setting)] = parse_value(text)
-    elif isinstance(here, dict):
-        here[keys[-1]] = parse_value(text)
-    else:
-        raise InputError(
-            f"--set {_one_line(setting)}: {'.'.join(keys[:-1])} is a value, not a table; name a key of a table"
-        )
+    for depth, name in enumerate(keys):
+        key: Any = name
+        if isinstance(here, list):
+            key = _index(here, name, ".".join(keys[: depth + 1]), setting)
+        elif not isinstance(here, dict):
+            where = ".".join(keys[:depth])
+            raise InputError(f"--set {_one_line(setting)}: {where} is a value, not a table; name a key of a table")
+        if depth == len(keys) - 1:
+            here[key] = parse_value(text)
+        else:
+            here = here[key] if isinstance(here, list) else here.setdefault(key, {})
 
 
 def parse_value(text: str) -> Any:
@@ -107,16 +108,6 @@ def parse_value(text: str) -> Any:
     except (ValueError, RecursionError):  # of no TOML, and of a whole number with thousands of digits
         return text.strip()
     return values["value"] if len(values) == 1 and not _is_deeper(values, DEEPEST) else text.strip()
-
-
-def _entry(here: Any, key: str, path: str, setting: str) -> Any:
-    if isinstance(here, list):
-        return here[_index(here, key, path, setting)]
-    if isinstance(here, dict):
-        return here.setdefault(key, {})
-    raise InputError(
-        f"--set {_one_line(setting)}: {path.rpartition('.')[0]} is a value, not a table; name a key of a table"
-    )
 
 
 def _index(entries: list[Any], key: str, path: str, setting: str) -> int:
@@ -166,24 +157,22 @@ def write_key(key: str) -> str:
 def write_toml(data: Mapping[str, Any], path: tuple[str, ...] = ()) -> str:
     """Write tables and arrays of tables under their headings; whatever lies deeper in an array is inline."""
     values = {key: value for key, value in data.items() if not _is_table(value)}
-    lines = [f"{write_key(key)} = {write_value(value)}" for key, value in values.items()]
-    blocks = []
-    if path and (lines or not data):
-        lines.insert(0, f"[{'.'.join(map(write_key, path))}]")
-    if lines:
-        blocks.append("\n".join(lines) + "\n")
+    blocks = [_block(f"[{_dotted(path)}]" if path else "", values)] if values or (path and not data) else []
     for key, value in data.items():
-        heading = (*path, key)
         if isinstance(value, Mapping):
-            blocks.append(write_toml(value, heading))
-        elif _is_table(value):
-            blocks.extend(_array_entry(entry, heading) for entry in value)
+            blocks.append(write_toml(value, (*path, key)))
+        elif key not in values:
+            blocks.extend(_block(f"[[{_dotted((*path, key))}]]", entry) for entry in value)
     return "\n".join(blocks)
 
 
-def _array_entry(entry: Mapping[str, Any], path: tuple[str, ...]) -> str:
-    lines = [f"{write_key(key)} = {write_value(value)}" for key, value in entry.items()]
-    return "\n".join([f"[[{'.'.join(map(write_key, path))}]]", *lines]) + "\n"
+def _block(heading: str, values: Mapping[str, Any]) -> str:
+    lines = [f"{write_key(key)} = {write_value(value)}" for key, value in values.items()]
+    return "\n".join([heading, *lines] if heading else lines) + "\n"
+
+
+def _dotted(path: tuple[str, ...]) -> str:
+    return ".".join(map(write_key, path))
 
 
 def _is_table(value: Any) -> bool:

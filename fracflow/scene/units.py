@@ -176,8 +176,38 @@ def system_of(info: ValidationInfo) -> UnitSystem | None:
     return info.context.get("units") if isinstance(info.context, dict) else None
 
 
+def plain(value: Any) -> Any:
+    """Turn a value back into what a scene file holds; one with a form of its own has a method ``plain``."""
+    if isinstance(value, dict):
+        return {key: plain(part) for key, part in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(part) for part in value]
+    return value.plain() if hasattr(value, "plain") else value
+
+
+class Annotation:
+    """Base of the annotations of scene values: pydantic calls ``read``, writes with ``plain``, documents by ``schema``."""
+
+    def read(self, value: object, info: ValidationInfo) -> Any:
+        """The value that a scene file gives. Raises a fault."""
+        raise NotImplementedError
+
+    def schema(self) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``; the base itself raises NotImplementedError."""
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Let pydantic read the value with ``read``."""
+        writer = core_schema.plain_serializer_function_ser_schema(plain)
+        return core_schema.with_info_plain_validator_function(self.read, serialization=writer)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value for ``fracflow schema``."""
+        return self.schema()
+
+
 @dataclass(frozen=True)
-class Quantity:
+class Quantity(Annotation):
     """Annotation of a scene value: its dimension and the open or closed range it must lie in."""
 
     dimension: str = PLAIN
@@ -217,13 +247,9 @@ class Quantity:
             words = " and ".join(f"{word} {limit:g}" for word, limit, _ in given)
             raise fault(f"out of range; must be {words}")
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Let pydantic read the value with ``read``."""
-        return core_schema.with_info_plain_validator_function(self.read)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        return {**number_schema(self.dimension)}
+        return number_schema(self.dimension)
 
 
 def number_schema(dimension: str) -> dict[str, Any]:

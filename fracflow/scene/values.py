@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic import ValidationInfo
+from pydantic_core import PydanticCustomError
 
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import LENGTH, PLAIN, TIME, Quantity, example, fault, number_schema, system_of, what_fits
+from fracflow.scene.units import (
+    LENGTH,
+    PLAIN,
+    TIME,
+    Annotation,
+    Quantity,
+    example,
+    fault,
+    number_schema,
+    system_of,
+    what_fits,
+)
 
 
 @dataclass(frozen=True)
@@ -20,36 +31,16 @@ class FractureEnd:
     fracture: str
     end: Literal["start", "end"]
 
+    def plain(self) -> dict[str, str]:
+        """The place as a scene file has it."""
+        return asdict(self)
+
 
 Position = tuple[float, float] | str | FractureEnd
 
 
-def plain(value: Any) -> Any:
-    """Turn a value back into what a scene file holds."""
-    if isinstance(value, TimeTable):
-        if value == TimeTable.constant(value.values[0]):
-            return value.values[0]
-        return {"time": list(value.times), "value": list(value.values), "interpolation": value.interpolation}
-    if isinstance(value, FractureEnd):
-        return {"fracture": value.fracture, "end": value.end}
-    if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items()}
-    return [plain(part) for part in value] if isinstance(value, tuple | list) else value
-
-
-class _Annotation:
-    """Base of the annotations of this file: pydantic calls ``read`` and writes with ``plain``."""
-
-    def read(self, value: object, info: ValidationInfo) -> Any:
-        raise NotImplementedError
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        writer = core_schema.plain_serializer_function_ser_schema(plain)
-        return core_schema.with_info_plain_validator_function(self.read, serialization=writer)
-
-
 @dataclass(frozen=True)
-class Tabled(_Annotation):
+class Tabled(Annotation):
     """Annotation of a value that may change in time; ``word`` is a name that may stand in its place."""
 
     dimension: str = PLAIN
@@ -102,11 +93,7 @@ class Tabled(_Annotation):
         return self._table(times, values, interpolation, info)
 
     def _table(
-        self,
-        times: list[Any],
-        values: list[Any],
-        interpolation: Literal["linear", "step"],
-        info: ValidationInfo,
+        self, times: list[Any], values: list[Any], interpolation: Literal["linear", "step"], info: ValidationInfo
     ) -> TimeTable:
         if not times:
             raise fault(f"a time table needs at least one row; {self._fits(info)}")
@@ -130,7 +117,7 @@ class Tabled(_Annotation):
                 raise fault(f"row {len(found) + 1} of the table [[t, v], ...], its {name}: {error}") from None
         return tuple(found)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         columns = {"type": "object", "properties": {"interpolation": {"enum": ["linear", "step"]}}}
         words = [{"const": self.word}] if self.word else []
@@ -138,7 +125,7 @@ class Tabled(_Annotation):
 
 
 @dataclass(frozen=True)
-class TabledVector(_Annotation):
+class TabledVector(Annotation):
     """Annotation of a vector [x, y] of values that may change in time, or one word, if not empty, in its place."""
 
     EXAMPLE: ClassVar[str] = "[[[0, 0], [10, 1]], 0]"
@@ -162,14 +149,14 @@ class TabledVector(_Annotation):
         assert isinstance(x, TimeTable) and isinstance(y, TimeTable)
         return x, y
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         vector = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": self.dimension}
         return {"anyOf": [vector, {"const": self.word}]} if self.word else vector
 
 
 @dataclass(frozen=True)
-class Displaced(_Annotation):
+class Displaced(Annotation):
     """Annotation of prescribed displacements: a table over time for each component that is moved."""
 
     def read(self, value: object, info: ValidationInfo) -> dict[str, TimeTable]:
@@ -183,14 +170,14 @@ class Displaced(_Annotation):
             tables[part] = table
         return tables
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         parts = {"x": {"dimension": LENGTH}, "y": {"dimension": LENGTH}, "rotation": {"dimension": PLAIN}}
         return {"type": "object", "properties": parts, "additionalProperties": False}
 
 
 @dataclass(frozen=True)
-class At(_Annotation):
+class At(Annotation):
     """Annotation of a place: coordinates, a point named in the mesh, or an end of a fracture."""
 
     def read(self, value: object, info: ValidationInfo) -> Position:
@@ -205,7 +192,7 @@ class At(_Annotation):
             return FractureEnd(value["fracture"], value["end"])
         raise fault('must be [x, y], the name of a point, or {fracture = "name", end = "start" or "end"}')
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         point = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": LENGTH}
         ends = {"fracture": {"type": "string"}, "end": {"enum": ["start", "end"]}}
@@ -214,7 +201,7 @@ class At(_Annotation):
 
 
 @dataclass(frozen=True)
-class Domain(_Annotation):
+class Domain(Annotation):
     """Annotation of the outline of the rock: a rectangle or a polygon."""
 
     def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
@@ -228,13 +215,13 @@ class Domain(_Annotation):
             return read_points(value, info)
         raise fault("must be [xmin, ymin, xmax, ymax] or at least three points [x, y]")
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         return {"type": "array", "minItems": 3, "dimension": LENGTH}
 
 
 @dataclass(frozen=True)
-class Polyline(_Annotation):
+class Polyline(Annotation):
     """Annotation of the points of a trace."""
 
     def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
@@ -246,7 +233,7 @@ class Polyline(_Annotation):
             raise fault("two points in a row are the same; remove one")
         return points
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         return {"type": "array", "minItems": 2, "dimension": LENGTH}
 

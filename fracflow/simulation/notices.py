@@ -11,14 +11,14 @@ from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
-from fracflow.model.state import State
+from fracflow.model.state import State, StepReport
 from fracflow.scene.scene import Scene
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
 
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
-TOLD_AGAIN = 0.5  # relative change of the predicted contraction from which on it is reported again
-TOLD_FROM = 0.1  # smaller factors are all the same
+CHANGED = 0.5  # relative change of the predicted contraction from which on it is reported again
+LEAST_FACTOR = 0.1  # smaller factors are all the same
 FOLD = 1.5
 """Largest growth of an aperture by inflow through it, in a step of backward Euler, d - d0 = c d^3. For c d0^2 > 4/27 only the
 stiffness of the walls stops them, at a distant solution; for less there are both solutions."""
@@ -40,59 +40,57 @@ class Notices:
         self._model, self._scene, self._totals, self._log = model, model.scene, totals, log
 
     def of(self, step: Step) -> None:
-        """Look at a step that was put on record. Collective."""
-        self._spurious(step)
-        self._pressure(step)
-        self._widening(step)
-        self._suction(step)
-        self._coupling(step)
+        """Examine a step that was put on record. Collective."""
+        state, report, totals = step.state, step.report, self._totals
+        self._spurious(state.time, spurious_share(state.energy))
+        self._pressure(state.time, state.max_overpressure)
+        self._widening(state.time, report)
+        if self._scene.has_flow and not totals.sucked and (line := suction_line(self._model, state)):
+            totals.sucked = 1  # once: no fluid holds together below zero
+            self._doubt(line)
+        self._coupling(f"stage {self._scene.stage[step.stage].title}", state.time, report)
 
-    def _coupling(self, step: Step) -> None:
+    def _coupling(self, stage: str, now: float, report: StepReport) -> None:
         """A line where the contraction of the fixed point has changed, and where it first failed."""
-        totals, report, scene = self._totals, step.report, self._scene
-        stage = f"stage {scene.stage[step.stage].title}"
+        totals, scene = self._totals, self._scene
         if report.handed_over and not totals.handed_over:
-            self._log(
-                f"{stage}: {report.handed_over}; handed over to the monolithic solver, as are later steps like it"
-            )
+            after = "handed over to the monolithic solver, as are later steps like it"
+            self._log(f"{stage}: {report.handed_over}; {after}")
         totals.handed_over += bool(report.handed_over)
-        told, factor = totals.told_factor, report.predicted
+        last, factor = totals.told_factor, report.predicted
         if np.isnan(factor):
             return
-        if np.isnan(told) or (max(factor, told) >= TOLD_FROM and not abs(factor - told) <= TOLD_AGAIN * told):
+        if np.isnan(last) or (max(factor, last) >= LEAST_FACTOR and not abs(factor - last) <= CHANGED * last):
             totals.told_factor = factor
-            time = f"time {step.state.time:.6g} {scene.unit_system.time}".rstrip()
+            time = f"time {now:.6g} {scene.unit_system.time}".rstrip()
             measured = (
                 f"the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"
                 if np.isfinite(report.measured)
                 else "fewer than two cycles were made, so that none is measured"
             )
-            self._log(
-                f"{stage}, {time}: a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted);"
-                f" {measured}"
-            )
+            plain = f"a plain cycle of the fixed point multiplies the error by {factor:.3g} (predicted)"
+            self._log(f"{stage}, {time}: {plain}; {measured}")
 
-    def _spurious(self, step: Step) -> None:
-        share, totals = spurious_share(step.state.energy), self._totals
+    def _spurious(self, time: float, share: float) -> None:
+        totals = self._totals
         if share > totals.spurious:
             if totals.spurious <= SPURIOUS < share:
                 self._log(
-                    f'time {step.state.time:.6g}: spurious work of method.storage = "{self._scene.method.storage}" is'
+                    f'time {time:.6g}: spurious work of method.storage = "{self._scene.method.storage}" is'
                     f" {share:.1e} of the largest entry of the energy balance, above {SPURIOUS:g}: see energy/spurious;"
                     ' method.storage = "lumped" has none'
                 )
-            totals.spurious, totals.spurious_time = share, step.state.time
+            totals.spurious, totals.spurious_time = share, time
 
-    def _pressure(self, step: Step) -> None:
+    def _pressure(self, time: float, drive: float) -> None:
         """A line, once, where a pressure would strain the rock by over ``STRAINED``: a rate through next to nothing."""
         stiff = [rock.youngs_modulus for rock in self._scene.rock.values() if rock.youngs_modulus is not None]
-        drive, totals, wells = step.state.max_overpressure, self._totals, self._scene.well
-        if totals.strained or not stiff or drive <= STRAINED * min(stiff):
+        if self._totals.strained or not stiff or drive <= STRAINED * min(stiff):
             return
-        totals.strained = 1
-        rates = ", ".join(well.name for well in wells if well.flow_rate is not None)
+        self._totals.strained = 1
+        rates = ", ".join(well.name for well in self._scene.well if well.flow_rate is not None)
         self._doubt(
-            f"time {step.state.time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
+            f"time {time:.6g}: a pressure of {drive:.3g} above that at rest strains rock of E = {min(stiff):.3g} by"
             f" over {STRAINED:g}, where neither strains nor joints are those of the model: later results are meaningless;"
             + (
                 f" give a maximum_pressure to {rates}, or a minimum_hydraulic_aperture to fractures too narrow for its rate"
@@ -101,24 +99,17 @@ class Notices:
             )
         )
 
-    def _widening(self, step: Step) -> None:
+    def _widening(self, time: float, report: StepReport) -> None:
         """A line where an aperture grew in a step by more than can be predicted, and again where by far more."""
-        grown, totals = step.report.widening, self._totals
-        if grown <= WIDENS * totals.widening:
+        grown = report.widening
+        if grown <= WIDENS * self._totals.widening:
             return
-        totals.widening = grown
+        self._totals.widening = grown
         self._doubt(
-            f"time {step.state.time:.6g}: an aperture of {step.report.widest} grew {grown:.3g} times as wide in one step."
+            f"time {time:.6g}: an aperture of {report.widest} grew {grown:.3g} times as wide in one step."
             f" Above {FOLD:g} such a step has two solutions and may be at the wrong one: take smaller time_steps until nothing"
             " changes, or give accuracy.tolerance"
         )
-
-    def _suction(self, step: Step) -> None:
-        """A line, once, where a pressure falls below zero: no fluid holds together there."""
-        if self._totals.sucked or not (line := suction_line(self._model, step.state)):
-            return
-        self._totals.sucked = 1
-        self._doubt(line)
 
     def _doubt(self, line: str) -> None:
         """A line of the log that the end of the run repeats."""

@@ -30,6 +30,7 @@ from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields
 from fracflow.output.profiles import ProfileFile, Timetable, intervals
+from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
@@ -40,6 +41,7 @@ from fracflow.simulation.totals import Totals
 from fracflow.storage.files import read_bytes
 from fracflow.storage.sealed import AGAIN, digest
 
+Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
 EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
 
@@ -54,7 +56,7 @@ class Before:
 
     rows, attrs  of history.h5, up to the checkpoint
     mesh         root of the seal of mesh.h5, empty without one
-    told         lines for the user
+    notes        lines for the user
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, Any]) -> None:
@@ -62,9 +64,9 @@ class Before:
         seals = notes["seals"]
         self.rows, self.attrs = read_rows(folder / "history.h5", notes["totals"]["steps"], seals.get("history", ""))
         self.mesh = mesh_root(folder / "mesh.h5")
-        self.told = [] if seals else [f"{folder}: {UNSEALED}"]
+        self.notes = [] if seals else [f"{folder}: {UNSEALED}"]
         if seals.get("scene", "") not in ("", scene_seal(folder)):
-            self.told.append(f"{folder}: {EDITED}")
+            self.notes.append(f"{folder}: {EDITED}")
 
 
 def scene_seal(folder: Path) -> str:
@@ -78,45 +80,41 @@ KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto":
 class Recorder:
     """Writes the run folder on rank 0; its calls are collective, for they gather."""
 
-    def __init__(
-        self, model: Model, facts: ReductionInput, folder: Path, comm: MPI.Comm, notes: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, model: Model, facts: ReductionInput, folder: Path, comm: MPI.Comm, notes: Notes = None) -> None:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes)
         self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
-        self.saved = self.totals.steps
+        self.saved, self._folder = self.totals.steps, folder
+        self._report_saved: Callable[[int], None] | None = None
         self.profiles = Timetable(**self.totals.profiles)
         self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
-        self._folder, self._tell_saved = folder, None
         self._notices = Notices(model, self.totals, self.log)
         self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
-
-    _tell_saved: Callable[[int], None] | None
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
         if self.files is not None:
             self.files.folder.log(line)
 
-    def tell_saved(self, tell: Callable[[int], None] | None) -> None:
+    def report_saved(self, report: Callable[[int], None] | None) -> None:
         """Report on rank 0 the number of steps before the last state on disk, now and at each later one."""
-        self._tell_saved = tell
-        if tell is not None and self.files is not None and self.saved:
-            tell(self.saved)
+        self._report_saved = report
+        if report is not None and self.files is not None and self.saved:
+            report(self.saved)
 
     def check(self) -> None:
         """Raise DiskError on every rank where rank 0 could not write. Collective."""
         if (found := self.comm.bcast(self.lost, root=0)) is not None:
             raise DiskError(str(found))
 
-    def _write(self, work: Callable[[], None]) -> None:
+    def _write(self, work: Callable[[Files], None]) -> None:
         """Do ``work`` on rank 0, if all before could be written; ranks agree on it in ``check``."""
         if self.files is None or self.lost is not None:
             return
         try:
-            work()
+            work(self.files)
         except OSError as error:
             self.lost = DiskError.of(error, self._folder, self._remedy(error.errno))
 
@@ -124,30 +122,28 @@ class Recorder:
         """Put a state on record. Collective."""
         snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
         if self._goes_on:  # the first step may show that the history was made with another scene
-            on_root(self.comm, lambda: self._write(lambda: self._append(step, snapshot)))
-            self._goes_on = False
+            on_root(self.comm, lambda: self._write(lambda files: self._append(files, step, snapshot)))
         else:
-            self._write(lambda: self._append(step, snapshot))
+            self._write(lambda files: self._append(files, step, snapshot))
+        self._goes_on = False
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self._profile(step)
         self.totals.add(step.report)
         self._notices.of(step)
 
-    def _append(self, step: Step, snapshot: sampling.Snapshot | None) -> None:
-        if self.files is None or snapshot is None:
-            return
+    def _append(self, files: Files, step: Step, snapshot: sampling.Snapshot | None) -> None:
+        assert snapshot is not None
         if snapshot.margin < self.totals.narrowest:
             self.totals.narrowest, self.totals.narrow_time = snapshot.margin, step.state.time
         self.totals.least = max(self.totals.least, snapshot.least[0])
         self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
-        self.files.append(step, snapshot)
+        files.append(step, snapshot)
 
     def _remedy(self, number: int | None) -> str:
         if number in (errno.ENOENT, errno.ESTALE):
-            return (
-                f"{self._folder} is not what it was: if it was moved, resume it where it is; else start the run again"
-            )
+            moved = "if it was moved, resume it where it is; else start the run again"
+            return f"{self._folder} is not what it was: {moved}"
         if self.saved:
             kept = f"the last state on disk is that after {self.saved} steps"
             return f"{kept}: make room, or look at the disk, then go on with: fracflow resume {self._folder}"
@@ -162,8 +158,7 @@ class Recorder:
         is_extra = not self._wants_fields(index)
         if is_extra:
             self._fields(step, index, whole)
-        if (files := self.files) is not None:
-            self._write(lambda: files.drop_extra(index if is_extra else None))
+        self._write(lambda files: files.drop_extra(index if is_extra else None))
 
     def _profile(self, step: Step) -> None:
         """Write the profiles of a state where they are due. Collective."""
@@ -171,9 +166,9 @@ class Recorder:
         if not self.model.operators.blocks.sizes.joints or not self.profiles.is_due(time, kind, self._profiles):
             return
         ends = sampling.all_ends(self.sampler, step.state)
-        if (files := self.files) is not None and ends is not None:
+        if ends is not None:
             values = fracture_fields(self.sampler.fields, ends)
-            self._write(lambda: files.profiles.append(time, self.totals.steps, values))
+            self._write(lambda files: files.profiles.append(time, self.totals.steps, values))
         self.profiles.add(time, kind)
         self.totals.profiles = asdict(self.profiles)
 
@@ -184,9 +179,9 @@ class Recorder:
     def _fields(self, step: Step, index: int, whole: bool = True) -> None:
         ends = sampling.all_ends(self.sampler, step.state)
         motion = sampling.all_motion(self.sampler, step.state) if whole else None
-        if (files := self.files) is not None and ends is not None:
+        if ends is not None:
             values = fracture_fields(self.sampler.fields, ends)
-            self._write(lambda: files.fields(index, step.state, values, motion))
+            self._write(lambda files: files.fields(index, step.state, values, motion))
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
@@ -195,12 +190,18 @@ class Recorder:
         arrays = gather_state(self.model.operators, step.state)
         about = {"totals": asdict(self.totals), "finished": finished, "ranks": self.comm.size}
         if (files := self.files) is not None and arrays is not None:
-            self._write(lambda: files.save(step, arrays, about))
+            self._write(lambda files: files.save(step, arrays, about))
             if self.lost is None:
                 self.saved = self.totals.steps
-                self.tell_saved(self._tell_saved)
+                self.report_saved(self._report_saved)
             elif finished:
-                self._tell_lost(files)
+                self._write_lost(files)
+
+    def log_slip_at_crossings(self) -> None:
+        """Log where fractures that cross hand slip on to each other. Collective."""
+        found = on_root(self.comm, lambda: told_handed(files.events.rows, files.mesh) if (files := self.files) else [])
+        for line in found or ():
+            self.log(line)
 
     def finish(self, seconds: float, status: Status) -> None:
         """Write plan.json, the last lines of the log, and the status of the run."""
@@ -208,13 +209,13 @@ class Recorder:
             self.log(line)
         if (files := self.files) is not None:
             done = factorisations(self.totals.newton, self.totals.factorisations)
-            self._write(lambda: files.write_plan([*files.decisions, done]))
-            self._write(lambda: write_status(files.folder, status))
-            self._tell_lost(files)
+            self._write(lambda files: files.write_plan([*files.decisions, done]))
+            self._write(lambda files: write_status(files.folder, status))
+            self._write_lost(files)
             if files.folder.unlogged:
                 self.totals.doubts.append(f"log.txt: {files.folder.unlogged} lines could not be written")
 
-    def _tell_lost(self, files: Files) -> None:
+    def _write_lost(self, files: Files) -> None:
         if self.lost is not None:
             with suppress(OSError):
                 files.folder.check(is_thorough=True)
@@ -222,13 +223,12 @@ class Recorder:
 
     def end(self) -> None:
         """Close the files that grow with the steps: nothing is recorded afterwards."""
-        if (files := self.files) is not None:
-            self._write(files.end)
+        self._write(Files.end)
 
     def close(self) -> None:
         """Close the files, whatever happened."""
+        self._write(Files.end)
         if (files := self.files) is not None:
-            self._write(files.end)
             for file in (files.history, files.profiles):
                 with suppress(OSError):
                     file.close()
@@ -238,9 +238,7 @@ class Recorder:
 class Files:
     """The open files of a run folder; rank 0 only."""
 
-    def __init__(
-        self, model: Model, facts: ReductionInput, folder: Path, notes: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, model: Model, facts: ReductionInput, folder: Path, notes: Notes = None) -> None:
         """Make the folder and open history, events and fields, or go on with those there. Raises InputError."""
         assert model.mesh is not None
         self.scene, self.mesh, self.placed = model.scene, model.mesh, model.placed
@@ -249,27 +247,17 @@ class Files:
         scene = model.stated.dump_toml(folder.resolve())
         self.folder = RunFolder(folder, resume=notes is not None, scene=scene)
         try:
-            self._open(model, facts, folder, notes, scene, before)
+            self._open(model, facts, notes, scene, before)
         except BaseException:
             self.folder.close()
             raise
 
-    def _open(
-        self,
-        model: Model,
-        facts: ReductionInput,
-        folder: Path,
-        notes: Mapping[str, Any] | None,
-        scene: str,
-        before: Before | None,
-    ) -> None:
+    def _open(self, model: Model, facts: ReductionInput, notes: Notes, scene: str, before: Before | None) -> None:
         write_status(self.folder, Status(RUNNING))
         self.card = pre_run_checks(model.stated, model.stated_mesh, (model.whole or model).placed.wells)
         self.decisions = decide(facts.with_card(self.card))
-        if before is None or not before.mesh:
-            self.mesh_seal = save_mesh(model.stated_mesh, self.folder / "mesh.h5")
-        else:
-            self.mesh_seal = before.mesh
+        known = before.mesh if before is not None else ""
+        self.mesh_seal = known or save_mesh(model.stated_mesh, self.folder / "mesh.h5")
         if notes is None:
             self.folder.write_text("scene.toml", scene)
             self.write_plan(self.decisions)
@@ -283,15 +271,13 @@ class Files:
         noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
         about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
         about |= {"fracflow": __version__, "energy_noise": noise}
-        path = self.folder / "history.h5"
-        old = (before.rows, before.attrs) if before is not None else None
-        self.history = HistoryFile(path, about) if old is None else HistoryFile.after(path, *old)
-        self.profiles = ProfileFile(
-            self.folder.path, 0 if notes is None else notes["totals"].get("profiles", {}).get("rows", 0)
-        )
-        self._tell([self.profiles.lost] if self.profiles.lost else [])
+        file, begun = self.folder / "history.h5", before
+        self.history = HistoryFile.after(file, begun.rows, begun.attrs) if begun else HistoryFile(file, about)
+        written = notes["totals"].get("profiles", {}) if notes is not None else {}
+        self.profiles = ProfileFile(self.folder.path, written.get("rows", 0))
+        self._warn([self.profiles.lost] if self.profiles.lost else [])
         self.scene_seal = scene_seal(self.folder.path)
-        self._tell(before.told if before is not None else [])
+        self._warn(before.notes if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
         points = self.mesh.points[self.mesh.flow_origin[flow]]
         on = {probe.name: probe.on or getattr(probe.at, "fracture", None) for probe in model.scene.probe}
@@ -310,25 +296,22 @@ class Files:
             tangents=self.mesh.points.shape[1] - 1,
         )
         self.chatter = Chatter(self.events.nodes.fracture)
-        with restoring(folder / "checkpoint.h5") if notes is not None else nullcontext():
+        with restoring(self.folder / "checkpoint.h5") if notes is not None else nullcontext():
             self.catalogue = catalogue_of(model.scene, self.mesh, self.inverse, notes)
             if notes is not None:
                 self.events.remember(notes["events"])
         self.count, self.is_ended = len(flow), False
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
-        resumes = notes is not None
-        self.rock = FieldWriter(
-            self.folder.path, "rock", self.mesh.points, self.mesh.cells, {"rocks": list(self.mesh.rocks)}, resumes
-        )
+        resumes, path, names = notes is not None, self.folder.path, {"rocks": list(self.mesh.rocks)}
+        self.rock = FieldWriter(path, "rock", self.mesh.points, self.mesh.cells, names, resumes)
         ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
         lines = np.arange(len(ends)).reshape(-1, 2)
-        self.fractures = FieldWriter(
-            self.folder.path, "fractures", ends, lines, {"fractures": list(self.mesh.fractures)}, resumes
-        )
-        self._tell([*self.rock.left_out, *self.fractures.left_out])
+        names = {"fractures": list(self.mesh.fractures)}
+        self.fractures = FieldWriter(path, "fractures", ends, lines, names, resumes)
+        self._warn([*self.rock.left_out, *self.fractures.left_out])
 
-    def _tell(self, lines: list[str]) -> None:
+    def _warn(self, lines: list[str]) -> None:
         """Lines on a folder whose run is restarted, for log and terminal."""
         for line in lines:
             self.folder.log(f"note: {line}")
@@ -370,16 +353,12 @@ class Files:
 
         # A tip has no jump: what its law does with a stress past its strength is no slip.
         parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
-        sliding, is_open = (
-            parts & sampling.any_at_nodes(snapshot, name, self.inverse, self.count) for name in ("sliding", "open")
-        )
-        if told := self.chatter.update(step.stage, is_open):
-            self.folder.log(
-                f"time {state.time:.6g}: stage {self.scene.stage[step.stage].title}: {told}: {self._advice()}"
-            )
-        slip, rate = (
-            sampling.at_nodes(snapshot, name, self.inverse, self.count) for name in ("plastic_slip", "slip_rate")
-        )
+        to = self.inverse, self.count
+        sliding, is_open = (parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
+        if line := self.chatter.update(step.stage, is_open):
+            stage = self.scene.stage[step.stage].title
+            self.folder.log(f"time {state.time:.6g}: stage {stage}: {line}: {self._advice()}")
+        slip, rate = (sampling.at_nodes(snapshot, name, *to) for name in ("plastic_slip", "slip_rate"))
         self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:
             moves = step.regime == "dynamic" or (self.catalogue.is_moving and step.dt == 0.0)  # a step at rest ends it

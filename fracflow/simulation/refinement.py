@@ -59,9 +59,8 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
     Those of an earlier family of the same scene are gone on with. Raises InputError, on every rank.
     """
     if scene.refine + count - 1 > MOST_REFINED:
-        raise InputError(
-            f"{scene.source}: refine = {scene.refine}: with {count} levels cells are cut more than {MOST_REFINED} times"
-        )
+        most = f"with {count} levels cells are cut more than {MOST_REFINED} times"
+        raise InputError(f"{scene.source}: refine = {scene.refine}: {most}")
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
     ties = not why_none(ReductionInput(scene, unknowns=LEAST))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import signal
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 from fracflow._petsc import MPI
 from fracflow._version import __version__
@@ -25,19 +29,71 @@ from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
-from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.reduction.apply import planned
-from fracflow.reduction.locked_mesh import watch_tied
+from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.notices import watches_spurious
 from fracflow.simulation.recorder import Recorder
-from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
 from fracflow.solve.options import is_large, set_defaults
 from fracflow.storage.sealed import AGAIN
+
+
+class RunRequest(IntEnum):
+    """A request to be met at the end of a step."""
+
+    GO_ON = 0
+    SAVE = 1
+    STOP = 2
+
+
+SIGNALS = dict.fromkeys((signal.SIGUSR2, signal.SIGTERM, signal.SIGINT), RunRequest.STOP)
+SIGNALS[signal.SIGUSR1] = RunRequest.SAVE
+
+
+class SignalWatch:
+    """Takes signals while a run is under way: USR1 saves, USR2, TERM and INT save and stop; a second one stops at once.
+
+    every    save every so many steps, 0 for never
+    seconds  save when so long has passed since the last time
+    """
+
+    def __init__(self, comm: MPI.Comm, every: int, seconds: float) -> None:
+        self.comm, self.every, self.seconds = comm, every, seconds
+        self._asked, self._saved = RunRequest.GO_ON, clock.monotonic()
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> SignalWatch:
+        try:
+            self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        except ValueError:  # not in the main thread: whoever calls keeps the signals
+            self._before = {}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._asked = max(self._asked, SIGNALS[signal.Signals(number)])
+        if self._asked is RunRequest.STOP:
+            for each, handler in self._before.items():
+                signal.signal(each, handler)
+
+    def request(self, steps: int, must_stop: bool = False) -> RunRequest:
+        """The request that all ranks agree on after so many steps; one rank that must stop stops all. Collective."""
+        here = RunRequest.STOP if must_stop else self._asked
+        is_late = self.comm.rank == 0 and clock.monotonic() - self._saved >= self.seconds
+        if is_late or (self.every and steps % self.every == 0):
+            here = max(here, RunRequest.SAVE)
+        agreed = RunRequest(self.comm.allreduce(int(here), op=MPI.MAX))
+        if agreed is not RunRequest.GO_ON:
+            self._asked, self._saved = RunRequest.GO_ON, clock.monotonic()
+        return agreed
+
 
 OnStep = Callable[[Step], None]
 Show = Callable[[list[Number]], None]
@@ -105,16 +161,16 @@ def _begun(
     if show is not None and recorder.files is not None:
         show(recorder.files.card)
     whole = model.whole or model
-    told = whole.mesh.notes if whole.mesh is not None else ()
+    notes = whole.mesh.notes if whole.mesh is not None else ()
     if say is not None:
-        for line in (*near_ones(told), *whole.placed.apart):
+        for line in (*near_ones(notes), *whole.placed.apart):
             say(line)
     sizes = model.operators.blocks.sizes
     recorder.log(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in (*told, *whole.placed.notes):
+    for line in (*notes, *whole.placed.notes):
         recorder.log(line)
     if watches_spurious(scene):
         recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
@@ -153,9 +209,8 @@ def resume(
             state = restore_state(model.operators, arrays, notes)
         step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
         recorder = Recorder(model, facts, folder, comm, notes)
-        recorder.log(
-            f"resumed after {recorder.totals.steps} steps, at time {step.state.time:.6g}, on {comm.size} ranks"
-        )
+        done = recorder.totals.steps
+        recorder.log(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks")
         undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began)
     else:
         # the folder alone suffices: the mesh file may have moved or changed
@@ -179,9 +234,8 @@ def has_checkpoint(folder: Path) -> bool:
     if (folder / "checkpoint.h5").exists():
         return True
     if (folder / "history.h5").exists() and len(read_history(folder / "history.h5").get("time", ())) > 1:
-        raise InputError(
-            f"{folder / 'checkpoint.h5'}: no such file, although history.h5 has steps; put it back, or {AGAIN}"
-        )
+        lost = folder / "checkpoint.h5"
+        raise InputError(f"{lost}: no such file, although history.h5 has steps; put it back, or {AGAIN}")
     return False
 
 
@@ -212,14 +266,14 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model, recorder.log)
-    recorder.tell_saved(getattr(progress, "saved", None))
+    recorder.report_saved(getattr(progress, "saved", None))
     try:
         recorder.check()
         step, failure = _steps(stepping, recorder, step, progress)
         recorder.end()
-        for line in on_root(recorder.comm, lambda: _handed(recorder)) or ():
-            recorder.log(line)
-        recorder.finish(clock.perf_counter() - begun.clock, _status(failure))
+        recorder.log_slip_at_crossings()
+        word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
+        recorder.finish(clock.perf_counter() - begun.clock, Status(word, str(failure or "")))
         if failure is None:  # last of all: after a kill before it the run can be resumed
             recorder.save(step, finished=True)
         recorder.check()
@@ -230,16 +284,6 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
     if failure is not None:
         raise failure
     return recorder.totals
-
-
-def _handed(recorder: Recorder) -> list[str]:
-    assert recorder.files is not None
-    return told_handed(recorder.files.events.rows, recorder.files.mesh)
-
-
-def _status(failure: SolveError | Interrupted | DiskError | None) -> Status:
-    word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
-    return Status(word, str(failure or ""))
 
 
 def is_moving(scene: Scene, step: Step) -> bool:
@@ -254,7 +298,7 @@ def _steps(
     """Make and record all remaining steps; return the last one, and the cause of an early end. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
-    going_on, tell_trial = step.progress or {}, getattr(progress, "trial", None)
+    going_on, report_trial = step.progress or {}, getattr(progress, "trial", None)
     with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
@@ -269,43 +313,41 @@ def _steps(
                 try:
                     for made in steps(stepping, state, number, recorder.log, going_on):
                         if made.trial is not None:
-                            if tell_trial is not None:
-                                tell_trial(made.trial.time, made.trial.length, made.trial.why)
+                            if report_trial is not None:
+                                report_trial(made.trial.time, made.trial.length, made.trial.why)
                             continue
                         step = made
                         recorder.record(step)
-                        watch_tied(stepping.model, step.state)
+                        watch_locked(stepping.model, step.state)
                         if progress is not None:
                             progress(step)
                         state.destroy()
                         state = step.state
-                        wish = watch.request(recorder.totals.steps, must_stop=recorder.lost is not None)
-                        if wish is RunRequest.STOP:
+                        asked = watch.request(recorder.totals.steps, must_stop=recorder.lost is not None)
+                        if asked is RunRequest.STOP:
                             recorder.check()
-                        if wish is not RunRequest.GO_ON:
+                        if asked is not RunRequest.GO_ON:
                             recorder.save(step)
-                            recorder.last(step, whole=wish is RunRequest.STOP)
-                        if wish is RunRequest.STOP:
-                            failure = Interrupted(
-                                f"stopped at time {state.time:.6g}, after {recorder.totals.steps} steps"
-                            )
-                            raise failure
+                            recorder.last(step, whole=asked is RunRequest.STOP)
+                        if asked is RunRequest.STOP:
+                            done = f"after {recorder.totals.steps} steps"
+                            raise Interrupted(f"stopped at time {state.time:.6g}, {done}")
                 except LimitPoint as limit:
                     if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
                         raise
                     recorder.totals.give_up(limit)
-                    recorder.log(
-                        f"stage {stage.title}: {limit.told}; handed over to stage {scene.stage[number + 1].title}"
-                    )
+                    after = f"handed over to stage {scene.stage[number + 1].title}"
+                    recorder.log(f"stage {stage.title}: {limit.message}; {after}")
                 going_on = {}
         except ReductionInvalid:
             for each in {id(state): state, id(step.state): step.state}.values():
                 each.destroy()
             raise
         except (SolveError, Interrupted, DiskError) as error:  # raised on every rank: what follows stays collective
+            failure = error
             if isinstance(error, SolveError):
                 recorder.totals.give_up(error)
-            failure = of_stage(stage, error) if isinstance(error, SolveError) else error
+                failure = of_stage(stage, error)
             recorder.log(f"stopped: {failure}")
     if not isinstance(failure, Interrupted):
         step = replace(step, state=state)

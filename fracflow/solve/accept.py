@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def start_again(problem: StepProblem) -> None:
     """Put the trial back to where the step starts. Collective."""
     problem.state.pressure.copy(problem.pressure)
     problem.move(np.zeros(problem.operators.layout.solid_count))
-    problem.branch = problem.state.sections.history
+    problem.trial_status = problem.state.sections.history
 
 
 def without_suction(problem: StepProblem) -> bool:
@@ -49,43 +50,24 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     forces = problem.forces(motion)
     given = problem.loads.given_pressures
     power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
-    return State(
-        problem.time,
-        motion,
-        problem.pressure.copy(),
-        problem.sections,
-        forces,
-        dict(problem.controls),
-        energy,
-        uptake=problem.uptake(),
-        max_overpressure=max(
-            problem.state.max_overpressure, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX)
-        ),
-        max_dissipation=max(problem.state.max_dissipation, power),
-    )
+    pressure, controls = problem.pressure.copy(), dict(problem.controls)
+    new = State(problem.time, motion, pressure, problem.sections, forces, controls, energy, uptake=problem.uptake())
+    drive = max(problem.state.max_overpressure, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX))
+    return replace(new, max_overpressure=drive, max_dissipation=max(problem.state.max_dissipation, power))
 
 
 def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepReport:
     """Report of a step that one solve by Newton's method made."""
-    return StepReport(
-        report.newton,
-        report.krylov,
-        cycles,
-        report.fills,
-        residual.solid,
-        residual.flow,
-        report.out_of_balance,
-        round_off=residual.round_off,
-    )
+    spent, left = (report.newton, report.krylov, cycles, report.fills), (residual.solid, residual.flow)
+    return StepReport(*spent, *left, report.out_of_balance, round_off=residual.round_off)
 
 
-def remember(operators: Operators, old: State, new: State, dt: float) -> PreviousStep:
-    """The mean velocity of the step between two states, and the mean rate at which compression took up fluid."""
+def remember(operators: Operators, old: State, new: State, dt: float, through: Mapping[str, float]) -> PreviousStep:
+    """The step between two states as the next one uses it; mean flow rates ``through`` wells that have limits."""
     velocity = new.motion.displacement.duplicate()
     before, after = old.motion.displacement.getArray(readonly=True), new.motion.displacement.getArray(readonly=True)
     velocity.setArray((after - before) / dt)
-    if new.uptake is None:
-        return PreviousStep(dt, velocity)
-    taken = taken_between(operators, old, new)
-    taken.scale(1.0 / dt)
-    return PreviousStep(dt, velocity, taken)
+    taken = None if new.uptake is None else taken_between(operators, old, new)
+    if taken is not None:
+        taken.scale(1.0 / dt)
+    return PreviousStep(dt, velocity, taken, through)

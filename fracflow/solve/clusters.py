@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.facets import components
 from fracflow.model.joints import Joints
 from fracflow.model.layout import local_rows
 
@@ -75,8 +74,7 @@ def find_clusters(joints: Joints, inverse: PETSc.Mat, comm: MPI.Comm) -> Cluster
     coupling = reached.matMult(turned)
     rows, dim, size = local_rows(coupling), joints.dim, comm.size
     first = coupling.getOwnershipRange()[0]
-    for matrix in (turned, reached, coupling):
-        matrix.destroy()
+    destroy(turned, reached, coupling)
     largest = comm.allreduce(float(np.abs(rows.values).max(initial=0.0)), op=MPI.MAX)
     kept = np.abs(rows.values) > COUPLES * largest
     row, col, value = rows.rows[kept] + first, rows.cols[kept], rows.values[kept]
@@ -99,8 +97,7 @@ def _labels(row: Ints, col: Ints, count: int, comm: MPI.Comm) -> Ints:
     """The cluster (count,) of each section of all ranks."""
     pairs = np.unique(row * max(count, 1) + col)
     links = np.concatenate(comm.allgather(pairs))
-    graph = sparse.coo_matrix((np.ones(len(links)), (links // max(count, 1), links % max(count, 1))), (count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    return components(links // max(count, 1), links % max(count, 1), count)
 
 
 def _batches(solved: Ints, label: Ints, row: Ints, col: Ints, value: Floats, dim: int) -> list[Batch]:
@@ -118,10 +115,7 @@ def _batches(solved: Ints, label: Ints, row: Ints, col: Ints, value: Floats, dim
         inside = number[cluster[here]] >= 0
         matrix = np.zeros((len(members), size * dim, size * dim))
         one, other = here[inside], there[inside]
-        matrix[
-            number[cluster[one]],
-            place[one] * dim + row[inside] % dim,
-            place[other] * dim + col[inside] % dim,
-        ] = value[inside]
+        at = number[cluster[one]], place[one] * dim + row[inside] % dim, place[other] * dim + col[inside] % dim
+        matrix[at] = value[inside]
         batches.append(Batch(members, matrix))
     return batches

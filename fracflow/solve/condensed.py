@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import InputError, NotConverged
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats, Ints
@@ -70,8 +70,7 @@ class CondensedRock:
         local[self.held] = 0.0
         self.solver.solve(right, found)
         result: Floats = found.getArray()[: layout.solid_count] * scales.displacement
-        right.destroy()
-        found.destroy()
+        destroy(right, found)
         if self.solver.getConvergedReason() < 0:
             raise NotConverged("no solution of the rock with elastic joints")
         return result
@@ -82,14 +81,14 @@ class CondensedRock:
         turned = jump.transpose(PETSc.Mat())
         rows = local_rows(turned)
         turned.destroy()
-        free = ~np.isin(rows.rows, self.held)
+        moves = ~np.isin(rows.rows, self.held)
         count, parts = jump.getSize()[0], []
         right = _dense(layout.solid_count + layout.flow_count, layout.total, layout.comm)
         found = _dense(layout.solid_count + layout.flow_count, layout.total, layout.comm)
         rock = _dense(layout.solid_count, int(layout.solid_starts[-1]), layout.comm)
         factors = self.solver.getPC().getFactorMatrix()
         for first in range(0, count, BLOCK):
-            here = free & (rows.cols >= first) & (rows.cols < first + BLOCK)
+            here = moves & (rows.cols >= first) & (rows.cols < first + BLOCK)
             local = right.getDenseArray()
             local[:] = 0.0
             local[rows.rows[here], rows.cols[here] - first] = rows.values[here]
@@ -100,15 +99,13 @@ class CondensedRock:
             strains = jump.matMult(rock)
             parts.append(strains.getDenseArray()[:, : count - first].copy())
             strains.destroy()
-        for matrix in (right, found, rock):
-            matrix.destroy()
+        destroy(right, found, rock)
         gathered = layout.comm.gather(np.hstack(parts), root=0)
         return None if gathered is None else np.vstack(gathered) * (scales.displacement / scales.force)
 
     def destroy(self) -> None:
         """Free the factors. Collective."""
-        self.solver.destroy()
-        self.matrix.destroy()
+        destroy(self.solver, self.matrix)
 
 
 def _dense(here: int, total: int, comm: MPI.Comm) -> PETSc.Mat:
@@ -146,8 +143,7 @@ class CondensedFlow(FlowOnJoints):
         squeezed = result.duplicate()
         network.storage_coupling.multTranspose(speed, squeezed)
         result.axpy(-1.0, squeezed)
-        speed.destroy()
-        squeezed.destroy()
+        destroy(speed, squeezed)
         return result
 
 
@@ -237,7 +233,7 @@ class Condensed:
         except NotConverged:
             given_up = "no balance to all digits on the fractures alone"
             problem.pressure.setArray(start[1])
-            problem.branch = problem.state.sections.history
+            problem.trial_status = problem.state.sections.history
             problem.move(start[0])
         report = self.full.solve(problem)
         newton, factors = report.newton + done[0], report.factorisations + int(is_new and key in self._kept)
@@ -278,18 +274,18 @@ class Condensed:
         problem.evaluate()
         if max(_largest(problem), problem.residual.carried) <= least:  # sections at rest stay so to the last digit
             return 0, 0
-        force, free = problem.load.duplicate(), problem.load.duplicate()
+        force, unforced = problem.load.duplicate(), problem.load.duplicate()
         try:
             for cycle in range(1, MOST_CYCLES + 1):
                 change = joints.strain(problem.increment)
                 problem.solid_balance.copy(force)
                 joints.force(-sections.pressure_change(problem, change), force)
-                free.setArray(problem.increment.getArray(readonly=True) - rock.solve(force))
-                change, report = sections.solve(problem, joints.strain(free), 1.0, change, least=int(cycle > 1))
+                unforced.setArray(problem.increment.getArray(readonly=True) - rock.solve(force))
+                change, report = sections.solve(problem, joints.strain(unforced), 1.0, change, least=int(cycle > 1))
                 iterations += report.iterations
                 force.set(0.0)
                 joints.force(sections.pressure_change(problem, change), force)
-                problem.move(free.getArray() - rock.solve(force))
+                problem.move(unforced.getArray() - rock.solve(force))
                 problem.evaluate()
                 # also relative to a small flow: its residual times the pressure enters the energy balance
                 beside = problem.residual.carried
@@ -300,14 +296,12 @@ class Condensed:
                         "the flow is too small for the digits of the fractures alone: all unknowns are solved for"
                     )
         finally:
-            force.destroy()
-            free.destroy()
+            destroy(force, unforced)
         return iterations, cycle
 
     def _free(self, key: Key) -> None:
         """Free what is kept for steps of one kind, if anything. Collective."""
-        for each in self._kept.pop(key, ()):
-            each.destroy()
+        destroy(*self._kept.pop(key, ()))
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""

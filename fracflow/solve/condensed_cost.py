@@ -77,9 +77,7 @@ def break_even(unknowns: int, jumps: int, iterations: float = ITERATIONS, ranks:
 Key = tuple[float, float]
 """Shares of mass and damping, by which a time integrator enters the rock's matrix."""
 SMALLEST = 500  # displacements: of fewer a factorisation is the least of a step (report_5_5: 3.4 against 4.1 CPU s)
-CLEARLY = (
-    1.5  # times less work in a step: where the gain is small, each step that is solved again for all unknowns matters
-)
+CLEARLY = 1.5  # times less work in a step: a step that is solved again for all unknowns outweighs a small gain
 AT_LEAST = 2.0  # times the number of steps at which condensing the rock breaks even
 
 
@@ -122,14 +120,9 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
 
 def is_chosen(scene: Scene, unknowns: int, plan: Condensing) -> bool:
     """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays."""
-    return _may_choose(scene, unknowns) and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
-
-
-def _may_choose(scene: Scene, unknowns: int) -> bool:
-    method = scene.method
-    suits = method.newton == "newton" and not any(against_condensing(scene))
-    suits = suits and unknowns >= SMALLEST and not is_large(unknowns)
-    return scene.model == "default" and method.coupling == "auto" and suits
+    allowed = scene.model == "default" and scene.method.coupling == "auto" and scene.method.newton == "newton"
+    suits = allowed and SMALLEST <= unknowns and not is_large(unknowns) and not any(against_condensing(scene))
+    return suits and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
 
 
 def planned(scene: Scene) -> Iterator[tuple[Stage, Alphas, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import SolveError
 from fracflow.integrators.explicit import joint_share, predicted, velocity_after
 from fracflow.mesh.data import Floats
@@ -52,7 +52,7 @@ class ExplicitCoupling:
     does not limit the step. Their D acts on the mean velocity of the step, and does limit it.
 
     critical  the longest stable time step, by the rock and its terms alone [time]
-    told      what the log tells of D
+    notes     lines of the log on D
     """
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
@@ -63,7 +63,7 @@ class ExplicitCoupling:
         self.inverse = inverse_mass(operators, self.held)
         made = {term.name: term.mean_damping() for term in operators.terms}
         self.damping = {name: damping for name, damping in made.items() if damping is not None}
-        self.told = tuple(damping.told for damping in self.damping.values())
+        self.notes = tuple(damping.told for damping in self.damping.values())
         self.critical = longest_step(operators, scene, self.inverse, list(self.damping.values()))
         clusters = find_clusters(operators.joints, self.inverse, operators.layout.comm)
         self.sections = SectionSolver(scene, operators, clusters)
@@ -82,8 +82,8 @@ class ExplicitCoupling:
         force.axpy(-1.0, state.forces.load)
         self.inverse.mult(force, moved)
         problem.move(predicted(old, dt) + joint_share(dt) * moved.getArray())
-        free = joints.strain(problem.increment)
-        _, report = self.sections.solve(problem, free, joint_share(dt))
+        unforced = joints.strain(problem.increment)
+        _, report = self.sections.solve(problem, unforced, joint_share(dt))
         pull = self.sections.total_traction(problem.sections.traction, problem.pressure)
         pulled = self.sections.total_traction(state.sections.traction, state.pressure)
         force.set(0.0)
@@ -91,8 +91,7 @@ class ExplicitCoupling:
         self.inverse.mult(force, moved)
         problem.move(problem.increment.getArray() + joint_share(dt) * moved.getArray())
         problem.accept(problem.sections)
-        force.destroy()
-        moved.destroy()
+        destroy(force, moved)
         problem.end = self._end(problem, old, dt)
         problem.residual = Residual(report.motion, report.flow, 0.0)
         fills = report.iterations if ops.flow is not None else 0
@@ -118,8 +117,7 @@ class ExplicitCoupling:
         support.axpy(-1.0, force)
         term.setArray(speed)
         of_terms, anchor = problem.terms.forces(term), problem.terms.anchor
-        force.destroy()
-        term.destroy()
+        destroy(force, term)
         for each in of_terms.values():
             support.axpy(1.0, each)
         is_held = np.zeros(len(new), dtype=bool)
@@ -153,13 +151,13 @@ class ExplicitCoupling:
 
     def _flow_terms(self, problem: ExplicitProblem) -> tuple[PETSc.Vec, PETSc.Vec]:
         """K_F p, and Q with what prescribed pressures draw in."""
-        network, film = self.operators.flow, self.sections.film
+        network, solver = self.operators.flow, self.sections.film
         conduction, source = self.operators.layout.flow_vector(), problem.source.copy()
-        if network is None or film is None:
+        if network is None or solver is None:
             return conduction, source
         assert problem.conduction is not None
         network.outflow(problem.conduction, conduction)
-        drawn, given = self.operators.layout.flow_vector(), film.given(problem)
+        drawn, given = self.operators.layout.flow_vector(), solver.given(problem)
         network.storage_coupling.multTranspose(problem.increment, drawn)
         drawn.scale(problem.alphas.a1)
         drawn.axpy(1.0, conduction)
@@ -170,11 +168,9 @@ class ExplicitCoupling:
         drawn.axpy(-1.0, given)
         for part in problem.loads.pressures:
             source.getArray()[part.numbers] = drawn.getArray()[part.numbers]
-        drawn.destroy()
-        given.destroy()
+        destroy(drawn, given)
         return conduction, source
 
     def destroy(self) -> None:
         """Free matrices and solver. Collective."""
-        self.sections.destroy()
-        self.inverse.destroy()
+        destroy(self.sections, self.inverse)

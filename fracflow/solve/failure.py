@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.blocks import Blocks
@@ -15,7 +15,7 @@ from fracflow.model.properties import on_joints
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import worst_fracture
 from fracflow.solve.floating import Floating
-from fracflow.solve.linear_check import check_solution, true_residual
+from fracflow.solve.linear import check_solution, true_residual
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import over_ranks
 from fracflow.solve.stiffness import NEWTON_METHODS
@@ -103,14 +103,12 @@ def describe_failure(
     where = "".join(cycling)
     where += f"nothing else holds {_block(loose, _loose(loose)[0])}; " if cycling and loose is not None else ""
     where += f"{weakness} (slipped before: {slipped}); " if slipped else ""
-    why = why if np.isfinite(problem.residual.solid) else WHY["DIVERGED_FNORM_NAN"]
-    residual = problem.residual
-    wanted = (
-        f"relative residual of the solid {residual.solid:.2e}, of the flow {max(residual.flow, residual.at_nodes):.2e}"
-    )
+    in_solid, in_flow = problem.residual.solid, max(problem.residual.flow, problem.residual.at_nodes)
+    why = why if np.isfinite(in_solid) else WHY["DIVERGED_FNORM_NAN"]
+    wanted = f"relative residual of the solid {in_solid:.2e}, of the flow {in_flow:.2e}"
     flow = np.abs(problem.flow_balance.getArray(readonly=True))
     solid = np.abs(problem.solid_balance.getArray(readonly=True))
-    worse = residual.solid > max(residual.flow, residual.at_nodes)
+    worse = in_solid > in_flow
     place = place_of(problem, np.where(worse, solid, 0.0), np.where(worse, 0.0, flow))
     wanted += f", wanted {accuracy.residual:.0e}, worst {place}"
     if why == CIRCLES:
@@ -150,8 +148,7 @@ def place_of(problem: StepProblem, solid: Floats, flow: Floats) -> str:
     sizes.setArray(np.where(np.isinf(solid), 1e300, solid))
     nodal = ops.nodal(sizes)
     at_nodes = np.abs(nodal.getArray()).reshape(-1, ops.blocks.sizes.dim).max(axis=1, initial=0.0)
-    for vector in (sizes, nodal):
-        vector.destroy()
+    destroy(sizes, nodal)
     worst = int(at_nodes.argmax()) if len(at_nodes) else -1
     joints = ops.blocks.joints
     faces = np.any(np.concatenate([joints.bottom, joints.top], axis=1) == worst, axis=1)

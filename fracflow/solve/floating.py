@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fracflow._petsc import PETSc
 from fracflow.elements import facet
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.facets import components
 from fracflow.model.layout import add_blocks, local_rows
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -35,14 +35,8 @@ FIRST = 8  # vectors
 INVERSE_ITERATIONS = 4
 
 
-@dataclass(frozen=True)
-class Rows:
-    """Motions that are resisted: entry (q,) of row (q,), at motion (q,) of the blocks."""
-
-    row: Ints
-    motion: Ints
-    value: Floats
-    count: int
+Rows = tuple[Ints, Floats]
+"""Motions that are resisted, a row each: k motions of blocks (n, k), and by how much each counts (n, k)."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +134,7 @@ class Floating:
         points = len(self.natural)
         firm = carried.reshape(-1, points * 2).all(axis=1) & (points > 1)
         pairs = np.concatenate(comm.allgather(np.unique(self.sides[firm], axis=0)))
-        links = sparse.coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(self.count, self.count))
-        group = connected_components(links, directed=False)[1].astype(np.int64)
+        group = components(pairs[:, 0], pairs[:, 1], self.count)
         groups = int(group.max(initial=-1)) + 1
         blocks, boxes = self.operators.blocks, np.empty((groups, 2, 2))
         boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
@@ -151,8 +144,9 @@ class Floating:
         parts = [_support_rows(blocks, self.loads, frames, group), _tie_rows(blocks, frames, group)]
         parts.append(self._joint_rows(carried & ~np.repeat(firm, points)[:, None], frames, group))
         stiffness = _terms_stiffness(self.operators, frames, group)
-        for rows in parts:
-            matrix = sparse.csr_matrix((rows.value, (rows.row, rows.motion)), shape=(rows.count, 3 * groups))
+        for motion, value in parts:
+            row = np.repeat(np.arange(len(motion)), motion.shape[1])
+            matrix = sparse.csr_matrix((value.ravel(), (row, motion.ravel())), shape=(len(motion), 3 * groups))
             stiffness = stiffness + matrix.T @ matrix
         return self._of_blocks(null_motions(sum(comm.allgather(stiffness))), frames, group)
 
@@ -162,8 +156,7 @@ class Floating:
         direction, place = self.frame[number, component], self.places[section]
         bottom, top = group[self.sides[number]].T
         value = np.concatenate([-frames.moved(bottom, place, direction), frames.moved(top, place, direction)], axis=1)
-        motion = np.concatenate([3 * bottom[:, None] + np.arange(3), 3 * top[:, None] + np.arange(3)], axis=1)
-        return Rows(np.repeat(np.arange(len(section)), 6), motion.ravel(), value.ravel(), len(section))
+        return np.concatenate([_motions_of(bottom), _motions_of(top)], axis=1), value
 
     def _of_blocks(self, motions: Floats, frames: Frames, group: Ints) -> Floats:
         """Motions of groups (3 g, k) as those of their blocks (3 p, k)."""
@@ -218,9 +211,8 @@ def _terms_stiffness(operators: Operators, frames: Frames, group: Ints) -> spars
     terms = [term.stiffness for term in operators.terms if term.stiffness is not None]
     if not terms:
         return total
-    motions = PETSc.Mat().createAIJ(
-        (operators.layout.solid_vector().getSizes(), (None, count)), nnz=3, comm=blocks.comm
-    )
+    unknowns = (operators.layout.solid_count, int(operators.layout.solid_starts[-1]))
+    motions = PETSc.Mat().createAIJ((unknowns, (None, count)), nnz=3, comm=blocks.comm)
     for numbers, motion, value in _moved_unknowns(blocks, frames, group):
         add_blocks(motions, numbers[:, None], motion, value[:, None])
     motions.assemble()
@@ -242,26 +234,25 @@ def _moved_unknowns(blocks: Blocks, frames: Frames, group: Ints) -> Iterator[tup
             value = frames.moved(owner, points, np.broadcast_to(np.eye(2)[axis], (len(owner), 2)))
         else:
             value = np.broadcast_to([0.0, 0.0, 1.0], (len(owner), 3))
-        yield numbers, 3 * owner[:, None] + np.arange(3), value
+        yield numbers, _motions_of(owner), value
+
+
+def _motions_of(groups: Ints) -> Ints:
+    """Numbers (n, 3) of the motions of groups (n,)."""
+    return 3 * groups[:, None] + np.arange(3)
 
 
 def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> Rows:
     """Rows of the motions that supports hold."""
-    start = int(blocks.solid.unknown_starts[blocks.comm.rank])
-    held = loads.held + start
-    motions, values = [np.zeros((0, 3), dtype=np.int64)], [np.zeros((0, 3))]
-    for numbers, moving, by in _moved_unknowns(blocks, frames, group):
-        chosen = np.isin(numbers, held)
-        motions.append(moving[chosen])
-        values.append(by[chosen])
-    motion, value = np.concatenate(motions), np.concatenate(values)
-    return Rows(np.repeat(np.arange(len(motion)), 3), motion.ravel(), value.ravel(), len(motion))
+    number, motion, value = (np.concatenate(each) for each in zip(*_moved_unknowns(blocks, frames, group), strict=True))
+    chosen = np.isin(number, loads.held + int(blocks.solid.unknown_starts[blocks.comm.rank]))
+    return motion[chosen], value[chosen]
 
 
 def _tie_rows(blocks: Blocks, frames: Frames, group: Ints) -> Rows:
     """Rows of the motions that ties hold: nodes that share an unknown move alike. On rank 0; collective."""
     block, comm = blocks.solid, blocks.comm
-    nothing = Rows(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros(0), 0)
+    nothing = np.zeros((0, 6), dtype=np.int64), np.zeros((0, 6))
     if not len(block.unused):
         return nothing
     nodes = np.unique(block.side_facets)
@@ -271,17 +262,13 @@ def _tie_rows(blocks: Blocks, frames: Frames, group: Ints) -> Rows:
         return nothing
     ids, unknown, piece, points = (np.concatenate(each) for each in zip(*parts, strict=True))
     _, once = np.unique(ids, return_index=True)
-    unknown, piece, points = unknown[once], piece[once], points[once]
-    piece = group[piece]
-    rows, motions, values, count = [], [], [], 0
+    unknown, owner, points = unknown[once], group[piece[once]], points[once]
+    motions, values = [], []
     for axis in range(2):
         _, first, member = np.unique(unknown[:, axis], return_index=True, return_inverse=True)
         other = np.flatnonzero(first[member] != np.arange(len(member)))
-        leader = first[member[other]]
-        direction = np.broadcast_to(np.eye(2)[axis], (len(other), 2))
-        for nodes, sign in ((other, 1.0), (leader, -1.0)):
-            rows.append(np.repeat(count + np.arange(len(other)), 3))
-            motions.append((3 * piece[nodes][:, None] + np.arange(3)).ravel())
-            values.append(sign * frames.moved(piece[nodes], points[nodes], direction).ravel())
-        count += len(other)
-    return Rows(np.concatenate(rows), np.concatenate(motions), np.concatenate(values), count)
+        both, direction = (other, first[member[other]]), np.broadcast_to(np.eye(2)[axis], (len(other), 2))
+        motions.append(np.hstack([_motions_of(owner[nodes]) for nodes in both]))
+        there, here = (frames.moved(owner[nodes], points[nodes], direction) for nodes in both)
+        values.append(np.hstack([there, -here]))
+    return np.concatenate(motions), np.concatenate(values)

@@ -63,8 +63,7 @@ def flow_power(
 def _powers(operators: Operators, conduction: Conduction) -> Floats:
     largest = max(operators.layout.comm.allgather(float(np.abs(conduction.pressure).max(initial=0.0))))
     drop = np.abs(conduction.pressure[:, 0] - conduction.pressure[:, 1])
-    powers: Floats = conduction.conductance * np.where(drop > RESOLVED * largest, drop, 0.0) ** 2
-    return powers
+    return conduction.conductance * np.where(drop > RESOLVED * largest, drop, 0.0) ** 2
 
 
 def significant_digits_of_flow(
@@ -74,8 +73,7 @@ def significant_digits_of_flow(
 
     Round-off of the pressures around such a node, times its conductances, is a flow that the node draws. Collective.
     """
-    network, block, comm = operators.flow, operators.blocks.joints, operators.layout.comm
-    assert network is not None
+    network, block, comm = operators.network, operators.blocks.joints, operators.layout.comm
     nodes, at_ends = operators.layout.flow_vector(), round_off_of_pressure(network, conduction)
     nodes.getArray()[given] = 1.0
     lost = network.at_ends(nodes) * at_ends * np.abs(conduction.pressure)
@@ -92,12 +90,10 @@ def significant_digits_of_flow(
         aperture = (12.0 * network.viscosity * float(network.length[worst]) * conductance) ** (1.0 / 3.0)
         return float(values[worst]), block.fractures[block.fracture[worst]], conductance, aperture
 
-    (_, wide, conductance, _), (_, narrow, _, aperture) = (
-        max(comm.allgather(largest(v))) for v in (lost.sum(1), powers)
-    )
-    return SignificantDigitsOfFlow(
-        min(MOST_DIGITS, float(-np.log10(total / power))), wide, conductance, narrow, aperture
-    )
+    found = [max(comm.allgather(largest(values))) for values in (lost.sum(axis=1), powers)]
+    (_, wide, conductance, _), (_, narrow, _, aperture) = found
+    digits = min(MOST_DIGITS, float(-np.log10(total / power)))
+    return SignificantDigitsOfFlow(digits, wide, conductance, narrow, aperture)
 
 
 def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: float) -> np.ndarray:
@@ -105,10 +101,9 @@ def nodes_fed(operators: Operators, conduction: Conduction, loads: Loads, time: 
     layout = operators.layout
     pumped = np.zeros(layout.flow_count, dtype=bool)
     for well in loads.wells:
-        ahead = isinstance(well.value, TimeTable) and np.any(
-            np.array(well.value.values)[np.array(well.value.times) > time]
-        )
-        if ahead or well.value(time) != 0.0:
+        rate = well.value
+        ahead = isinstance(rate, TimeTable) and np.any(np.array(rate.values)[np.array(rate.times) > time])
+        if ahead or rate(time) != 0.0:
             pumped |= well.vector.getArray(readonly=True) != 0.0
     everywhere = np.concatenate(layout.comm.allgather(pumped))
     fed = np.zeros(len(everywhere), dtype=bool)
@@ -142,13 +137,11 @@ def check_digits(problem: StepProblem, new: State, limit: int, tell: Callable[[s
     try:
         refuse_few(found, limit, new.time)
         if problem.conduction is not None and limit > 0:
-            given = problem.loads.given_pressures
-            flow = significant_digits_of_flow(operators, problem.conduction, given, new.max_dissipation)
+            given, power = problem.loads.given_pressures, new.max_dissipation
+            flow = significant_digits_of_flow(operators, problem.conduction, given, power)
             if flow.digits < limit:
                 fed = nodes_fed(operators, problem.conduction, problem.loads, new.time)
-                unfed = significant_digits_of_flow(
-                    operators, problem.conduction, given[~fed[given]], new.max_dissipation
-                )
+                unfed = significant_digits_of_flow(operators, problem.conduction, given[~fed[given]], power)
                 refuse_few_of_flow(unfed, limit, new.time)
                 left = max(flow.digits, 0.0)
                 tell(

@@ -53,7 +53,7 @@ def statuses(problem: StepProblem) -> Statuses:
     """Whether each section (s, 2) of this rank is open, and whether and which way it slides, as signs."""
     found = np.zeros((len(problem.sections.strain), 2), dtype=np.int8)
     found[:, 0] = problem.sections.is_open
-    for group, past in zip(problem.operators.joints.laws, problem.branch, strict=True):
+    for group, past in zip(problem.operators.joints.laws, problem.trial_status, strict=True):
         for name in group.law.status:
             way = past[name] if past[name].ndim > 1 else past[name][:, None]
             found[group.sections, 1] = np.where(way[:, 0] < 0.0, -1, 1) * way.any(axis=1)
@@ -80,7 +80,7 @@ class ActiveSetRounds:
     def __init__(self, problem: StepProblem) -> None:
         """Before the first."""
         self.seen, self.is_lost = StatusHistory(problem.operators.layout.comm), False
-        self._before, self._turned = problem.increment.getArray().copy(), 0
+        self._before, self._turns = problem.increment.getArray().copy(), 0
 
     def change(self, problem: StepProblem, searches: bool) -> Bools:
         """Give the next statuses; return which sections (s,) of this rank have changed. Collective.
@@ -91,10 +91,8 @@ class ActiveSetRounds:
         changed, here = problem.change_statuses(), problem.increment.getArray().copy()
         slides = self.seen.changed[:, 1] & (statuses(problem)[:, 1] != 0)
         if circles and comm.allreduce(bool(slides.any()), op=MPI.LOR):
-            self.is_lost = (
-                not searches or self._turned == MOST_TURNS or not reset_cycling(problem, self._before, slides)
-            )
-            self._turned += 1
+            self.is_lost = not searches or self._turns == MOST_TURNS or not reset_cycling(problem, self._before, slides)
+            self._turns += 1
             if not self.is_lost:
                 self.seen.begin()
         self._before = here

@@ -7,17 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import SolveError, is_alone
+from fracflow.mesh.blocks import petsc_ints
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.joints import entry_sizes
+from fracflow.model.layout import product
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear_check import check_solution
+from fracflow.solve.linear import check_solution
 from fracflow.solve.newton import Newton
+from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 
 
@@ -45,8 +48,7 @@ def starting_pressure(scene: Scene, operators: Operators, loads: Loads, problem:
         raise SolveError(f"time {problem.time:.6g}: no initial pressures: {error}") from error
     finally:
         if not is_alone():
-            newton.destroy()
-            matrix.destroy()
+            destroy(newton, matrix)
 
 
 def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETSc.Vec:
@@ -54,23 +56,20 @@ def starting_rate(operators: Operators, problem: StepProblem, dt: float) -> PETS
 
     Prescribed pressures start at the rate at which they change over ``dt`` [time]; fluid without volume at none. Collective.
     """
-    network, held = operators.flow, problem.conduction.compression if problem.conduction is not None else None
-    assert network is not None and held is not None
+    network, held = operators.network, problem.conduction.compression if problem.conduction is not None else None
+    assert held is not None
     rate, weight, given = (operators.layout.flow_vector() for _ in range(3))
     network.taken_up(held.weight, weight)
     balance = problem.flow_balance.getArray(readonly=True)
     rate.setArray(np.where(weight.getArray() > 0.0, -balance, 0.0))
     if dt > 0.0:
-        parting = network.opening.createVecLeft()
-        network.opening.mult(problem.state.motion.velocity, parting)
-        network.taken_up(held.slope * parting.getArray().reshape(-1, 2), given)
-        parting.destroy()
+        parting = product(network.opening, problem.state.motion.velocity).reshape(-1, 2)
+        network.taken_up(held.slope * parting, given)
         for part in problem.loads.pressures:
             change = (part.value(problem.time + dt, JUST_BEFORE) - part.value(problem.time, JUST_AFTER)) / dt
             walls, fluid = given.getArray()[part.numbers], weight.getArray()[part.numbers]
             rate.getArray()[part.numbers] = walls + fluid * change
-    weight.destroy()
-    given.destroy()
+    destroy(weight, given)
     return rate
 
 
@@ -87,8 +86,7 @@ def initial_acceleration(operators: Operators, problem: StepProblem, acceleratio
     solver.solve(force, acceleration)
     check_solution(solver, acceleration, force, f"time {problem.time:.6g}: first accelerations")
     acceleration.scale(-1.0)
-    for thing in (force, solver, matrix):
-        thing.destroy()
+    destroy(force, solver, matrix)
 
 
 def first_levels(
@@ -127,22 +125,17 @@ def levels(
     push = moved.duplicate()
     push.maxpy(added.tolist(), yields)
     solver.solve(push, moved)
-    for thing in (*yields, push, solver, matrix):
-        thing.destroy()
+    destroy(*yields, push, solver, matrix)
     return added, moved
 
 
 def _mass(operators: Operators, loads: Loads) -> tuple[PETSc.Mat, PETSc.KSP]:
     """The mass matrix with what is held left out, and its solver; the caller destroys both. Collective."""
-    matrix, solver = with_diagonal(operators.mass), PETSc.KSP().create(comm=operators.layout.comm)
+    matrix = with_diagonal(operators.mass)
     if operators.inward is not None:
         _bind(matrix, operators.inward)
-    start = matrix.getOwnershipRange()[0]
-    matrix.zeroRowsColumns((start + loads.held).astype(PETSc.IntType), 1.0)
-    solver.setOperators(matrix)
-    solver.setOptionsPrefix("mass_")
-    solver.setFromOptions()
-    return matrix, solver
+    matrix.zeroRowsColumns(petsc_ints(matrix.getOwnershipRange()[0] + loads.held), 1.0)
+    return matrix, solver_of(matrix, "mass_")
 
 
 def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
@@ -156,8 +149,7 @@ def _bind(mass: PETSc.Mat, inward: PETSc.Mat) -> None:
     apart.diagonalScale(near)
     square = apart.transposeMatMult(apart)
     mass.axpy(1.0, square, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    for thing in (diagonal, near, sizes, apart, square):
-        thing.destroy()
+    destroy(diagonal, near, sizes, apart, square)
 
 
 def with_diagonal(matrix: PETSc.Mat) -> PETSc.Mat:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Floats, Ints
@@ -70,8 +70,7 @@ class JoinedMatrix:
                 "feedback": self._place(local_rows(pattern), "flow", "solid"),
                 "network": self._place(local_rows(network), "flow", "flow"),
             }
-            for matrix in (squeeze, pattern, network):
-                matrix.destroy()
+            destroy(squeeze, pattern, network)
         self.rows_here = layout.solid_count + layout.flow_count
         diagonal = np.arange(self.rows_here) * layout.total + layout.start + np.arange(self.rows_here)
         keys = {name: part.rows * layout.total + part.cols for name, part in parts.items()}
@@ -86,8 +85,12 @@ class JoinedMatrix:
                 self._constant[name] = np.zeros(len(union))
                 self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
         self._closing = [
-            (self._entries_of(rows), np.searchsorted(union, rows.rows * layout.total + rows.cols), rows.values)
-            for rows in self._closures
+            (
+                np.flatnonzero(np.isin(self._row, c.rows)),
+                np.searchsorted(union, c.rows * layout.total + c.cols),
+                c.values,
+            )
+            for c in self._closures
         ]
         self._indptr = petsc_ints(np.searchsorted(self._row, np.arange(self.rows_here + 1)))
         local = (self.rows_here, layout.total)
@@ -118,9 +121,6 @@ class JoinedMatrix:
         count = len(cols) if here else 0
         scale = 1.0 if closure.by == "level" else self.operators.scales.displacement / closure.size
         return Rows(np.full(count, row), cols[:count], scale * weights[:count])
-
-    def _entries_of(self, rows: Rows) -> Ints:
-        return np.flatnonzero(self._row == rows.rows[0]) if len(rows.rows) else np.zeros(0, dtype=np.int64)
 
     def _network_pattern(self) -> PETSc.Mat:
         size = (self.layout.flow_count, int(self.layout.flow_starts[-1]))
@@ -153,12 +153,10 @@ class JoinedMatrix:
         """Whether each of the unknowns of all ranks is held."""
         held = np.zeros(self.layout.total, dtype=bool)
         held[self.fixed] = True
-        if only is not None:
-            other, starts = (
-                ("flow", self.layout.flow_starts) if only == "solid" else ("solid", self.layout.solid_starts)
-            )
-            numbers = np.arange(starts[-1])
-            held[self.layout.flow_numbers(numbers) if other == "flow" else self.layout.solid_numbers(numbers)] = True
+        if only == "solid":
+            held[self.layout.flow_numbers(np.arange(self.layout.flow_starts[-1]))] = True
+        elif only == "flow":
+            held[self.layout.solid_numbers(np.arange(self.layout.solid_starts[-1]))] = True
         return held
 
     def _find_free(self, only: str | None) -> FreePart:
@@ -184,26 +182,18 @@ class JoinedMatrix:
         )
 
     def fill(
-        self,
-        alphas: Alphas,
-        moduli: Floats,
-        conduction: Conduction | None,
-        flow_scale: float,
-        only: str | None = None,
+        self, alphas: Alphas, moduli: Floats, conduction: Conduction | None, flow_scale: float, only: str | None = None
     ) -> bool:
         """Refill with moduli (s, dim, dim) where anything differs from the last time; whether it did. Collective."""
-        now = (alphas, flow_scale, only)
-        arrays = [moduli] + (
-            [] if conduction is None else [conduction.conductance, conduction.slope, conduction.pressure]
-        )
-        if conduction is not None and conduction.by_slip is not None:
-            arrays.append(conduction.by_slip)
-        if conduction is not None and conduction.compression is not None:
-            arrays += [conduction.compression.weight, conduction.compression.slope]
-        if conduction is not None and conduction.leaving is not None:
-            arrays += conduction.leaving[1:]
-        if conduction is not None and only == "solid":
-            arrays = [moduli]
+        now, arrays = (alphas, flow_scale, only), [moduli]
+        if conduction is not None and only != "solid":
+            arrays += [conduction.conductance, conduction.slope, conduction.pressure]
+            if conduction.by_slip is not None:
+                arrays.append(conduction.by_slip)
+            if conduction.compression is not None:
+                arrays += [conduction.compression.weight, conduction.compression.slope]
+            if conduction.leaving is not None:
+                arrays += conduction.leaving[1:]
         same = (
             self._filled is not None
             and self._filled[:3] == now
@@ -240,22 +230,20 @@ class JoinedMatrix:
         for numbers, (_, values) in zip(free.sections, ops.joints.tangent(moduli), strict=True):
             add_blocks(matrix, numbers, numbers, solid_solid * values)
         if ops.flow is not None and conduction is not None:
-            flow_flow = scales.pressure / flow_scale
-            nodes = free.flow_rows
+            flow_solid, nodes = scales.displacement / flow_scale, free.flow_rows
             between, slope = conduction.tangents(alphas.b1)
-            add_blocks(matrix, nodes, free.flow_nodes, flow_flow * between)
+            add_blocks(matrix, nodes, free.flow_nodes, scales.pressure / flow_scale * between)
             for (ends, _, normal), unknowns in zip(self._ends, free.ends, strict=True):
                 joint, end = ends // 2, ends % 2
                 values = slope[joint, :, end][:, :, None] * normal[:, None, :]
-                factor = scales.displacement / flow_scale
-                add_blocks(matrix, nodes[joint], unknowns, factor * values)
+                add_blocks(matrix, nodes[joint], unknowns, flow_solid * values)
             if conduction.by_slip is not None:
                 drop = np.stack([conduction.pressure[:, 0] - conduction.pressure[:, 1]] * 2, axis=1) * [1.0, -1.0]
                 for (ends, _, along), unknowns in zip(self._slips, free.slips, strict=True):
                     joint, end = ends // 2, ends % 2
                     change = np.einsum("nt,ntk->nk", conduction.by_slip[joint, end], along)
                     values = drop[joint][:, :, None] * change[:, None, :]
-                    add_blocks(matrix, nodes[joint], unknowns, scales.displacement / flow_scale * values)
+                    add_blocks(matrix, nodes[joint], unknowns, flow_solid * values)
             if conduction.compression is not None and self._fluids:
                 self._keep_fluid(free, conduction.compression)
         matrix.assemble()
@@ -320,8 +308,7 @@ def near_null_space(operators: Operators) -> PETSc.NullSpace:
         vector.normalize()
         vectors.append(vector)
     space = PETSc.NullSpace().create(vectors=vectors, comm=layout.comm)
-    for vector in vectors:
-        vector.destroy()
+    destroy(*vectors)
     return space
 
 

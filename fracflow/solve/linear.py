@@ -7,7 +7,7 @@ factors of its own, so that it does not depend on which steps this process has m
 
 from __future__ import annotations
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
@@ -16,6 +16,8 @@ from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
 BROKEN = 76  # PETSC_ERR_LIB: an external library reported an error
 SOLVE_ROUND_OFF = 1e-6  # of the right side: a residual that stands still below is taken for round-off
+REFINED = 1e-8  # above it a direct solve is refined
+UNSOLVED = 1e-3  # above it there is no solution
 
 
 class KrylovTest:
@@ -47,6 +49,36 @@ class KrylovTest:
         return reasons.DIVERGED_MAX_IT if iteration >= most else None
 
 
+def true_residual(matrix: PETSc.Mat, solution: PETSc.Vec, given: PETSc.Vec) -> tuple[float, PETSc.Vec]:
+    """|A x - b| / |b|, largest entries, and A x - b, which the caller destroys. Collective."""
+    left = given.duplicate()
+    matrix.mult(solution, left)
+    left.axpy(-1.0, given)
+    size = given.norm(PETSc.NormType.INFINITY)
+    return (left.norm(PETSc.NormType.INFINITY) / size if size > 0.0 else 0.0), left
+
+
+def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, what: str) -> None:
+    """Refine a direct solution with a large residual, and raise Unsolved, on every rank, where there is none. Collective."""
+    matrix, is_direct = solver.getOperators()[0], solver.getType() == "preonly"
+    relative, left = true_residual(matrix, solution, given)
+    if is_direct and REFINED < relative < 1.0:
+        correction = solution.duplicate()
+        solver.solve(left, correction)
+        correction.aypx(-1.0, solution)
+        better, other = true_residual(matrix, correction, given)
+        if better < relative:
+            correction.copy(solution)
+            relative = better
+        destroy(other, correction)
+    left.destroy()
+    if not relative <= UNSOLVED:
+        raise Unsolved(
+            f"{what}: the {'direct' if is_direct else solver.getType()} solve left |Ax - b| = {relative:.1e} |b|, the limit is"
+            f" {UNSOLVED:g}: the matrix is singular, or nearly so"
+        )
+
+
 def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     """Give a solver whose options are read the splits of the matrix, and the test above if it iterates. Collective."""
     if solver.getType() != "preonly":
@@ -55,8 +87,7 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
         solid, flow = matrix.layout.index_sets()
         tell_rigid_motions(matrix.operators, solid)
         solver.getPC().setFieldSplitIS(*zip(PARTS, (solid, flow), strict=True))
-        solid.destroy()
-        flow.destroy()
+        destroy(solid, flow)
 
 
 def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fracflow._petsc import destroy
 from fracflow.errors import NotConverged, StatusCycling, Unsolved
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -30,12 +31,12 @@ class Monolithic:
     def expect(self, planned: Condensing) -> None:
         """Planned steps have no influence here."""
 
-    def solve(self, problem: StepProblem) -> StepReport:
-        """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
-        return self._solve(self.newton, problem)
+    def solve(self, problem: StepProblem, newton: Newton | None = None) -> StepReport:
+        """Bring the trial into balance, from where it is or else from open fractures; by another ``newton`` where one is given.
 
-    def _solve(self, newton: Newton, problem: StepProblem) -> StepReport:
-        """The same from the present trial, or else from open fractures."""
+        Raises SolveError, on every rank. Collective.
+        """
+        newton = newton or self.newton
         try:
             report = newton.solve(problem)
         except NotConverged as failure:
@@ -61,10 +62,7 @@ class Monolithic:
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""
-        if self.rock is not None:
-            self.rock.destroy()
-        self.newton.destroy()
-        self.matrix.destroy()
+        destroy(self.rock, self.newton, self.matrix)
 
 
 class WholeLU(Monolithic):
@@ -81,10 +79,10 @@ class Auto(WholeLU):
         super().__init__(scene, operators, loads)
         self.other: Newton | None = None
 
-    def solve(self, problem: StepProblem) -> StepReport:
+    def solve(self, problem: StepProblem, newton: Newton | None = None) -> StepReport:
         """Bring the trial into balance. Raises SolveError, on every rank. Collective."""
         try:
-            return self._solve(self.newton, problem)
+            return super().solve(problem, newton)
         except NotConverged as failure:
             # the linear solver is not the cause where its solves converged, and Newton's method is far from a solution
             far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
@@ -93,12 +91,11 @@ class Auto(WholeLU):
             self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
         start_again(problem)
         problem.evaluate()
-        return self._solve(self.other, problem)
+        return super().solve(problem, self.other)
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""
-        if self.other is not None:
-            self.other.destroy()
+        destroy(self.other)
         super().destroy()
 
 

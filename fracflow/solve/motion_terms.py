@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
-from fracflow.model.balance import static_balance_of
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
@@ -49,20 +48,15 @@ class Unapplied:
 class MovingTerms:
     """M (inertia a_new + inertia_old a) + balance_old S + C v_new - what comes in, as ``stepping.Alphas`` weighs them.
 
-    before  S at the start of the step; None where it takes no part
+    acceleration  a, at the start of the step
+    before        S there; None where it takes no part
     """
 
     mass: PETSc.Mat
     alphas: Alphas
     terms: TermsOfStep
-    state: State
+    acceleration: PETSc.Vec
     before: PETSc.Vec | None
-
-    @staticmethod
-    def of(operators: Operators, state: State, alphas: Alphas, terms: TermsOfStep) -> MovingTerms:
-        """Those of a step from ``state``. Collective."""
-        before = static_balance_of(operators, state) if alphas.balance_old else None
-        return MovingTerms(operators.mass, alphas, terms, state, before)
 
     def add(
         self, acceleration: PETSc.Vec, velocity: PETSc.Vec, displacement: PETSc.Vec, balance: PETSc.Vec
@@ -75,7 +69,7 @@ class MovingTerms:
         met = acceleration.copy()
         if alphas.looks_back:
             met.scale(alphas.inertia)
-            met.axpy(alphas.inertia_old, self.state.motion.acceleration)
+            met.axpy(alphas.inertia_old, self.acceleration)
         self.mass.mult(met, balance)
         sizes = [largest(balance)]
         self.mass.mult(displacement, term)
@@ -91,15 +85,12 @@ class MovingTerms:
             each.damping.mult(displacement, term)
             sizes += [largest(force), CANCELLATION * alphas.a1 * largest(term)]
             force.destroy()
-        met.destroy()
-        term.destroy()
+        destroy(met, term)
         return sizes
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        self.terms.destroy()
-        if self.before is not None:
-            self.before.destroy()
+        destroy(self.terms, self.before)
 
 
 @dataclass(frozen=True)
@@ -117,9 +108,9 @@ class TermsOfStep:
 
     @staticmethod
     def of(
-        operators: Operators, loads: Loads, state: State, time: float, around: Around, load: PETSc.Vec
+        operators: Operators, loads: Loads, anchor: PETSc.Vec | None, time: float, around: Around, load: PETSc.Vec
     ) -> TermsOfStep:
-        """Those of a step to ``time`` from a state; what they carry on is added to ``load``. Collective."""
+        """Those of a step to ``time`` from a state with an ``anchor``, which is added to ``load``. Collective."""
         if loads.at_rest:
             return TermsOfStep()
         acting = tuple(term for term in operators.terms if term.damping is not None)
@@ -131,7 +122,7 @@ class TermsOfStep:
                 force.destroy()
             else:
                 incoming[term.name], powers[term.name] = force, power
-        anchor = state.forces.anchor if acting else None
+        anchor = anchor if acting else None
         if anchor is not None:
             load.axpy(1.0, anchor)
         return TermsOfStep(acting, incoming, powers, anchor)
@@ -149,8 +140,7 @@ class TermsOfStep:
 
     def destroy(self) -> None:
         """Free what is of this step."""
-        for force in self.incoming.values():
-            force.destroy()
+        destroy(*self.incoming.values())
 
 
 def carried_on(operators: Operators, loads: Loads, state: State) -> PETSc.Vec | None:

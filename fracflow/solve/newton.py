@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import NotConverged, SolveError, StatusCycling
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
@@ -67,13 +67,13 @@ class Newton:
         self.factors = factors_of(scene, self.solver, matrix)
         self.snes.setJacobian(self._jacobian, matrix.matrix, self.factors.factored)
         self.least = 0  # iterations in any case
-        self.problem: StepProblem | None = None
+        self.problem: StepProblem  # from ``solve`` on, as are the rounds
         self.floating: Floating | None = None
         self._krylov = 0
         self._step = np.inf
         self._restless = np.zeros(0, dtype=bool)
         self._inner, self._circles = StatusHistory(layout.comm), False
-        self._rounds: ActiveSetRounds | None = None
+        self._rounds: ActiveSetRounds
         self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
 
@@ -118,7 +118,6 @@ class Newton:
         local[middle:] = problem.pressure.getArray(readonly=True) / scales.pressure
 
     def _unpack(self, unknowns: PETSc.Vec) -> None:
-        assert self.problem is not None
         scales, middle = self.matrix.operators.scales, self.matrix.layout.solid_count
         local = unknowns.getArray(readonly=True)
         if self.only != "solid":
@@ -130,7 +129,6 @@ class Newton:
 
     def _function(self, snes: PETSc.SNES, unknowns: PETSc.Vec, balance: PETSc.Vec) -> None:
         problem = self.problem
-        assert problem is not None
         self._unpack(unknowns)
         problem.evaluate(hold=self.holds or self._is_start or problem.request.hold)
         middle = self.matrix.layout.solid_count
@@ -144,7 +142,6 @@ class Newton:
 
     def _jacobian(self, snes: PETSc.SNES, unknowns: PETSc.Vec, jacobian: PETSc.Mat, _: PETSc.Mat) -> None:
         problem = self.problem
-        assert problem is not None
         if self.method.is_kept and self._is_filled:
             return
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
@@ -191,7 +188,6 @@ class Newton:
 
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         problem, layout = self.problem, self.matrix.layout
-        assert problem is not None
         self._krylov += self.factors.check(self.balance, step)
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
@@ -248,8 +244,7 @@ class Newton:
                 return by_energy(power, power(0.0), change * (1.0 + JUST_PAST))
             return by_residual(size, size(0.0), change * (1.0 + JUST_PAST))
         finally:
-            trial.destroy()
-            balance.destroy()
+            destroy(trial, balance)
 
     def _searches(self) -> bool:
         """Whether steps are shortened once statuses cycle, or full steps converge slowly."""
@@ -257,7 +252,6 @@ class Newton:
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
-        assert problem is not None
         self._out_of_balance.append(problem.residual.out_of_balance)
         problem.tried += iteration > 0
         if iteration == 0:
@@ -290,7 +284,6 @@ class Newton:
 
     def _failure(self, why: str, iterations: int) -> SolveError:
         problem, rounds = self.problem, self._rounds
-        assert problem is not None and rounds is not None
         restless, flipped = all_changed(problem, self._restless, self._inner, rounds.seen)
         is_loose = self.only != "flow" and self._floats(problem, np.stack([restless | flipped, flipped], axis=1))
         if is_loose and problem.residual.solid <= SLACK * self.scene.accuracy.residual and self.floating is not None:
@@ -302,6 +295,4 @@ class Newton:
 
     def destroy(self) -> None:
         """Free the solver. Collective."""
-        self.factors.destroy()
-        for thing in (self.snes, self.solver, self.unknowns, self.balance):
-            thing.destroy()
+        destroy(self.factors, self.snes, self.solver, self.unknowns, self.balance)

@@ -63,6 +63,15 @@ MULTIGRID: dict[str, dict[str, Value]] = {
 """Options that take the place of those above in large scenes."""
 
 
+def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
+    """A linear solver with the options of a prefix. The caller destroys it. Collective."""
+    solver = PETSc.KSP().create(comm=matrix.getComm())
+    solver.setOperators(matrix)
+    solver.setOptionsPrefix(prefix)
+    solver.setFromOptions()
+    return solver
+
+
 _ours: set[str] = set()
 _given: set[str] = set()
 
@@ -96,9 +105,7 @@ def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
     _given.clear()
     _given.update(given, database.getAll())
     tables = [OPTIONS, MULTIGRID] if is_large(unknowns) else [OPTIONS]
-    merged = {
-        f"{prefix}_{key}": v for table in tables for prefix, options in table.items() for key, v in options.items()
-    }
+    merged = {f"{prefix}_{key}": v for table in tables for prefix, own in table.items() for key, v in own.items()}
     for key, value in {**merged, **given}.items():
         if not database.hasName(key):
             database.setValue(key, value)
@@ -116,8 +123,7 @@ def _try_options() -> None:
             solver.getKSP().setFromOptions()
         except PETSc.Error as error:
             reason = str(error).splitlines()[-1].partition("] ")[2]
-            raise InputError(
-                f"PETSc option of -{prefix}_, in [petsc] or on the command line: {reason}; see PETSc's manual"
-            ) from None
+            where = f"PETSc option of -{prefix}_, in [petsc] or on the command line"
+            raise InputError(f"{where}: {reason}; see PETSc's manual") from None
         finally:
             solver.destroy()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.laws.base import HELD
-from fracflow.model.joints import Joints
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import Sections
 from fracflow.solve.initial_rates import with_diagonal
+from fracflow.solve.options import solver_of
 
 MOST_ITERATIONS = 200
 SHARP = 1e-12  # relative change of the eigenvalue between two iterations
@@ -24,7 +24,9 @@ def longest_period(operators: Operators, loads: Loads, sections: Sections) -> fl
     Collective.
     """
     held, layout, joints = loads.standing().held, operators.layout, operators.joints
-    stiff, mass = sprung(operators, _stuck(joints, sections)), with_diagonal(operators.mass)
+    sticking = joints.with_other_status(sections.strain, sections.history, sections.is_sliding)
+    stiff = sprung(operators, joints.evaluate(sections.strain, sticking, HELD).tangent)
+    mass = with_diagonal(operators.mass)
     numbers = (stiff.getOwnershipRange()[0] + held).astype(PETSc.IntType)
     mass.zeroRowsColumns(numbers, 0.0)
     stiff.zeroRowsColumns(numbers, 1.0)
@@ -45,8 +47,7 @@ def longest_period(operators: Operators, loads: Loads, sections: Sections) -> fl
         force.axpy(force.norm() / max(pull.norm(), 1e-300), pull)
         pull.destroy()
     lowest = _lowest(stiff, mass, shape, force) if inertia > 0.0 else 0.0
-    for thing in (stiff, mass, shape, force):
-        thing.destroy()
+    destroy(stiff, mass, shape, force)
     return float(2.0 * np.pi / np.sqrt(lowest)) if lowest > 0.0 else float("inf")
 
 
@@ -64,22 +65,13 @@ def sprung(operators: Operators, moduli: np.ndarray) -> PETSc.Mat:
     product = springs.PtAP(joints.jump)
     stiff = with_diagonal(operators.stiffness)
     stiff.axpy(1.0, product, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    springs.destroy()
-    product.destroy()
+    destroy(springs, product)
     return stiff
-
-
-def _stuck(joints: Joints, sections: Sections) -> np.ndarray:
-    past = joints.with_other_status(sections.strain, sections.history, sections.is_sliding)
-    return joints.evaluate(sections.strain, past, HELD).tangent
 
 
 def _lowest(stiff: PETSc.Mat, mass: PETSc.Mat, shape: PETSc.Vec, force: PETSc.Vec) -> float:
     """Lowest eigenvalue of K x = w M x, from a first force; both vectors are used up. Collective."""
-    solver, last = PETSc.KSP().create(comm=stiff.getComm()), 0.0
-    solver.setOptionsPrefix("period_")
-    solver.setOperators(stiff)
-    solver.setFromOptions()
+    solver, last = solver_of(stiff, "period_"), 0.0
     for _ in range(MOST_ITERATIONS):
         solver.solve(force, shape)
         work = shape.dot(force)

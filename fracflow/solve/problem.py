@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from fracflow._petsc import PETSc
+from fracflow._petsc import PETSc, destroy
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
 from fracflow.mesh.data import Floats
-from fracflow.model.balance import static_balance
+from fracflow.model.balance import static_balance, static_balance_of
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
@@ -40,17 +40,14 @@ from fracflow.solve.residual import (
     round_off_of_rock,
 )
 
+Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
+
 
 class StepProblem:
     """One step from ``state``: what is given, and the balances at a trial. Writes nothing into the state."""
 
     def __init__(
-        self,
-        operators: Operators,
-        state: State,
-        request: StepRequest,
-        rule: StepRule,
-        start: tuple[Floats, Floats] | None = None,
+        self, operators: Operators, state: State, request: StepRequest, rule: StepRule, start: Guess | None = None
     ) -> None:
         """Sample loads and wells over the step, under loads whose parts that nothing drains are closed. Collective.
 
@@ -66,18 +63,19 @@ class StepProblem:
         loads.source(time, controls, self.source, rule.adjacent, rates)
         of_wells = rule.alphas.a1 == 0.0
         self.lag = Unapplied.of(loads, state, unapplied, of_wells, self.load, self.source) if unapplied else Unapplied()
-        self.terms = TermsOfStep.of(operators, loads, state, time, rule.adjacent, self.load)
-        self.moving = MovingTerms.of(operators, state, self.alphas, self.terms)
+        self.terms = TermsOfStep.of(operators, loads, state.forces.anchor, time, rule.adjacent, self.load)
+        before = static_balance_of(operators, state) if rule.alphas.balance_old else None
+        self.moving = MovingTerms(operators.mass, rule.alphas, self.terms, state.motion.acceleration, before)
         self.displacement, self.increment = state.motion.displacement.copy(), layout.solid_vector()
         self.pressure = state.pressure.copy()
         if start is not None:
             self.pressure.setArray(start[1])
         self.move(np.zeros(layout.solid_count) if start is None else start[0])
-        self.branch, self.sections = state.sections.history, state.sections
+        self.trial_status, self.sections = state.sections.history, state.sections
         self.conduction: Conduction | None = None
         self.solid_balance, self.flow_balance = layout.solid_vector(), layout.flow_vector()
         self.residual = Residual(np.inf, np.inf, np.inf)
-        self.fluid_before = compression_of(operators, state)
+        self.fluid_before = None if operators.flow is None else compression_of(operators, state)
         self.taken_up: Floats | None = None
         self._flow_rows: Floats | None = None
         self._flow_noise, self._carried = np.zeros(0), 0.0
@@ -107,14 +105,14 @@ class StepProblem:
         change[held] = new[held] - old[held]
 
     def evaluate(self, hold: bool = True) -> None:
-        """Balances at the present trial; sections have their status in ``branch``, or with ``hold`` False may leave it once.
+        """Balances at the present trial. Sections keep ``trial_status``, or with ``hold`` False may leave it once.
 
         Collective.
         """
         ops, u, p = self.operators, self.displacement, self.pressure
         # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
-        self.accept(self.evaluate_joints(strain, hold))
+        self.accept(ops.joints.evaluate(strain, self.trial_status, self.law_step(hold)))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
@@ -138,8 +136,7 @@ class StepProblem:
             add(-1.0)
             flow_terms = self._flow_balance()
         solid.axpy(-1.0, self.load)
-        for vector in (acceleration, speed, term):
-            vector.destroy()
+        destroy(acceleration, speed, term)
         self.loads.release(solid)
         for part in self.loads.pressures:
             self.flow_balance.getArray()[part.numbers] = 0.0
@@ -147,7 +144,7 @@ class StepProblem:
 
     def evaluate_joints(self, strain: Floats, hold: bool = True) -> Sections:
         """(2.10b) Response of the sections to strains (s, dim), from their last accepted history with the present statuses."""
-        return self.operators.joints.evaluate(strain, self.branch, self.law_step(hold))
+        return self.operators.joints.evaluate(strain, self.trial_status, self.law_step(hold))
 
     def law_step(self, hold: bool = True) -> LawStep:
         """The ``LawStep`` of this step: its length, since the history of the sections was accepted."""
@@ -201,9 +198,8 @@ class StepProblem:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
         speed = self.velocity()
-        network.storage_coupling.multTranspose(self.displacement, flow)
-        terms = [CANCELLATION * self.alphas.a1 * largest(flow), largest(self.source)]
-        rows = CANCELLATION * self.alphas.a1 * np.abs(flow.getArray()) + np.abs(self.source.getArray(readonly=True))
+        size = CANCELLATION * self.alphas.a1 * np.abs(network.swept(self.displacement))
+        terms, rows = [largest_of(size), largest(self.source)], size + np.abs(self.source.getArray(readonly=True))
         network.storage_coupling.multTranspose(speed, flow)
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
@@ -218,22 +214,16 @@ class StepProblem:
             rows += np.abs(self.taken_up)
             terms.append(largest_of(self.taken_up))
         if self.conduction.leaving is not None:
-            leaving = flow.duplicate()
-            network.taken_up(np.abs(self.conduction.leaving.rate), leaving)
-            rows += leaving.getArray()
-            terms.append(largest(leaving))
-            leaving.destroy()
+            leaving = network.at_nodes(np.abs(self.conduction.leaving.rate))
+            rows += leaving
+            terms.append(largest_of(leaving))
         speed.destroy()
         self._close()
         through, runs = flow_sizes(self.conduction, self._before, self.state.max_overpressure, self.alphas.b1)
         self._carried = max(*terms, runs)
-        sized, noise = flow.duplicate(), flow.duplicate()
-        network.taken_up(through, sized)
         moved = self.operators.joints.openings(self._moved)
-        network.taken_up(round_off_of_flow(network, self.conduction, moved, self.alphas.a1), noise)
-        self._flow_rows, self._flow_noise = rows + sized.getArray(), noise.getArray().copy()
-        sized.destroy()
-        noise.destroy()
+        self._flow_noise = network.at_nodes(round_off_of_flow(network, self.conduction, moved, self.alphas.a1))
+        self._flow_rows = rows + network.at_nodes(through)
         return [*terms, float(through.max(initial=0.0))]
 
     def _close(self) -> None:
@@ -247,13 +237,13 @@ class StepProblem:
     def _measure(self, solid_terms: float, flow_terms: float) -> None:
         """Residuals from this rank's largest terms: one reduction for all of them, since ranks wait at each."""
         scales, comm = self.operators.scales, self.operators.layout.comm
-        blurred = round_off_here(self.operators, self.sections, self._moved)
+        of_jumps = round_off_here(self.operators, self.sections, self._moved)
         balance = self.flow_balance.getArray(readonly=True)
         balance = np.where(np.abs(balance) <= self._flow_noise, 0.0, balance)
         here = [largest(self.solid_balance), solid_terms, largest_of(balance), flow_terms]
-        here += [blurred, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
-        solid, solid_terms, flow, flow_terms, blurred, moved, hidden, carried = over_ranks(here, comm)
-        noise = blurred + round_off_of_rock(self.operators, moved)
+        here += [of_jumps, largest(self.displacement), float(np.max(self._flow_noise, initial=0.0)), self._carried]
+        solid, solid_terms, flow, flow_terms, of_jumps, moved, hidden, carried = over_ranks(here, comm)
+        noise = of_jumps + round_off_of_rock(self.operators, moved)
         size = max(solid_terms, LEAST_FORCE * scales.force)
         solid, noise = max(solid - noise, 0.0) / size, noise / size
         least, flow_terms = flow / max(carried, TINY), max(flow_terms, TINY)
@@ -286,11 +276,11 @@ class StepProblem:
     def take_statuses(self, reached: SectionHistory) -> np.ndarray:
         """Give every section the status it has reached; return which (s,) of this rank had another before."""
         joints = self.operators.joints
-        changed = joints.have_changed(self.branch, reached)
-        self.branch = joints.with_status(self.state.sections.history, reached)
+        changed = joints.have_changed(self.trial_status, reached)
+        self.trial_status = joints.with_status(self.state.sections.history, reached)
         return changed
 
-    def initial_guess(self) -> tuple[Floats, Floats] | None:
+    def initial_guess(self) -> Guess | None:
         """This rank's motion (n,) and pressures (m,) for another problem to start from; None if not finite. Collective."""
         if not np.isfinite(self.increment.norm() + self.pressure.norm()):
             return None
@@ -298,10 +288,8 @@ class StepProblem:
 
     def destroy(self) -> None:
         """Free the vectors of the trial."""
-        trial = (self.displacement, self.increment, self.pressure)
-        for vector in (self.load, self.source, *trial, self.solid_balance, self.flow_balance):
-            vector.destroy()
-        self.moving.destroy()
+        destroy(self.load, self.source, self.displacement, self.increment, self.pressure)
+        destroy(self.solid_balance, self.flow_balance, self.moving)
 
 
 def balance_terms(problem: StepProblem, motion: Motion) -> Forces:

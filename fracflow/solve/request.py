@@ -1,4 +1,10 @@
-"""The request for a step and its rule; and the step of a stage, of which requests are substeps."""
+"""The request for a step, and the step of a stage, of which requests are substeps; and the rule of a step.
+
+A rule samples tables in time so that their whole integral enters the solution. With inertia, forces and flow rates are sampled
+so that the trapezoid's sum over the steps is the table's integral, and jumps of pressures likewise. Without it what is
+prescribed holds as just before the end of the step: what jumps there comes in the step after it. Flow rates are then sampled
+as the rule takes the derivative of what is stored.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
-from fracflow.integrators import Alphas
+from fracflow.integrators import Alphas, Stepper
 from fracflow.model.loads import Loads
-from fracflow.scene.time_table import AT_ONCE, Around, Rates
+from fracflow.model.state import PreviousStep, State
+from fracflow.scene.time_table import AT_ONCE, JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
 
 AT_A_JUMP = 1e-9  # of a step: times so near are one
+MOST_GROWTH = 1e3  # of steps, beyond which the last one has no influence
 
 
 @dataclass(frozen=True)
@@ -120,17 +128,8 @@ class LoadStep:
         there = self.first(self.jumps, begin, 1.0) or 1.0  # all that was prescribed as the part begins
         unapplied = 0.0 if self.fills else (there - end) / (there - begin)
         controls = on_the_way(before, self.controls, begin, end)
-        return StepRequest(
-            self.time(end),
-            length,
-            controls,
-            self.loads,
-            unapplied=unapplied,
-            next_length=ahead,
-            step=self,
-            begin=begin,
-            end=end,
-        )
+        made = StepRequest(self.time(end), length, controls, self.loads, unapplied=unapplied, next_length=ahead)
+        return replace(made, step=self, begin=begin, end=end)
 
 
 @dataclass(frozen=True)
@@ -164,3 +163,55 @@ def on_the_way(before: Mapping[str, float], after: Mapping[str, float], start: f
         return dict(after)
     share = (end - start) / (1.0 - start)
     return {name: value + share * (after[name] - value) for name, value in before.items()}
+
+
+def sides_of(rule: Stepper, dt: float, ahead: float | None) -> Around:
+    """Lengths of the steps around the end of one of length ``dt`` that one of length ``ahead`` follows; None: one as long."""
+    if rule.inertia:
+        return dt, dt if ahead is None else ahead
+    return JUST_BEFORE if dt > 0.0 else JUST_AFTER
+
+
+def rule_of(stepper: Stepper, state: State, request: StepRequest, follows: Stepper) -> StepRule:
+    """How a step by a rule takes rates and samples what is tabled; ``follows``, the rule of the steps after it.
+
+    Flow rates are not sampled apart with inertia, where a rule weighs both its ends. Backward Euler takes their mean over the
+    step; BDF2 combines it with that over the last step as it does those of the walls' velocities. Of a well that has a limit
+    the last mean is of the rate that went through it, whatever its table says. The trapezoid takes the value at the end, with
+    the difference of its sum from the integral of the step. Where it begins by backward Euler, that step corrects for the half
+    by which the next one counts its end.
+    """
+    dt, ahead, last, begin = request.length, request.next_length, state.previous_step.time_step, state.time
+    alphas = stepper.alphas(dt, last) if last > 0.0 else stepper.alphas(dt)
+    adjacent = sides_of(stepper, dt, ahead)
+    rates: Rates | None = Rates(now=1.0, share=0.0, begin=begin)
+    if stepper.inertia:
+        rates = Rates(now=1.0, share=0.0, begin=begin, of_forces=True) if stepper.balance == "end" else None
+    elif not stepper.storage or dt == 0.0:
+        rates = Rates(around=adjacent)
+    elif alphas.a4 > 0.0:
+        rates = Rates(around=(dt, ahead or 0.0))
+    elif follows.alphas(dt).a4 > 0.0 and ahead:
+        share = 0.5 * ahead / (dt + 0.5 * ahead)
+        rates = Rates(now=1.0 - share, share=share, around=(0.0, ahead), begin=begin)
+    elif alphas.a6 > 0.0 and last > 0.0:
+        factors, through = (alphas.a1 * dt, alphas.a6), state.previous_step.through
+        rates = Rates(*factors, 0.0, begin=begin, before=begin - last, controls=state.controls, through=through)
+    return StepRule(alphas, adjacent, rates, stepper.inertia)
+
+
+def begins_anew(rule: Stepper, begin: float, previous: PreviousStep, request: StepRequest) -> bool:
+    """Whether a step from the time ``begin`` of a multistep rule is taken by backward Euler, without the previous step.
+
+    There is no previous step, or one so short that it is round-off. Or the next length is not known, by which a rule that
+    weighs both ends divides the integral of a table. Or a rate jumps as the step begins, of which such a rule would take half.
+    """
+    dt, ahead = request.length, request.next_length
+    if not rule.memory or previous.time_step == 0.0 or dt > MOST_GROWTH * previous.time_step:
+        return True
+    if rule.alphas(dt).a4 == 0.0:
+        return False
+    tables = [well.value for well in request.loads.wells if isinstance(well.value, TimeTable)]
+    if any(begin < time < begin + 0.5 * dt for table in tables for time in table.jumps[0]):
+        return True
+    return ahead is None and any(begin < time < begin + dt for table in tables for time in table.times)

@@ -56,17 +56,15 @@ def round_off_here(operators: Operators, sections: Sections, moved: Floats) -> f
 
     ``moved`` (s, dim) as for ``round_off_of_jumps``, of this step. [force per thickness]
     """
-    force = (
-        np.einsum("sij,sj->si", np.abs(sections.tangent), UNIT_ROUND_OFF * moved) * operators.joints.weights[:, None]
-    )
+    traction = np.einsum("sij,sj->si", np.abs(sections.tangent), UNIT_ROUND_OFF * moved)
+    force = traction * operators.joints.weights[:, None]
     return NOISE * float(force[np.isfinite(force)].max(initial=0.0))
 
 
 def round_off_of_pressure(network: Flow, conduction: Conduction) -> Floats:
     """Round-off of the flow at the joint ends (j, 2) by that of the pressures [volume rate per thickness]."""
     rounded = (np.abs(conduction.pressure) + np.abs(network.resting_end)).sum(axis=1, keepdims=True)
-    noise: Floats = NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
-    return noise
+    return NOISE * UNIT_ROUND_OFF * conduction.conductance[:, None] * np.repeat(rounded, 2, axis=1)
 
 
 def round_off_of_flow(network: Flow, conduction: Conduction, moved: Floats | None, rate: float) -> Floats:
@@ -110,7 +108,10 @@ def significant_digits(operators: Operators, state: State) -> SignificantDigits:
         np.maximum.at(largest[row], fracture, np.where(np.isfinite(values), values, 0.0))
     comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
     error, rock, size, stiff, beside = largest
-    forces = _largest_force(operators, state)
+    inertia = state.forces.load.duplicate()
+    operators.mass.mult(state.motion.acceleration, inertia)
+    forces = max(vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support, inertia))
+    inertia.destroy()
     least = LEAST_SHARE * max(size.max(initial=0.0), forces / operators.scales.length)
     held = np.maximum(size, max(least, PRESSURE_SHARE * state.max_overpressure))
     lost = np.divide(np.maximum(error, rock), held, out=np.zeros(count), where=held > 0.0)
@@ -122,29 +123,16 @@ def significant_digits(operators: Operators, state: State) -> SignificantDigits:
     return SignificantDigits(left, blocks.joints.fractures[worst], float(held[worst]), stiffness, by_rock)
 
 
-def _largest_force(operators: Operators, state: State) -> float:
-    """The largest load, reaction or force of inertia on a displacement [force per thickness]. Collective."""
-    inertia = state.forces.load.duplicate()
-    operators.mass.mult(state.motion.acceleration, inertia)
-    largest = max(vector.norm(PETSc.NormType.INFINITY) for vector in (state.forces.load, state.forces.support, inertia))
-    inertia.destroy()
-    return float(largest)
-
-
 def refuse_few(found: SignificantDigits, limit: int, time: float) -> None:
     """Raise SolveError, on every rank, where fewer digits are left than asked for; names what would do."""
     if limit == 0 or found.digits >= limit:
         return
     enough = 0.5 * found.stiffness * 10.0 ** (found.digits - limit)
     left = min(max(round(found.digits, 1), 0.0), limit - 0.1)  # rounded down, so that it is less than required
-    what, remedy = (
-        (
-            "the rock's stiffness E/h =",
-            "in the rock, cells as much larger, or displacements counted from where it is now",
-        )
-        if found.by_rock
-        else ("the larger of normal_stiffness and shear_stiffness,", "or the same motion in more steps")
-    )
+    what, remedy = "the larger of normal_stiffness and shear_stiffness,", "or the same motion in more steps"
+    if found.by_rock:
+        what = "the rock's stiffness E/h ="
+        remedy = "in the rock, cells as much larger, or displacements counted from where it is now"
     raise SolveError(
         f"time {time:.6g}: tractions of {found.fracture} (largest {found.traction:.3g}) keep {left:.1f}"
         f" digits, accuracy.digits asks for {limit}: {what} {found.stiffness:.3g} times the motion that both walls share"

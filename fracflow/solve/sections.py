@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import NotConverged
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.compressibility import uptake_at
@@ -21,7 +21,7 @@ from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.operators import Operators
 from fracflow.scene.scene import Scene
 from fracflow.solve.clusters import Clusters
-from fracflow.solve.linear_check import check_solution
+from fracflow.solve.linear import check_solution
 from fracflow.solve.newton import MOST_CHANGES
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY, largest, over_ranks
@@ -61,8 +61,7 @@ class FlowOnJoints:
         Gives its residual over its largest term, and its derivatives (s, 2), at both nodes of the joint, by the opening of
         each section. Collective.
         """
-        network, joints, flow = self.operators.flow, self.operators.joints, problem.flow_balance
-        assert network is not None
+        network, joints, flow = self.operators.network, self.operators.joints, problem.flow_balance
         walls = joints.walls(problem.sections, network.law, problem.law_step())
         conduction = network.conduct(problem.displacement, problem.pressure, walls)
         problem.conduction = conduction
@@ -100,8 +99,8 @@ class FlowOnJoints:
 
         Raises NotConverged, on every rank. Collective.
         """
-        network, layout = self.operators.flow, self.operators.layout
-        assert network is not None and problem.conduction is not None
+        network, layout = self.operators.network, self.operators.layout
+        assert problem.conduction is not None
         start, count, rate = int(layout.flow_starts[layout.comm.rank]), layout.flow_count, problem.alphas.a1
         held = np.isin(layout.flow_numbers(np.arange(int(layout.flow_starts[-1]))), problem.loads.fixed_flow)
         between = problem.conduction.tangents(problem.alphas.b1)[0]
@@ -133,14 +132,12 @@ class FlowOnJoints:
             found = network.at_ends(change).ravel()
             problem.pressure.axpy(1.0, change)
         finally:
-            left.destroy()
-            change.destroy()
+            destroy(left, change)
         return found
 
     def destroy(self) -> None:
         """Free matrix and solver. Collective."""
-        self.solver.destroy()
-        self.matrix.destroy()
+        destroy(self.solver, self.matrix)
 
 
 TIGHT = 1e-12  # of the largest motion of a section in the step
@@ -215,8 +212,7 @@ class SectionSolver:
                 if not comm.allreduce(bool(changed.any()), op=MPI.LOR):
                     return change, replace(report, iterations=total)
         finally:
-            if given is not None:
-                given.destroy()
+            destroy(given)
         raise NotConverged(
             f"time {problem.time:.6g}: {self._named(changed)} keeps changing between sticking and sliding within one explicit"
             " step: take a smaller time_step"
@@ -232,7 +228,7 @@ class SectionSolver:
         share: float,
         least: int,
     ) -> tuple[Floats, SectionReport]:
-        """The balance with the statuses of ``problem.branch``, beginning from ``change``. Collective."""
+        """The balance with the statuses of ``problem.trial_status``, beginning from ``change``. Collective."""
         joints, film, comm = self.operators.joints, self.film, self.operators.layout.comm
         before, weights, most = problem.state.sections, joints.weights[:, None], self.scene.accuracy.max_iterations
         for iteration in range(most + 1):
@@ -247,10 +243,8 @@ class SectionSolver:
             moduli = moduli - weights[:, :, None] * self.elastic
             rows = self._gather(free, change, push, known + weights * np.abs(pull), moduli, slopes, share)
             beyond = np.abs(rows.left) - MOTION_ROUND_OFF * rows.size
-            here = [float(np.abs(change).max(initial=0.0)), float(beyond.max(initial=0.0))]
-            moved, beyond_all, worst, bad = over_ranks(
-                [*here, float(np.abs(rows.left).max(initial=0.0)), float(not np.isfinite(push).all())], comm
-            )
+            here = [float(each.max(initial=0.0)) for each in (np.abs(change), beyond, np.abs(rows.left))]
+            moved, beyond_all, worst, bad = over_ranks([*here, float(not np.isfinite(push).all())], comm)
             if bad:
                 break
             if beyond_all <= TIGHT * moved and flow <= self.scene.accuracy.residual and iteration >= least:
@@ -266,14 +260,7 @@ class SectionSolver:
         )
 
     def _gather(
-        self,
-        free: Floats,
-        change: Floats,
-        push: Floats,
-        known: Floats,
-        moduli: Floats,
-        slopes: Floats,
-        share: float,
+        self, free: Floats, change: Floats, push: Floats, known: Floats, moduli: Floats, slopes: Floats, share: float
     ) -> _Rows:
         """Gather data of this rank's sections in the clusters, with the balance of motions there. Collective.
 
@@ -330,5 +317,4 @@ class SectionSolver:
 
     def destroy(self) -> None:
         """Free the flow's solver. Collective."""
-        if self.film is not None:
-            self.film.destroy()
+        destroy(self.film)

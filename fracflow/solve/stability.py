@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import NotConverged, is_alone
 from fracflow.mesh.data import Bools, Floats
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.state import SectionHistory, Sections
+from fracflow.solve.options import solver_of
 from fracflow.solve.period import sprung
 
 MOST_VECTORS = 40
@@ -57,9 +58,8 @@ def of_step(operators: Operators, old: Sections, new: Sections) -> Weakening:
     """The largest possible in a step: each section that slid weakens as at its start or as at its end."""
     moved = (new.inelastic - old.inelastic)[:, :-1]
     size = np.linalg.norm(moved, axis=1)
-    way = np.where(
-        (size > 0.0)[:, None], moved / np.where(size > 0.0, size, 1.0)[:, None], _sliding_way(operators, new)
-    )
+    along = moved / np.where(size > 0.0, size, 1.0)[:, None]
+    way = np.where((size > 0.0)[:, None], along, _sliding_way(operators, new))
     begins, ends = _weakening(operators, new, old.history, way), _weakening(operators, new, new.history, way)
     before = _weakening(operators, old, old.history, way)
     most = [np.max([getattr(each, name) for each in (before, begins, ends)], axis=0) for name in ("rate", "fall")]
@@ -137,10 +137,7 @@ class _Compliance:
         self.stiff = sprung(operators, moduli)
         rows = (self.stiff.getOwnershipRange()[0] + self.held).astype(PETSc.IntType)
         self.stiff.zeroRowsColumns(rows, 1.0)
-        self.solver = PETSc.KSP().create(comm=self.comm)
-        self.solver.setOptionsPrefix("stability_")
-        self.solver.setOperators(self.stiff)
-        self.solver.setFromOptions()
+        self.solver = solver_of(self.stiff, "stability_")
         self.force, self.shape = operators.layout.solid_vector(), operators.layout.solid_vector()
 
     def times(self, slip: Floats) -> Floats:
@@ -162,8 +159,7 @@ class _Compliance:
 
     def destroy(self) -> None:
         """Free matrix and factors. Collective."""
-        for thing in (self.solver, self.stiff, self.force, self.shape):
-            thing.destroy()
+        destroy(self.solver, self.stiff, self.force, self.shape)
 
 
 def _arnoldi(compliance: _Compliance) -> Share:

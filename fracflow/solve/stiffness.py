@@ -76,8 +76,5 @@ NEWTON_METHODS = {
         is_kept=True,
         weakness="it keeps the stiffness of the step's start, which is not that of joints that stop sliding",
     ),
-    "secant": Stiffness(
-        secant_moduli,
-        weakness="it has no plastic slip in it, so joints that unload do not converge",
-    ),
+    "secant": Stiffness(secant_moduli, weakness="it has no plastic slip in it, so joints that unload do not converge"),
 }

@@ -22,17 +22,12 @@ CHUNK = 1 << 20
 
 def read_bytes(path: Path, remedy: str, largest: int = LARGEST) -> bytes:
     """All bytes of a regular file. Raises InputError, with the remedy, where there is none or it is larger."""
-    try:
-        # a pipe without a writer would hold an open for ever
-        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-            _check(path, os.fstat(file.fileno()), remedy, largest)
-            found = bytearray()  # grown with what is read: a limit is no size to make room for
-            while len(found) <= largest and (part := file.read(min(CHUNK, largest + 1 - len(found)))):
-                found += part
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; {remedy}") from None
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}; {remedy}") from None
+    # a pipe without a writer would hold an open for ever
+    with _looked_at(path, remedy), open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        _check(path, os.fstat(file.fileno()), remedy, largest)
+        found = bytearray()  # grown with what is read: a limit is no size to make room for
+        while len(found) <= largest and (part := file.read(min(CHUNK, largest + 1 - len(found)))):
+            found += part
     if len(found) > largest:  # it grew since
         raise InputError(_too_large(path, largest, remedy))
     return bytes(found)
@@ -48,11 +43,17 @@ def read_text(path: Path, remedy: str, largest: int = LARGEST) -> str:
 
 def check_regular(path: Path, remedy: str, largest: int) -> None:
     """Look at a file that a library will open by its name. Raises InputError as read_bytes does."""
-    try:
+    with _looked_at(path, remedy):
         _check(path, os.stat(path), remedy, largest)
+
+
+@contextmanager
+def _looked_at(path: Path, remedy: str) -> Iterator[None]:
+    try:
+        yield
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {remedy}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}; {remedy}") from None
 
 

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -105,22 +106,15 @@ class Reader:
         while "end" not in (line := self._line()):
             if "error" in line:
                 raise _Refused(line["error"])
-            values = np.empty(line["shape"], np.dtype(line["dtype"])) if self._fits(line, most) else np.empty(0)
+            kind = np.dtype(line["dtype"])
+            if kind.kind not in "iufb" or not 0 <= kind.itemsize * prod(line["shape"]) <= most:
+                raise _Broken("more came of it than it holds")
+            values = np.empty(line["shape"], kind)
             most -= values.nbytes
             self._fill(values.reshape(-1).view(np.uint8).data)
             arrays[line["name"]] = values
         layout = {name: (kind, tuple(shape)) for name, kind, shape in head["layout"]}
         return Found(head["attributes"], layout, arrays)
-
-    @staticmethod
-    def _fits(line: Mapping[str, Any], most: int) -> bool:
-        kind = np.dtype(line["dtype"])
-        size = kind.itemsize
-        for length in line["shape"]:
-            size *= length
-        if kind.kind not in "iufb" or not 0 <= size <= most:
-            raise _Broken("more came of it than it holds")
-        return True
 
     def _started(self) -> subprocess.Popen[bytes]:
         if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
@@ -196,8 +190,7 @@ def read_h5(path: str | Path, what: str, remedy: str, names: Sequence[str] | Non
     try:
         return _reader.read(path, names, live)
     except _NotStarted as error:
-        raise InputError(
-            f"{path}: cannot be read: the process that reads HDF5 files {error}; try again later"
-        ) from None
+        why = f"the process that reads HDF5 files {error}; try again later"
+        raise InputError(f"{path}: cannot be read: {why}") from None
     except (ValueError, KeyError, TypeError, OSError, MemoryError) as error:
         raise InputError(f"{path}: {what} ({error}); {remedy}") from None

@@ -131,7 +131,7 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
 
 def watch(newton: Any) -> list[tuple[int, float]]:
     """A list that gets the Krylov iterations and the true relative residual of each linear solve from now on."""
-    from fracflow.solve.linear_check import true_residual
+    from fracflow.solve.linear import true_residual
 
     solves: list[tuple[int, float]] = []
 

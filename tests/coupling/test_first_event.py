@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI
-from fracflow.advance.event_kinds import first_event
+from fracflow.advance.events import first_event
 
 pytestmark = pytest.mark.serial
 DT = 0.25

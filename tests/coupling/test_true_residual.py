@@ -5,7 +5,7 @@ import pytest
 
 from fracflow._petsc import PETSc
 from fracflow.errors import NotConverged
-from fracflow.solve.linear_check import check_solution, true_residual
+from fracflow.solve.linear import check_solution, true_residual
 
 
 def _solved(diagonal, given, comm):

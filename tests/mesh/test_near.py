@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fracflow.errors import InputError
 from fracflow.mesh.plane.near import HEAD, MOST, told
-from fracflow.mesh.plane.snap import FRACTION, natural_snap
+from fracflow.mesh.plane.traces import FRACTION, natural_snap
 from fracflow.mesh.read import GeometrySpec, build_mesh, network_of
 from fracflow.mesh.split import split, summary
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
+import kept_meshes
 import numpy as np
 import pytest
 from meshing import MESHES, areas, check, copies_at
@@ -262,3 +264,25 @@ def test_three_fractures():
     found = summary(mesh)
     assert (found["junctions"], found["tips"], found["blocks"]) == (2, 5, 1)
     assert copies_at(mesh, traces[2][1][-1]) == 2  # Clara reaches the boundary
+
+
+@pytest.mark.serial
+def test_a_mesh_that_is_kept_for_other_tests_is_the_one_that_gmsh_makes(tmp_path, monkeypatch):
+    """Equal to the last bit, and made anew where anything differs that it is made from."""
+    saved, makes, made = MESHES / "report_5_2" / "block.geo", kept_meshes.make, []
+    square = GeometrySpec(domain=np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), traces=(), size=0.5)
+    coarse = [read_mesh(saved, set()), build_mesh(square)]
+    monkeypatch.setenv(kept_meshes.FOLDER, str(tmp_path))
+    monkeypatch.setattr(kept_meshes, "make", lambda *given: made.append(given) or makes(*given))
+    monkeypatch.setattr(gmsh, "_work", kept_meshes.find)
+    for _ in range(2):
+        for mesh, expected in zip((read_mesh(saved, set()), build_mesh(square)), coarse, strict=True):
+            assert np.array_equal(mesh.points, expected.points) and np.array_equal(mesh.cells, expected.cells)
+    assert len(made) == 2
+    assert len(build_mesh(replace(square, size=0.25)).points) > len(coarse[1].points)
+    wrong = tmp_path / "wrong.geo"
+    wrong.write_text("Point(1) = {0, 0, 0};\nLine(1) = {1, 2};\n")
+    for _ in range(2):
+        with pytest.raises(InputError):
+            read_mesh(wrong, set())
+    assert len(made) == 5  # no error is kept

@@ -1,4 +1,6 @@
-"""Two entries of a scene that prescribe one unknown in two ways: told of supports, refused of wells."""
+"""Places of supports and wells: two that prescribe one unknown, and wells at points that the mesh names."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,3 +65,18 @@ def test_two_pressures_at_one_node_are_refused(shared_tmp, other, is_refused):
             _notes(shared_tmp, wells)
     else:
         assert not np.any(_notes(shared_tmp, wells, "support.1.displacement={x = 0}"))
+
+
+@pytest.mark.parametrize(("point", "place"), [(5, "(0, -2000)"), (6, "(0, 2000)")])
+def test_a_well_at_a_named_point_says_where_it_is(point, place, shared_tmp):
+    """Gmsh numbers points anew where curves cross: the number in a file may be another point than was meant."""
+    meshes = Path(__file__).parents[2] / "meshes" / "report_5_4"
+    if MPI.COMM_WORLD.rank == 0:
+        text = (meshes / "fault.geo").read_text(encoding="utf-8")
+        (shared_tmp / "fault.geo").write_text(f'{text}Physical Point("in") = {{{point}}};\n', encoding="utf-8")
+    MPI.COMM_WORLD.barrier()
+    scene = load(
+        meshes / "scene.toml",
+        [f"mesh.file={str(shared_tmp / 'fault.geo')!r}", "well.0.at='in'"],
+    )
+    assert prepare(scene, MPI.COMM_WORLD).placed.notes == (f"well.node2 is on fault at {place}",)

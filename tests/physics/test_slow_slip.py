@@ -8,9 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.advance.inertial_steps import transit
 from fracflow.advance.initial_state import equilibrium_state
-from fracflow.advance.regime import RADIATED, slipped
+from fracflow.advance.regime import RADIATED, slipped, transit
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.cli.app import app
 from fracflow.cli.run import ProgressBar

@@ -11,7 +11,7 @@ from fracflow.reduction import ReductionInput
 from fracflow.reduction import locked_fractures as tied
 from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_fractures import PART, compliance, together
-from fracflow.reduction.locked_mesh import find_locked, watch_tied
+from fracflow.reduction.locked_mesh import find_locked, watch_locked
 from fracflow.reduction.prepare import prepare, read_split
 from fracflow.reduction.unloaded_blocks import idle_nodes
 from fracflow.scene.scene import Scene, load
@@ -146,11 +146,11 @@ def test_rock_on_either_side_is_watched(comm, monkeypatch, side):
     refuse_imbalance(model)
     model, _ = planned(model)
     state, block = equilibrium_state(model), model.operators.blocks.solid
-    watch_tied(model, state)
+    watch_locked(model, state)
     first, last = state.motion.displacement.getOwnershipRange()
     number, away = block.unknown[:, 0], side * (block.points[:, 1] - 15.0)
     here = (number >= first) & (number < last)
     state.motion.displacement.getArray()[number[here] - first] = 0.95 * 0.6e7 / 4e9 * np.clip(away[here], 0.0, 40.0)
     with pytest.raises(ReductionInvalid, match=r"0\.95 of the strength of seam[012]"):
-        watch_tied(model, state)
+        watch_locked(model, state)
     state.destroy()

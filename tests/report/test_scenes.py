@@ -19,7 +19,8 @@ SCENES = {
 }
 
 
-@pytest.fixture(scope="module", params=SCENES)
+# on ranks crossings are compared in parallel/test_same_on_ranks.py
+@pytest.fixture(scope="module", params=["three_fractures", pytest.param("crossings", marks=pytest.mark.serial)])
 def ran_scene(request, tmp_path_factory):
     comm = MPI.COMM_WORLD
     folder = Path(comm.bcast(str(tmp_path_factory.mktemp("scene")) if comm.rank == 0 else None)) / "out"

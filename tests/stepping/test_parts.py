@@ -38,7 +38,11 @@ class Inner:
 
 def taken(attempt, rules, place=None, start=0.0):
     """(from, to, place after) of each part of a step; the place after the last is that before the next step."""
-    steps, state, found = Substepped(Inner(attempt), rules, lambda line: None, place), Fake(start), []
+    steps, state, found = (
+        Substepped(Inner(attempt), rules, lambda line: None, place or SubstepCursor()),
+        Fake(start),
+        [],
+    )
     step = LoadStep(0.0, 1, 1.0, 1.0, 1.0, {}, None)
     while not found or found[-1][1] < 1.0:
         begin = steps.place.fraction

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fracflow.advance.error_control import ErrorEstimator
-from fracflow.advance.vibration import WATCHED, Vibration, swing_of
+from fracflow.advance.error_control import WATCHED, ErrorEstimator, Vibration, swing_of
 from fracflow.errors import SolveError
 
 pytestmark = pytest.mark.serial
@@ -39,11 +38,11 @@ def test_a_checkpoint_keeps_it():
     assert Vibration.of(kept) == Vibration(7, 2.0, 3.0) and Vibration.of({}) == Vibration()
 
 
-def judge(follows, of_film=False):
+def estimator(follows, of_flow=False):
     """One of a stage from 0 to 1, parts of 1e-7, a tolerance of 0.01 and a largest displacement of 1."""
     made = object.__new__(ErrorEstimator)
     given = {
-        "of_film": of_film,
+        "of_flow": of_flow,
         "tolerance": 1e-2,
         "largest": 1.0,
         "guess": 0.0,
@@ -59,10 +58,10 @@ def test_of_a_stage_that_needs_very_many_parts_it_says_how_many():
     """Once; and it stops where they follow a vibration whose double amplitude is less than what may be wrong."""
     w = 1e4
     large, small = (Vibration(WATCHED, a * w**2, a * w**3, "on joint at (1, 2)") for a in (1e-1, 4e-3))
-    told = judge(large).outlook(0.5)
+    told = estimator(large).outlook(0.5)
     assert "substeps as short as 1e-07, about 5e+06 more of them. They follow a vibration on joint at (1, 2)" in told
-    assert judge(large.followed_by(Vibration(1))).outlook(0.5) == ""
+    assert estimator(large.followed_by(Vibration(1))).outlook(0.5) == ""
     with pytest.raises(SolveError, match=r"gain nothing.*amplitude 0.004, 0.004 of the largest displacement"):
-        judge(small).outlook(0.5)
-    film = judge(Vibration(WATCHED), of_film=True).outlook(0.5)
+        estimator(small).outlook(0.5)
+    film = estimator(Vibration(WATCHED), of_flow=True).outlook(0.5)
     assert film.endswith("of volume stored in fractures needs substeps as short as 1e-07, about 5e+06 more of them")

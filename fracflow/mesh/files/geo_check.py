@@ -286,9 +286,7 @@ class _File:
                 raise self._refusal(first, after - 1, f"{value} is not read")
             if value == "Field" and first < at and not (at == first + 1 and self._value(first) in HAVE_FIELD):
                 raise self._refusal(first, after - 1, "Field stands at the beginning of a statement")
-            is_option = (
-                before in words.OPTIONS or before == "Color" or (self._value(first) == "Field" and before == "]")
-            )
+            is_option = before in words.OPTIONS | {"Color"} or (self._value(first) == "Field" and before == "]")
             if (
                 value == "::"
                 or (value == "." and not is_option)
@@ -335,10 +333,10 @@ class _File:
         if head == "Field":
             is_made = before == "(" and self._value(at - 2) == "Sprintf"
             equals = at - 3 if is_made else at - 1
-            is_formula = words.FORMULAS.fullmatch(self._value(equals - 1)) and words.FORMULA.fullmatch(
-                text.replace("%", "")
-            )
-            if not is_formula or self._value(equals) != "=" or self._value(equals - 2) != ".":
+            is_formula = words.FORMULA.fullmatch(text.replace("%", ""))
+            if not (is_formula and words.FORMULAS.fullmatch(self._value(equals - 1))):
+                return False
+            if self._value(equals) != "=" or self._value(equals - 2) != ".":
                 return False
             if is_made:
                 return self._is_format(at) and self._matching(at - 1, "(") == last - 1

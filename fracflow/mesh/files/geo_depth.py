@@ -43,11 +43,8 @@ class Checked:
         names = list(dict.fromkeys(self.passed))
         more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
         path = next(iter(self.sources.values()))
-        return (
-            (f"{path}: options of Gmsh's window are passed over: {', '.join(names[:MOST_TOLD])}{more}",)
-            if names
-            else ()
-        )
+        line = f"{path}: options of Gmsh's window are passed over: {', '.join(names[:MOST_TOLD])}{more}"
+        return (line,) if names else ()
 
 
 def check_depths(units: Mapping[str, Unit], path: Path) -> None:

@@ -62,11 +62,6 @@ class Crashed(InputError):
         self.signal = signal
 
 
-def open_in_gmsh(path: Path) -> Elements:
-    """Mesh a .geo of an author who is trusted: Gmsh runs the file itself. Raises InputError with Gmsh's first error."""
-    return run_worker({"file": str(path.resolve())}, str(path))
-
-
 def open_checked(path: Path, checked: Checked) -> Elements:
     """Mesh a .geo that was checked, from what was made of it. Raises InputError with Gmsh's first error."""
     texts = {name: text.encode("utf-8", "surrogateescape") for name, text in checked.texts.items()}
@@ -127,15 +122,14 @@ def run_worker(
     for temporary files is full.
     """
     try:
-        return _work(job, what, texts or {}, sources or {}, limits(job.get("bytes")))
+        return _work(job, what, texts or {}, sources or {})
     except OSError as error:
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{what}: Gmsh cannot be run: {where}: {error.strerror}; make room, or set TMPDIR") from None
 
 
-def _work(
-    job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path], allowed: Limits
-) -> Elements:
+def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources: Mapping[str, Path]) -> Elements:
+    allowed = limits(job.get("bytes"))
     with tempfile.TemporaryDirectory(prefix="fracflow-gmsh-") as name:
         folder = Path(name)
         for each, text in texts.items():
@@ -147,9 +141,8 @@ def _work(
         code, said = _run(folder, allowed)
         if code is None or code == -signal.SIGXCPU:
             why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"
-            raise InputError(
-                f"{what}: Gmsh did not end within {why}; let it make fewer cells, or set {SECONDS[0]} to more seconds"
-            )
+            remedy = f"let it make fewer cells, or set {SECONDS[0]} to more seconds"
+            raise InputError(f"{what}: Gmsh did not end within {why}; {remedy}")
         report = folder / "error.txt"
         if report.exists():
             line = report.read_text(encoding="utf-8", errors="replace")[:LONGEST_REPORT]
@@ -157,7 +150,9 @@ def _work(
                 line = line.replace(str(folder / each), str(source)).replace(f"'{each}'", f"'{source}'")
             raise InputError(f"{what}: {line}; {_remedy(what, line, allowed)}")
         if code or not (folder / "mesh.npz").exists():
-            raise Crashed(f"{what}: {_end_of(code, said)}; {_remedy(what, said, allowed)}", -(code or 0))
+            last = (said.strip().splitlines() or ["it ended without a mesh"])[-1]
+            how = f"Gmsh crashed (signal {-code})" if code < 0 else f"Gmsh failed: {last}"
+            raise Crashed(f"{what}: {how}; {_remedy(what, said, allowed)}", -code)
         with np.load(folder / "mesh.npz") as arrays:
             return Elements(
                 points=arrays["points"],
@@ -206,10 +201,3 @@ def _remedy(what: str, said: str, allowed: Limits) -> str:
     if what.endswith(".msh"):
         return "save it again from Gmsh"
     return "correct the file" if what.endswith(".geo") else "change the traces or the sizes"
-
-
-def _end_of(code: int | None, said: str) -> str:
-    if code is not None and code < 0:
-        return f"Gmsh crashed (signal {-code})"
-    lines = said.strip().splitlines()
-    return f"Gmsh failed: {lines[-1] if lines else 'it ended without a mesh'}"

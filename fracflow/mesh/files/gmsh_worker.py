@@ -19,11 +19,12 @@ from typing import Any
 import gmsh
 import numpy as np
 
-from fracflow.mesh.files.msh2 import read_msh2
-
 GRACE = 5  # seconds of CPU time
 PR_SET_PDEATHSIG = 1  # of prctl
 KINDS = {15: "point", 1: "line", 2: "triangle", 3: "quad"}  # Gmsh's element types
+MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
+DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
+CORNERS = {"point": 1, "line": 2, "triangle": 3, "quad": 4}
 FRONTAL, RIGHT_ANGLED = 6, 8  # its algorithms: for triangles, and for triangles that make good quads in pairs
 
 
@@ -97,16 +98,11 @@ def dump() -> dict[str, Any]:
     """
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     tags, first = np.unique(tags.astype(np.int64), return_index=True)
-    arrays: dict[str, Any] = {"points": coordinates.reshape(-1, 3)[first]}
     groups = gmsh.model.getPhysicalGroups()
-    arrays["group_dim"] = np.array([dim for dim, _ in groups], dtype=np.int64)
-    arrays["group_tag"] = np.array([tag for _, tag in groups], dtype=np.int64)
-    arrays["group_name"] = np.array([gmsh.model.getPhysicalName(*group) for group in groups], dtype=np.str_)
     number = {group: index for index, group in enumerate(groups)}
-
-    nodes: dict[str, list[Any]] = {kind: [] for kind in KINDS.values()}
-    members: dict[str, list[Any]] = {kind: [] for kind in KINDS.values()}
-    counts = dict.fromkeys(KINDS.values(), 0)
+    nodes: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
+    members: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
+    counts = dict.fromkeys(CORNERS, 0)
     others = set()
     for dim, entity in gmsh.model.getEntities():
         own = [number[dim, tag] for tag in gmsh.model.getPhysicalGroupsForEntity(dim, entity)]
@@ -120,11 +116,68 @@ def dump() -> dict[str, Any]:
             counts[name] += len(rows)
             nodes[name].append(rows)
             members[name] += [np.stack([at, np.full(len(at), group)], axis=1) for group in own]
-    for kind, width in zip(KINDS.values(), (1, 2, 3, 4), strict=True):
-        arrays[kind] = np.concatenate([np.zeros((0, width), dtype=np.int64), *nodes[kind]])
-        arrays[f"{kind}_member"] = np.concatenate([np.zeros((0, 2), dtype=np.int64), *members[kind]])
-    arrays["other"] = np.array(sorted(others), dtype=np.str_)
-    return arrays
+    named = [(tag, dim, gmsh.model.getPhysicalName(dim, tag)) for dim, tag in groups]
+    return _arrays(coordinates.reshape(-1, 3)[first], nodes, members, sorted(others), named)
+
+
+def _arrays(
+    points: Any, nodes: dict[str, list[Any]], members: dict[str, list[Any]], others: list[str], groups: list[Any]
+) -> dict[str, Any]:
+    """The arrays of ``dump``; ``groups`` are tag, dimension and name of each."""
+    return {
+        "points": points,
+        **{kind: np.concatenate([np.zeros((0, k), np.int64), *nodes[kind]]) for kind, k in CORNERS.items()},
+        **{f"{kind}_member": np.concatenate([np.zeros((0, 2), np.int64), *members[kind]]) for kind in CORNERS},
+        "other": np.array(others, dtype=np.str_),
+        "group_dim": np.array([dim for _, dim, _ in groups], dtype=np.int64),
+        "group_tag": np.array([tag for tag, _, _ in groups], dtype=np.int64),
+        "group_name": np.array([name for _, _, name in groups], dtype=np.str_),
+    }
+
+
+def read_msh2(path: Path) -> dict[str, Any]:
+    """All points, elements and groups, as ``gmsh_worker.dump`` gives them. Raises ValueError of one line.
+
+    Version 2 has one physical tag an element; one in two groups stands twice.
+    """
+    import meshio  # imports much
+
+    try:
+        mesh = meshio.gmsh.read(path)
+    except MemoryError:
+        raise
+    except (Exception, SystemExit) as error:  # meshio raises whatever its parser meets
+        reason = " ".join(str(error).split()) if isinstance(error, meshio.ReadError) else "it is cut off or damaged"
+        raise ValueError(f"cannot be read as a Gmsh mesh: {reason}") from error
+    groups = _groups(path)
+    tags = mesh.cell_data.get("gmsh:physical", [np.zeros(len(block.data), np.int64) for block in mesh.cells])
+    nodes: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
+    members: dict[str, list[Any]] = {kind: [] for kind in CORNERS}
+    number = {(dim, tag): index for index, (tag, dim, _) in enumerate(groups)}
+    others = sorted({block.type for block in mesh.cells} - MESHIO_KINDS.keys())
+    for block, tag in zip(mesh.cells, tags, strict=True):
+        if block.type in others:
+            continue
+        kind = MESHIO_KINDS[block.type]
+        first = sum(len(rows) for rows in nodes[kind])
+        nodes[kind].append(np.asarray(block.data, dtype=np.int64))
+        if np.any((nodes[kind][-1] < 0) | (nodes[kind][-1] >= len(mesh.points))):
+            raise ValueError("an element has a node that the file does not have")
+        for value in np.unique(tag[tag > 0]):
+            key = (DIMS[kind], int(value))
+            if key not in number:
+                number[key] = len(groups)
+                groups.append((key[1], key[0], ""))
+            rows = first + np.flatnonzero(tag == value)
+            members[kind].append(np.stack([rows, np.full(len(rows), number[key])], axis=1))
+    return _arrays(np.asarray(mesh.points, dtype=float).reshape(-1, 3), nodes, members, others, groups)
+
+
+def _groups(path: Path) -> list[tuple[int, int, str]]:
+    """Tag, dimension and name of the groups; meshio keeps only one of two that share a name."""
+    text = path.read_bytes().partition(b"$PhysicalNames")[2].partition(b"$EndPhysicalNames")[0]
+    rows = [line.split(None, 2) for line in text.decode("utf-8", "replace").splitlines()]
+    return [(int(row[1]), int(row[0]), row[2].strip().strip('"')) for row in rows if len(row) == 3]
 
 
 def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
@@ -134,18 +187,15 @@ def mesh_geometry(job: dict[str, Any]) -> dict[str, Any]:
     corner = points.min(axis=0)
     scale = 2.0 ** -math.ceil(math.log2(np.ptp(points, axis=0).max()))
     geo = gmsh.model.geo
-    tags = [geo.addPoint(x, y, 0.0) for x, y in ((points - corner) * scale).tolist()]
+
+    def added(places: Any) -> list[int]:
+        return [geo.addPoint(x, y, 0.0) for x, y in ((np.array(places) - corner) * scale).tolist()]
+
+    tags = added(points)
     round_it = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["sides"].values()]
     curves = [[geo.addLine(tags[one], tags[other]) for one, other in edges] for edges in job["traces"].values()]
     surface = geo.addPlaneSurface([geo.addCurveLoop([line for lines in round_it for line in lines])])
-    around = [
-        (
-            fine * scale,
-            reach * scale,
-            [geo.addPoint(*place, 0.0) for place in ((np.array(places) - corner) * scale).tolist()],
-        )
-        for fine, reach, places in job["sources"]
-    ]
+    around = [(fine * scale, reach * scale, added(places)) for fine, reach, places in job["sources"]]
     geo.synchronize()
     gmsh.model.mesh.embed(1, [line for lines in curves for line in lines], 2, surface)
     gmsh.model.addPhysicalGroup(2, [surface], name=job["rock"])

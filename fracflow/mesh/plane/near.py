@@ -163,7 +163,8 @@ def _apart(network: TraceNetwork, points: _Points, reach: float) -> Iterator[tup
     chosen = np.flatnonzero(points.degree > 0)
     if not len(chosen):
         return
-    for point, edge, along, foot, distance in zip(*near_edges(network, chosen, reach), strict=True):
+    found = near_edges(network.points, network.edges, chosen, reach)
+    for point, edge, along, foot, distance in zip(*found, strict=True):
         owner = int(network.owner[edge])
         if owner >= 0 or not points.is_on_side[point]:
             ends = network.points[network.edges[edge]]

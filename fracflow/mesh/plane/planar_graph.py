@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -12,18 +11,6 @@ from fracflow.mesh.data import Floats, Ints
 CORNER, ON_SIDE, FREE = 0, 1, 2  # how freely a point moves: not at all, along its side, anywhere
 CHUNK = 2_000_000  # pairs looked at together
 ALMOST_ON = 2e-3  # slope, 0.11 degrees, at which a point and the ends of an edge make one line
-
-
-class Graph(Protocol):
-    """Points and the edges between them."""
-
-    @property
-    def points(self) -> Floats:
-        """(n, 2) [length]."""
-
-    @property
-    def edges(self) -> Ints:
-        """(m, 2) points from start to end."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +49,7 @@ def planar_graph_of(domain: Floats, traces: list[Floats]) -> PlanarGraph:
     rank = np.repeat([CORNER, FREE], [count, len(points) - count])
     nothing = np.zeros(0, dtype=np.int64)
     bends = (nothing, nothing, np.zeros(0))
-    return PlanarGraph(
-        points, points.copy(), np.arange(len(points)), rank, edges, owner.astype(np.int64), bends, len(points)
-    )
+    return PlanarGraph(points, points.copy(), np.arange(len(points)), rank, edges, owner, bends, len(points))
 
 
 def settle(lines: PlanarGraph, snap: float, rounds: int) -> PlanarGraph | None:
@@ -120,7 +105,7 @@ def _lengths_at(lines: PlanarGraph) -> Floats:
 
 def attach(lines: PlanarGraph, snap: float) -> PlanarGraph:
     """Move points within ``snap`` of an edge onto it; a point of a side stays, and the edge bends to it."""
-    point, edge, along, foot, distance = near_edges(lines, np.unique(lines.edges), snap)
+    point, edge, along, foot, distance = near_edges(lines.points, lines.edges, np.unique(lines.edges), snap)
     ends = lines.points[lines.edges[edge]]
     nearest_end = np.linalg.norm(ends - lines.points[point][:, None], axis=2).min(axis=1)
     is_meant = (point < lines.given) | (distance < ALMOST_ON * nearest_end)
@@ -156,9 +141,8 @@ def cross(lines: PlanarGraph, snap: float) -> PlanarGraph:
     one, other, along_one, along_other = (part[inside] for part in (one, other, along_one, along_other))
     # On the straighter of the two, a side: its points must stay on it.
     on_one = (lines.owner[one] < 0)[:, None]
-    new = np.where(
-        on_one, start[one] + along_one[:, None] * step[one], start[other] + along_other[:, None] * step[other]
-    )
+    at_one, at_other = start[one] + along_one[:, None] * step[one], start[other] + along_other[:, None] * step[other]
+    new = np.where(on_one, at_one, at_other)
     number = len(lines.points) + np.arange(len(new))
     rank = np.where((lines.owner[one] < 0) | (lines.owner[other] < 0), ON_SIDE, FREE)
     more = replace(
@@ -172,19 +156,20 @@ def cross(lines: PlanarGraph, snap: float) -> PlanarGraph:
     return _cut(more, np.concatenate([one, other]), np.concatenate([along_one, along_other]), twice)
 
 
-def near_edges(lines: Graph, chosen: Ints, reach: float) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-    """Chosen points within ``reach`` of an edge that does not end there, opposite to its inside.
+def near_edges(points: Floats, edges: Ints, chosen: Ints, reach: float) -> tuple[Ints, Ints, Floats, Floats, Floats]:
+    """Chosen of points (n, 2) within ``reach`` of one of edges (m, 2) that does not end there, opposite to its inside.
 
     Gives point (n,), edge (n,), place along the edge (n,) from 0 to 1, foot (n, 2) and distance (n,) [length].
     """
-    point, edge = _points_in_boxes(lines.points[chosen], lines.points[lines.edges], reach)
+    low, high = points[edges].min(axis=1) - reach, points[edges].max(axis=1) + reach
+    point, edge = _meeting(points[chosen], points[chosen], low, high)
     point = chosen[point]
-    apart = np.all(lines.edges[edge] != point[:, None], axis=1)
+    apart = np.all(edges[edge] != point[:, None], axis=1)
     point, edge = point[apart], edge[apart]
-    start, end = np.moveaxis(lines.points[lines.edges[edge]], 1, 0)
-    along = np.sum((lines.points[point] - start) * (end - start), axis=1) / np.sum((end - start) ** 2, axis=1)
+    start, end = np.moveaxis(points[edges[edge]], 1, 0)
+    along = np.sum((points[point] - start) * (end - start), axis=1) / np.sum((end - start) ** 2, axis=1)
     foot = start + along[:, None] * (end - start)
-    distance = np.linalg.norm(lines.points[point] - foot, axis=1)
+    distance = np.linalg.norm(points[point] - foot, axis=1)
     hit = (along > 0) & (along < 1) & (distance <= reach)
     return point[hit], edge[hit], along[hit], foot[hit], distance[hit]
 
@@ -204,28 +189,19 @@ def _cut(lines: PlanarGraph, edge: Ints, along: Floats, point: Ints) -> PlanarGr
 def boxes_that_meet(ends: Floats, reach: float) -> tuple[Ints, Ints]:
     """Pairs i < j of edges (m, 2, 2) whose boxes, wider by ``reach``, meet."""
     low, high = ends.min(axis=1) - reach, ends.max(axis=1) + reach
-    found = []
-    step = max(1, CHUNK // max(1, len(ends)))
-    for begin in range(0, len(ends), step):
+    one, other = _meeting(low, high, low, high)
+    return one[one < other], other[one < other]
+
+
+def _meeting(low: Floats, high: Floats, lows: Floats, highs: Floats) -> tuple[Ints, Ints]:
+    """Pairs of boxes from ``low`` to ``high`` (n, 2) and from ``lows`` to ``highs`` (m, 2) that meet."""
+    found, step = [], max(1, CHUNK // max(1, len(lows)))
+    for begin in range(0, len(low), step):
         rows = slice(begin, begin + step)
-        meets = np.all((low[rows, None] <= high) & (low <= high[rows, None]), axis=2)
-        one, other = np.nonzero(meets)
-        found.append(np.stack([one + begin, other])[:, one + begin < other])
+        one, other = np.nonzero(np.all((low[rows, None] <= highs) & (lows <= high[rows, None]), axis=2))
+        found.append(np.stack([one + begin, other]))
     one, other = np.concatenate(found, axis=1)
     return one, other
-
-
-def _points_in_boxes(points: Floats, ends: Floats, reach: float) -> tuple[Ints, Ints]:
-    """Pairs of points (n, 2) and edges (m, 2, 2) with the point in the edge's box, wider by ``reach``."""
-    low, high = ends.min(axis=1) - reach, ends.max(axis=1) + reach
-    found = []
-    step = max(1, CHUNK // max(1, len(ends)))
-    for begin in range(0, len(points), step):
-        part = points[begin : begin + step, None]
-        point, edge = np.nonzero(np.all((part >= low) & (part <= high), axis=2))
-        found.append(np.stack([point + begin, edge]))
-    point, edge = np.concatenate(found, axis=1)
-    return point, edge
 
 
 def _turn(one: Floats, other: Floats) -> Floats:

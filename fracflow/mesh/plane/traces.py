@@ -15,6 +15,9 @@ ROUNDS = 30  # of merging, moving and cutting
 EXACT = 1e-9  # of the domain's extent: moves under this are round-off and go without saying
 LEAST_ANGLE = 0.1  # degrees between edges that meet
 SHALLOW = 10.0  # degrees: lines that cross at less may share a stretch
+FRACTION = 0.004  # a pencil's line, 0.4 mm, on a map on which the median trace is 10 cm long
+SPARE = 0.25  # of the shortest trace or side, which snapping must not swallow
+STRETCH = 20.0  # snaps that two traces may share
 
 Trace = tuple[str, Floats]
 """Name and points (m, 2) of a fracture, from its start to its end."""
@@ -110,13 +113,37 @@ def polygon_area(corners: Floats) -> float:
     return float(abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) / 2)
 
 
+def natural_snap(domain: Floats, traces: Sequence[Trace]) -> tuple[float, str]:
+    """The snap of traces that state none [length], and why: 0.4 % of their median length.
+
+    The median stays where one trace more is drawn far away. It counts at most as the width of the domain, the root of
+    its area. No trace or side may be shorter than four snaps.
+
+    domain  (k, 2) corners of a polygon [length]
+    """
+    lengths = np.array([np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in traces])
+    sides = np.linalg.norm(np.roll(domain, -1, axis=0) - domain, axis=1)
+    width, percent = float(np.sqrt(polygon_area(domain))), f"{100.0 * FRACTION:g} % of"
+    found = [
+        (FRACTION * width, f"{percent} the domain's width"),
+        (SPARE * float(sides.min()), f"{SPARE:g} of the domain's shortest side"),
+    ]
+    if len(lengths):
+        name = traces[int(np.argmin(lengths))][0]
+        found += [
+            (FRACTION * float(np.median(lengths)), f"{percent} the median length of traces"),
+            (SPARE * float(lengths.min()), f'{SPARE:g} of the length of fracture "{name}", the shortest'),
+        ]
+    return min(each for each in found if each[0] > 0.0)  # a domain that is none is refused by name later
+
+
 def _check_domain(domain: Floats, snap: float) -> None:
     alone = planar_graph_of(domain, [])
     gaps = np.linalg.norm(domain - np.roll(domain, -1, axis=0), axis=1)
     if gaps.min() <= snap:
         where = _spot(domain[np.argmin(gaps)])
         raise InputError(f"geometry.domain: the side that starts at {where} is no longer than snap = {snap:.3g}")
-    touching = near_edges(alone, np.arange(len(domain)), snap)[0]
+    touching = near_edges(alone.points, alone.edges, np.arange(len(domain)), snap)[0]
     if len(touching):
         where = _spot(domain[touching[0]])
         raise InputError(f"geometry.domain: the corner {where} is within snap = {snap:.3g} of another side")
@@ -230,9 +257,8 @@ def _moves(lines: PlanarGraph, given: PlanarGraph, labels: _Labels, least: float
             onto = f" onto {labels.all_of(others)}" if len(others) else ""
         else:
             what, onto = f"{labels.all_of(others)}: crossing", ""
-        notes.append(
-            f"{what} {_spot(lines.first[point])} moved by {moved[point]:.3g} to {_spot(lines.points[here])}{onto}"
-        )
+        before, after = _spot(lines.first[point]), _spot(lines.points[here])
+        notes.append(f"{what} {before} moved by {moved[point]:.3g} to {after}{onto}")
     for point, trace, distance in zip(*(part.tolist() for part in lines.bends), strict=True):
         if distance > least and point in at:
             notes.append(f"{labels(trace)}: bent by {distance:.3g} to {_spot(lines.points[point])}")

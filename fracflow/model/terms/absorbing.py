@@ -12,12 +12,12 @@ from fracflow.elements import dashpot, facet
 from fracflow.errors import InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
-from fracflow.model.solid import nodal_force, nodal_layout, node_unknowns, projected, rock_values
+from fracflow.model.solid import assembled_at_nodes, nodal_force, rock_values
 from fracflow.model.terms.term import Term
-from fracflow.scene.scene import Absorbing, Scene
+from fracflow.scene.scene import Scene
+from fracflow.scene.terms import Absorbing
 from fracflow.scene.time_table import Around
 from fracflow.scene.values import TimeTable
 
@@ -40,8 +40,7 @@ class Facets:
 
     def speed(self, kind: str) -> Floats:
         """c_p or c_s (f,) of facets [length/time]."""
-        speed: Floats = np.sqrt((self.lam + 2.0 * self.shear if kind == "p" else self.shear) / self.density)
-        return speed
+        return np.sqrt((self.lam + 2.0 * self.shear if kind == "p" else self.shear) / self.density)
 
     @property
     def impedance(self) -> Floats:
@@ -61,11 +60,10 @@ def facets_of(blocks: Blocks, scene: Scene, absorbing: Absorbing) -> Facets:
     if blocks.comm.allreduce(int((blocks.solid.body[nodes] >= 0).any())):
         raise InputError(f"absorbing: on = {list(absorbing.on)}: lies on a rigid rock, in which no wave travels")
     corners = blocks.solid.points[nodes]
-    lam, shear = dashpot.lame(
-        rock_values(blocks, scene, "youngs_modulus")[cells], rock_values(blocks, scene, "poissons_ratio")[cells]
-    )
+    keys = ("youngs_modulus", "poissons_ratio", "density")
+    modulus, ratio, density = (rock_values(blocks, scene, key)[cells] for key in keys)
     size, normal = facet.nodal_sizes(corners), outward(blocks, facets)
-    return Facets(nodes, size, normal, lam, shear, rock_values(blocks, scene, "density")[cells])
+    return Facets(nodes, size, normal, *dashpot.lame(modulus, ratio), density)
 
 
 def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
@@ -106,7 +104,8 @@ class AbsorbingSides(Term):
         self.blocks, self.waves, self._notes = blocks, tuple[IncidentWave, ...](), tuple[str, ...]()
         if not scene.has_dynamics:
             return
-        self.damping = self._impedance(expand)
+        given = ((facets.nodes, facets.impedance) for _, facets in self.sides)
+        self.damping = assembled_at_nodes(blocks, given, expand)
         waves = [(absorbing, facets) for absorbing, facets in self.sides if absorbing.wave is not None]
         self.waves = tuple(_wave(blocks, absorbing, facets, expand) for absorbing, facets in waves)
         self._notes = tuple(line for each in self.sides for line in _notes(blocks, *each))
@@ -115,18 +114,6 @@ class AbsorbingSides(Term):
     def notes(self) -> tuple[str, ...]:
         """How much of a wave the sides send back."""
         return self._notes
-
-    def _impedance(self, expand: PETSc.Mat | None) -> PETSc.Mat:
-        """C, lumped: a block of dim x dim at each node, diagonal where sides lie along the axes. Collective."""
-        layout = nodal_layout(self.blocks)
-        matrix = create_matrix((layout, layout), self.blocks.sizes.dim, self.blocks.comm)
-        for _, facets in self.sides:
-            values = facets.impedance
-            for corner in range(values.shape[1]):
-                numbers = node_unknowns(self.blocks, facets.nodes[:, corner])
-                add_blocks(matrix, numbers, numbers, values[:, corner])
-        matrix.assemble()
-        return projected(matrix, expand)
 
     def held(self) -> tuple[Ints, Floats]:
         """Unknowns (n,) of this rank's part of the sides that are held without inertia, and their places (n, dim)."""
@@ -192,9 +179,8 @@ def _wave(blocks: Blocks, absorbing: Absorbing, facets: Facets, expand: PETSc.Ma
         inward = comm.allreduce(-(facets.normal * length[:, None]).sum(axis=0))
         total = comm.allreduce(float(length.sum()))
         if np.linalg.norm(inward) < (1.0 - SAME) * total:
-            raise InputError(
-                f"absorbing: on = {list(absorbing.on)}: is not one straight side: give wave.direction, the way the wave goes"
-            )
+            fault = f"absorbing: on = {list(absorbing.on)}: is not one straight side"
+            raise InputError(f"{fault}: give wave.direction, the way the wave goes")
     else:
         inward = np.array(wave.direction)
     direction = inward / np.linalg.norm(inward)

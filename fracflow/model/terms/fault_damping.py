@@ -41,25 +41,16 @@ from functools import cache
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import facet, solid
 from fracflow.integrators import EXPLICIT
 from fracflow.integrators.explicit import damped_rate
 from fracflow.mesh.blocks import Blocks, petsc_ints
 from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.joints import Joints
-from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.mass import cell_rates
 from fracflow.model.operators import Operators
-from fracflow.model.solid import (
-    by_shape,
-    deformable,
-    elasticity,
-    nodal_layout,
-    node_unknowns,
-    projected,
-    rock_values,
-)
+from fracflow.model.solid import assembled, by_shape, deformable, elasticity, projected, rock_values
 from fracflow.model.terms.term import MeanDamping, Term
 from fracflow.scene.scene import Scene
 
@@ -113,12 +104,11 @@ def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     chosen = np.flatnonzero(ratios)
     moduli, points, time = elasticity(blocks, scene), blocks.solid.points, np.zeros(len(rates))
     time[chosen] = 2.0 * ratios[chosen] / np.sqrt(rates[chosen])
-    matrix = create_matrix((nodal_layout(blocks), nodal_layout(blocks)), 20, blocks.comm)
-    for group, nodes in by_shape(blocks.solid.cells[chosen]):
-        cells, numbers = chosen[group], node_unknowns(blocks, nodes).reshape(len(nodes), -1)
-        each = time[cells, None, None] * solid.stiffness(points[nodes], moduli[cells])
-        add_blocks(matrix, numbers, numbers, each)
-    matrix.assemble()
+
+    def kernel(cells: Ints, nodes: Ints) -> Floats:
+        return time[cells, None, None] * solid.stiffness(points[nodes], moduli[cells])
+
+    matrix = assembled(blocks, chosen, kernel, 20)
     scale = np.ones(len(rates))
     for ratio in np.unique(ratios[chosen]).tolist():
         scale[ratios == ratio] = damped_rate(ratio)
@@ -131,8 +121,7 @@ def can_slip(joints: Joints) -> Bools:
     slides = np.zeros(len(joints.weights), dtype=bool)
     for group in joints.laws:
         slides[group.sections] = group.law.slides
-    found: Bools = slides.reshape(-1, joints.points).any(axis=1)
-    return found
+    return slides.reshape(-1, joints.points).any(axis=1)
 
 
 def is_sudden(operators: Operators, scene: Scene, rates: Floats) -> Bools:
@@ -156,8 +145,7 @@ def is_sudden(operators: Operators, scene: Scene, rates: Floats) -> Bools:
     mean = total / np.maximum(count, 1.0)
     brief = np.maximum(mean[joints.bottom], mean[joints.top]).max(axis=1, initial=0.0)
     pressed = np.abs(operators.joints.initial[:, -1]).reshape(-1, operators.joints.points).max(axis=1, initial=0.0)
-    found: Bools = change * brief > QUICK * pressed
-    return found
+    return change * brief > QUICK * pressed
 
 
 def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
@@ -186,15 +174,13 @@ def asymmetry(blocks: Blocks, scene: Scene) -> Floats:
     stiff = np.where(alone, _difference(own, mirror @ own @ mirror), _difference(below, mirror @ above @ mirror))
     mass = np.where(alone, 0.0, _difference(light[..., None, None], heavy[..., None, None]))
     is_split = joints.bottom != joints.top
-    worst: Floats = np.where(is_split, np.maximum(stiff, mass), 0.0).max(axis=1, initial=0.0)
-    return worst
+    return np.where(is_split, np.maximum(stiff, mass), 0.0).max(axis=1, initial=0.0)
 
 
 def _difference(one: Floats, other: Floats) -> Floats:
     """|a - b|/(|a| + |b|) of matrices (..., k, k); 0 where both are 0."""
     size = np.linalg.norm(one, axis=(-2, -1)) + np.linalg.norm(other, axis=(-2, -1))
-    result: Floats = np.linalg.norm(one - other, axis=(-2, -1)) / np.where(size > 0.0, size, 1.0)
-    return result
+    return np.linalg.norm(one - other, axis=(-2, -1)) / np.where(size > 0.0, size, 1.0)
 
 
 def cells_near(blocks: Blocks, chosen: Bools, layers: int) -> Bools:
@@ -223,6 +209,5 @@ def _summed(blocks: Blocks, nodes: Ints, values: Floats) -> Floats:
     scatter = PETSc.Scatter().create(whole, wanted, local, None)
     scatter.scatter(whole, local)
     found: Floats = local.getArray().reshape(-1, width).copy()
-    for each in (whole, wanted, local, scatter):
-        each.destroy()
+    destroy(whole, wanted, local, scatter)
     return found

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracflow._petsc import PETSc
-from fracflow.laws import TERM_LAWS, TermLaw
+from fracflow.laws import TERM_LAWS
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats
-from fracflow.model.layout import add_blocks, create_matrix
 from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
-from fracflow.model.solid import nodal_layout, node_unknowns, projected
+from fracflow.model.solid import assembled_at_nodes
 from fracflow.model.terms.term import Leaving, Term
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import LawTable
@@ -45,23 +44,16 @@ class OnSides(Term):
         """Moduli (dim, dim) along and across sides, of which there are some or none, times the share of each node."""
         if all(moduli is None for _, moduli in given):
             return None
-        blocks = operators.blocks
-        layout = nodal_layout(blocks)
-        matrix = create_matrix((layout, layout), blocks.sizes.dim, blocks.comm)
-        for names, moduli in given:
-            if moduli is None:
-                continue
-            for facets in (side_facets(blocks, name) for name in names):
-                nodes, normal = blocks.solid.side_facets[facets], outward(blocks, facets)
-                ends = blocks.solid.points[nodes]
-                frame = np.stack([np.stack([normal[:, 1], -normal[:, 0]], axis=1), normal], axis=1)
-                half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-                values = np.einsum("n,nki,kl,nlj->nij", half, frame, moduli, frame)
-                for end in range(2):
-                    numbers = node_unknowns(blocks, nodes[:, end])
-                    add_blocks(matrix, numbers, numbers, values)
-        matrix.assemble()
-        return projected(matrix, operators.expand)
+        blocks, parts = operators.blocks, []
+        for name, moduli in ((name, moduli) for names, moduli in given if moduli is not None for name in names):
+            facets = side_facets(blocks, name)
+            nodes, normal = blocks.solid.side_facets[facets], outward(blocks, facets)
+            ends = blocks.solid.points[nodes]
+            frame = np.stack([np.stack([normal[:, 1], -normal[:, 0]], axis=1), normal], axis=1)
+            half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+            values = np.einsum("n,nki,kl,nlj->nij", half, frame, moduli, frame)
+            parts.append((nodes, np.stack([values] * 2, axis=1)))
+        return assembled_at_nodes(blocks, parts, operators.expand)
 
 
 class OnFractures(Term):
@@ -71,12 +63,9 @@ class OnFractures(Term):
 
     def __init__(self, name: str, operators: Operators, tables: Sequence[LawTable]) -> None:
         """Find the joints of each table."""
-        flow = operators.flow
-        assert flow is not None
+        flow = operators.network
         self.name, self.entry, self._half = name, tables[0].law.entry, 0.5 * flow.length
-        self._laws: list[tuple[np.ndarray, TermLaw]] = [
-            (joints_of(operators.blocks, table.on), table.made()) for table in tables
-        ]
+        self._laws = [(joints_of(operators.blocks, table.on), table.made()) for table in tables]
         sizes = (sign * operators.scales.pressure + flow.resting_end for sign in (-1.0, 1.0))
         slopes = [self.leaving(pressure, flow.aperture).by_pressure.any(axis=1) for pressure in sizes]
         self._settled = np.flatnonzero(slopes[0] | slopes[1])

@@ -30,7 +30,5 @@ def with_terms(operators: Operators, scene: Scene) -> Operators:
     if stiffness is not operators.stiffness:
         operators.stiffness.destroy()
     damping = summed([term.damping for term in terms if term.damping is not None])
-    flow = operators.flow
-    if flow is not None:
-        flow = replace(flow, terms=tuple(term for term in terms if term.drains))
+    flow = operators.flow and replace(operators.flow, terms=tuple(term for term in terms if term.drains))
     return replace(operators, terms=terms, stiffness=stiffness, damping=damping, flow=flow)

@@ -13,12 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear_check import UNSOLVED, check_solution, true_residual
+from fracflow.solve.linear import UNSOLVED, check_solution, true_residual
+from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 
 POWER_ITERATIONS = 60
@@ -42,8 +43,7 @@ class Cycle:
         self.solid = solver_of(self.blocks[0][0], "solid_")
         self.wall, self.force = self.blocks[0][0].createVecs()
         self.held = np.isin(matrix.layout.start + matrix.layout.solid_count + _here(self.blocks[1][1]), matrix.fixed)
-        for split in splits:
-            split.destroy()
+        destroy(*splits)
 
     def uptake(self, pressure: PETSc.Vec, result: PETSc.Vec) -> None:
         """``result`` = C p. Collective."""
@@ -59,8 +59,7 @@ class Cycle:
         ones.setArray(np.where(self.held, 0.0, 1.0))
         self.uptake(ones, result)
         values = np.abs(result.getArray())
-        ones.destroy()
-        result.destroy()
+        destroy(ones, result)
         return np.where(self.held, 0.0, values)
 
     def radius(self, storage: Floats | None = None) -> tuple[float, Floats]:
@@ -84,20 +83,16 @@ class Cycle:
                 rate.setArray(rate.getArray() - storage * pressure.getArray(readonly=True))
             flow.solve(rate, pressure)
             estimates.append(pressure.norm() if is_solved(matrix, pressure, rate) else np.inf)
-            if not np.isfinite(estimates[-1]) or _is_settled(estimates):
+            is_settled = all(abs(b - a) <= SETTLED * b for a, b in pairwise(estimates[-3:]))
+            if not np.isfinite(estimates[-1]) or (len(estimates) > 3 and is_settled):
                 break
         mode = pressure.getArray().copy()
-        flow.destroy()
-        pressure.destroy()
-        rate.destroy()
-        if storage is not None:
-            matrix.destroy()
+        destroy(flow, pressure, rate, None if storage is None else matrix)
         return estimates[-1], mode
 
     def destroy(self) -> None:
         """Free matrices and solver. Collective."""
-        for thing in (self.solid, self.wall, self.force, *self.blocks[0], *self.blocks[1]):
-            thing.destroy()
+        destroy(self.solid, self.wall, self.force, *self.blocks[0], *self.blocks[1])
 
 
 @dataclass(frozen=True)
@@ -156,14 +151,10 @@ def added_storage(cycle: Cycle) -> tuple[Floats, float]:
 
 def worst_fracture(operators: Operators, mode: Floats) -> str:
     """Name of the fracture in which a mode (n,) of the pressures is largest. Collective."""
-    assert operators.flow is not None
-    comm, block = operators.layout.comm, operators.blocks.joints
-    nodes, ends = operators.layout.flow_vector(), operators.flow.pick.createVecLeft()
+    comm, block, nodes = operators.layout.comm, operators.blocks.joints, operators.layout.flow_vector()
     nodes.setArray(np.abs(np.where(np.isfinite(mode), mode, 0.0)))
-    operators.flow.pick.mult(nodes, ends)
-    values = ends.getArray().copy()
+    values = operators.network.at_ends(nodes).ravel()
     nodes.destroy()
-    ends.destroy()
     here = int(values.argmax()) if len(values) else -1
     value = float(values[here]) if here >= 0 else -1.0
     name = block.fractures[block.fracture[here // 2]] if here >= 0 else ""
@@ -198,15 +189,6 @@ def scaled(alphas: Alphas, ratio: float) -> Alphas:
     return replace(alphas, a0=a0, a1=a1, a2=a2, a5=alphas.a5 * ratio)
 
 
-def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
-    """A linear solver with the options of a prefix. The caller destroys it. Collective."""
-    solver = PETSc.KSP().create(comm=matrix.getComm())
-    solver.setOperators(matrix)
-    solver.setOptionsPrefix(prefix)
-    solver.setFromOptions()
-    return solver
-
-
 def is_solved(matrix: PETSc.Mat, solution: PETSc.Vec, source: PETSc.Vec) -> bool:
     """Whether A x = b holds at all: a direct solver calls garbage converged where A is singular. Collective."""
     relative, left = true_residual(matrix, solution, source)
@@ -231,8 +213,3 @@ def change_of(old: Floats, new: Floats, comm: MPI.Comm) -> float:
 
 def _here(matrix: PETSc.Mat) -> np.ndarray:
     return np.arange(*matrix.getOwnershipRange()) - matrix.getOwnershipRange()[0]
-
-
-def _is_settled(estimates: list[float]) -> bool:
-    last = estimates[-3:]
-    return len(estimates) > 3 and all(abs(b - a) <= SETTLED * b for a, b in pairwise(last))

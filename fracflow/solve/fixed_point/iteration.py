@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats
@@ -22,18 +22,12 @@ from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import start_again, step_report
 from fracflow.solve.condensed_cost import Condensing
-from fracflow.solve.fixed_point.contraction import (
-    Prediction,
-    add_diagonal,
-    change_of,
-    is_solved,
-    predict,
-    solver_of,
-)
+from fracflow.solve.fixed_point.contraction import Prediction, add_diagonal, change_of, is_solved, predict
 from fracflow.solve.fixed_point.failure import describe_divergence, measured_factor
 from fracflow.solve.fixed_point.relaxation import RELAXATIONS, Cycles
 from fracflow.solve.jacobian import JoinedMatrix
 from fracflow.solve.newton import Newton
+from fracflow.solve.options import solver_of
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.residual import TINY
 
@@ -114,9 +108,7 @@ class FixedPoint:
         hands_over = self.scene.method.on_divergence == "monolithic"
         is_hopeless = self.name == "plain" and prediction.factor >= self.limit
         try:
-            if not np.isfinite(prediction.own):
-                raise _Lost
-            if is_hopeless and hands_over:
+            if not np.isfinite(prediction.own) or (is_hopeless and hands_over):
                 raise _Lost
             report = self._cycle(problem, prediction, changes, MEASURED if is_hopeless else None)
         except _Lost as lost:
@@ -135,7 +127,7 @@ class FixedPoint:
         accuracy, rule = self.scene.accuracy, RELAXATIONS[self.name]
         cycles, total, left = Cycles(prediction.factor), StepReport(), np.nan
         for number in range(1, (most or accuracy.max_cycles) + 1):
-            problem.branch = problem.state.sections.history  # no section slips for a pressure that was on its way
+            problem.trial_status = problem.state.sections.history  # no section slips for a pressure that was on its way
             try:
                 added = self._added(problem, prediction)
                 cycles = cycles.then(problem.pressure.getArray().copy(), added)
@@ -155,7 +147,8 @@ class FixedPoint:
                 factorisations=cycle.factorisations + 1,
                 out_of_balance=(),
             ).after(total)
-            still = max(accuracy.pressure * self._driven(problem), PRESSURE_ROUND_OFF * self._size(problem))
+            size = problem.pressure.norm(PETSc.NormType.INFINITY)
+            still = max(accuracy.pressure * self._driven(problem), PRESSURE_ROUND_OFF * size)
             if most is None and changes[-1] <= still and residual.flow <= accuracy.residual:
                 return total
             left = max(changes[-1] / max(still, TINY), residual.flow / accuracy.residual)
@@ -180,16 +173,15 @@ class FixedPoint:
             self.flow.destroy()
             self.flow = solver_of(self.network, "flow_fieldsplit_flow_")
         solved, result = is_solved(self.network, added, balance), added.getArray() * unit
-        balance.destroy()
-        added.destroy()
+        destroy(balance, added)
         if not solved:
             raise SolveError("the flow has no solution while the walls are held")
         return result
 
     def _prediction(self, problem: StepProblem) -> Prediction:
         """That of an earlier step, as long as it holds: a factor moves about as much as what it is made of. Collective."""
-        conduction, network = problem.conduction, problem.operators.flow
-        assert conduction is not None and network is not None
+        conduction, network = problem.conduction, problem.operators.network
+        assert conduction is not None
         drop = conduction.pressure[:, 0] - conduction.pressure[:, 1]
         now = Linearised(
             Prediction(np.nan, ""),
@@ -223,9 +215,6 @@ class FixedPoint:
         here = float(np.abs(values).max(initial=0.0))
         return float(self.whole_matrix.layout.comm.allreduce(here if here == here else np.inf, op=MPI.MAX))
 
-    def _size(self, problem: StepProblem) -> float:
-        return float(problem.pressure.norm(PETSc.NormType.INFINITY))
-
     def _driven(self, problem: StepProblem) -> float:
         """The pressure that drives: differences, or the change in the step; a datum drives nothing. Collective."""
         now, before = problem.pressure.getArray(readonly=True), problem.state.pressure.getArray(readonly=True)
@@ -234,7 +223,5 @@ class FixedPoint:
 
     def destroy(self) -> None:
         """Free matrices and solvers. Collective."""
-        things = [self.monolithic] if self.monolithic is not None else []
-        matrices = (self.whole_matrix, self.solid_matrix)
-        for thing in (*things, self.solid, self.flow, self.network, *self.splits, *matrices):
-            thing.destroy()
+        solvers, matrices = (self.monolithic, self.solid, self.flow), (self.whole_matrix, self.solid_matrix)
+        destroy(*solvers, self.network, *self.splits, *matrices)
