@@ -29,17 +29,17 @@ def use(kept: bool) -> None:
     gmsh._work = find if kept else make
 
 
-def find(job, what, texts, sources, allowed):
+def find(job, what, texts, sources):
     """What Gmsh made of the same job, beside the same texts, within the same limits; made now where none is kept.
 
     Only a job that holds all of its input is looked up: a file that Gmsh reads itself may have changed. No error is kept.
     """
     if "link" in job or ("file" in job and job["file"] not in texts):
-        return make(job, what, texts, sources, allowed)
-    whole = repr((sorted(job.items()), sorted(texts.items()), allowed))
+        return make(job, what, texts, sources)
+    whole = repr((sorted(job.items()), sorted(texts.items()), gmsh.limits(job.get("bytes"))))
     file = Path(os.environ[FOLDER]) / hashlib.sha256(whole.encode()).hexdigest()
     if not file.exists():
         new = file.with_suffix(f".{os.getpid()}")
-        new.write_bytes(pickle.dumps(make(job, what, texts, sources, allowed)))
+        new.write_bytes(pickle.dumps(make(job, what, texts, sources)))
         new.replace(file)  # another process finds all of it, or nothing
     return pickle.loads(file.read_bytes())

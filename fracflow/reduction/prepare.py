@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from fracflow._petsc import MPI
+from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Ints, SplitMesh
 from fracflow.model.network_parts import told_apart
 from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
@@ -47,6 +47,7 @@ def prepare(
     begins            whether the run begins, and notes list the lengths that its mesh does not resolve
     """
     with naming(scene):
+        PETSc.garbage_cleanup(comm)  # models of earlier runs: on several ranks petsc4py only sets them aside
         set_defaults(scene.petsc)
         return _prepare(scene, comm, saved, cell_rank, begins)
 

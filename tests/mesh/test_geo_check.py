@@ -207,6 +207,8 @@ REFUSED = [
     'Physical Curve("a\\") = {1};', 'Physical Curve("a\nb") = {1};', "Physical Curve('a\"b') = {1};", 'Physical Curve("a',
     "/* no end", "x = 1; /* /", "x = $1;", "x = `id`;", "x = 1 \\\n + 2;", "#include <a>", "#! /bin/sh", "x = ü;", "x\0 = 1;",
     "x = 1;\rSystemCall = 2;", "// a comment\rx = 1;", "x = 1;\x1a", "x\u200b = 1;", 'x = 1;\x0bSave "a";',
+    "For i In {0:18446744073709551616}\nEndFor", "For (1:1e999)\nEndFor", "For i In {0:1:1e-9}\nEndFor",
+    "For i In {0:-2000000:-1}\nEndFor", "For i In {0:1:0}\nEndFor",
     "{ x = 1; }", "Delete { y; x[-5] = 1; }", "Delete { y; Field[1] = Octree; }", "SyncModel[-5] = 1;", "Parent(-1) = 2;",
     "Delete { y; x[-5]++; }", "Physical Surface{" + '"a", ' * 300 + '"b"};',"1 = 2;", '"a" = 2;', "x = (1;)", "x = 1)); Exit;",
 ]  # fmt: skip

@@ -26,6 +26,7 @@ ASSIGNING = frozenset(("=", "+=", "-=", "*=", "/="))
 COUNTING = frozenset(("++", "--"))
 FORMAT = re.compile(r"(?:[^%]|%[-+ 0]?\d{0,2}(?:\.\d{1,2})?[eEfFgG])*")
 LONGEST_FORMAT, LONGEST_STEM = 120, 60
+MOST_ROUNDS = 10**6  # of a loop between plain numbers
 HAVE_FIELD = ("Delete", "Background", "BoundaryLayer")
 END = Token("end", "", 0, 0, "")
 
@@ -98,7 +99,9 @@ class _File:
             self.at = self._matching(first + 1, "(") + 1
         elif kind == "For":
             is_named = self._is_word(first + 1) and self._value(first + 2) == "In"
-            self.at = self._matching(first + 3, "{") + 1 if is_named else self._matching(first + 1, "(") + 1
+            start = first + 3 if is_named else first + 1
+            self.at = self._matching(start, "{" if is_named else "(") + 1
+            self._bounded(first, start + 1, self.at - 1)
         elif kind in ("Macro", "Function"):
             if not self._is_word(first + 1) or self.blocks:
                 raise self._refusal(first, first + 1, "a macro has a name and lies in no other block")
@@ -110,6 +113,17 @@ class _File:
         if kind not in ("If", "ElseIf", "Else", "EndIf"):
             self._ends_its_line(first, self.at)
         self._nest(kind, first)
+
+    def _bounded(self, first: int, start: int, after: int) -> None:
+        """Refuse a loop between plain numbers, from ``start`` to before ``after``, that Gmsh would be in for hours."""
+        texts = "".join(token.shown for token in self.tokens[start:after]).split(":")
+        try:
+            low, high, *steps = (float(text) for text in texts)
+        except ValueError:
+            return  # expressions: Gmsh's time is limited
+        step = abs(steps[0]) if steps else 1.0
+        if not abs(high - low) <= MOST_ROUNDS * step:
+            raise self._refusal(first, after, f"a loop of more than {MOST_ROUNDS} rounds; give closer bounds")
 
     def _nest(self, kind: str, first: int) -> None:
         """Keep the blocks that are open; each end must be that of the innermost one."""
