@@ -15,7 +15,8 @@ class Chromium:
     """One tab. Its ``faults`` are exceptions, errors on the console and requests for anything but a file or data."""
 
     def __init__(self):
-        program = shutil.which("chromium") or shutil.which("chromium-browser")
+        found = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
+        program = next(filter(None, found), None)
         assert program, "Chromium is missing: scripts/test installs it (apt-get install chromium)"
         self.faults, self._last, self._rest = [], 0, b""
         self._home = tempfile.mkdtemp(prefix="fracflow-chromium-")

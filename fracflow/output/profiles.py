@@ -86,7 +86,7 @@ def read_profiles(folder: Path) -> dict[str, NDArray[Any]]:
     if not (folder / FILE).is_file():
         return {}
     found = read_history(folder / FILE)
-    rows, known = len(found.get("time", ())), {"time", "step"}
-    if rows and not known <= found.keys():
+    rows, step = len(found.get("time", ())), found.get("step", np.zeros(0))
+    if rows and (step.ndim != 1 or step.dtype.kind != "i"):
         raise InputError(f"{folder / FILE}: has no steps; put back a copy of the file")
     return found if rows else {}

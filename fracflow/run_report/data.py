@@ -40,6 +40,7 @@ Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 VOLUME = "length**3"
+_COPY = "put back a copy of the file"
 MOST_POINTS = 500  # of a line: more are closer than its pixels
 _HOUR, _DAY, _YEAR = 3600.0, 86400.0, 31557600.0
 _UNITS: dict[str, tuple[tuple[float, float, str], ...]] = {
@@ -246,15 +247,11 @@ class RunReport:
         return Chart(title, label, unit.label(word), series, note=more)
 
     def attempt(self, read: Callable[[], T], otherwise: Any) -> T:
-        """The result of ``read``; where it fails, ``otherwise`` and a line in ``faults``."""
+        """The result of ``read``; where it raises InputError for a damaged file, ``otherwise`` and a line in ``faults``."""
         try:
             return read()
         except InputError as error:
             self.faults.append(shown_plain(" ".join(str(error).split())))
-        except (OSError, ValueError, LookupError, TypeError, RecursionError, AttributeError) as error:
-            self.faults.append(
-                shown_plain(f"{self.folder}: a part could not be read: {' '.join(str(error).split())[:300]}")
-            )
         result: T = otherwise
         return result
 
@@ -268,12 +265,13 @@ def read_run(folder: str | Path) -> RunReport:
     check_own(path)
     run.status = read_status(path)
     if (path / "history.h5").is_file():
-        run.history = run.attempt(lambda: read_history(path / "history.h5"), {})
+        history = run.attempt(lambda: read_history(path / "history.h5"), {})
+        run.history = {name: np.asarray(values, dtype=float) for name, values in history.items()}
         run.notes = run.attempt(lambda: read_attributes(path / "history.h5"), {})
         run.units = run.attempt(lambda: read_units(path / "history.h5", run.notes), {})
         run.wells = run.attempt(lambda: _places(path, run.notes, "wells"), {})
         run.probes = run.attempt(lambda: _places(path, run.notes, "probes"), {})
-    run.scene_text = run.attempt(lambda: read_text(path / "scene.toml", "put back a copy of the file"), "")
+    run.scene_text = run.attempt(lambda: read_text(path / "scene.toml", _COPY), "")
     if run.scene_text:
         run.scene = run.attempt(lambda: load(path / "scene.toml"), None)
     if run.scene is not None and not run.units:
@@ -292,17 +290,20 @@ def read_run(folder: str | Path) -> RunReport:
 
 
 def _places(folder: Path, notes: dict[str, Any], key: str) -> dict[str, tuple[float, float]]:
-    found = read_table(folder / "history.h5", key, notes)
-    return {
-        shown_plain(name): (float(at[0]), float(at[1]))
-        for name, at in found.items()
-        if all(abs(float(each)) < LARGEST for each in at[:2])
-    }
+    file = folder / "history.h5"
+    found = read_table(file, key, notes)
+    try:
+        places = {shown_plain(name): (float(at[0]), float(at[1])) for name, at in found.items()}
+    except (TypeError, ValueError, LookupError):
+        raise InputError(f"{file}: its attribute {key} holds no places; {_COPY}") from None
+    return {name: at for name, at in places.items() if all(abs(each) < LARGEST for each in at)}
 
 
 def _plan(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    found = json.loads(read_text(path, "put back a copy of the file"))
-    parts = found["decisions"], found["card"]
-    if not all(isinstance(part, list) and all(isinstance(row, dict) for row in part) for part in parts):
-        raise InputError(f"{path}: is no readable plan; put back a copy of the file")
+    text = read_text(path, _COPY)
+    try:
+        found = json.loads(text)
+        parts = [dict(row) for row in found["decisions"]], [dict(row) for row in found["card"]]
+    except (TypeError, ValueError, LookupError, RecursionError):
+        raise InputError(f"{path}: is no readable plan; {_COPY}") from None
     return parts

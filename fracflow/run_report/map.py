@@ -63,9 +63,9 @@ def read_frames(run: RunReport) -> Frames | None:
     states, fracture = _states(run, len(cells))
     if not states or not len(cells) or cells.shape[1] != 2:
         return None
-    if len(fracture) != len(cells) or fracture.min(initial=0) < 0:
+    names = _names(about, len(cells))
+    if fracture.shape != (len(cells),) or fracture.min() < 0 or fracture.max() >= len(names):
         raise InputError(f"{folder}: the fractures of its pieces do not fit them; put back a copy of the files")
-    names = _names(about, int(fracture.max(initial=-1)) + 1)
     rows, ends_of, parts, along = _traces(points[:, :2], cells, fracture, len(names))
     meeting = np.bincount(rows, minlength=len(along))  # ends at each node
 
@@ -111,11 +111,13 @@ def _states(run: RunReport, pieces: int) -> tuple[dict[int, tuple[float, Data]],
 
 
 def _names(about: Mapping[str, Any], count: int) -> list[str]:
-    """Names of the fractures in the mesh of the fields; numbers where there are none that fit."""
-    names = json.loads(about["fractures"]) if "fractures" in about else []
-    is_whole = isinstance(names, list) and len(names) >= count
-    if is_whole and all(isinstance(name, str) and not steers(name) for name in names):
-        return list(names)
+    """Names of the fractures in the mesh of the fields; ``count`` numbers where there are none."""
+    try:
+        names = json.loads(about.get("fractures", "[]"))
+    except (TypeError, ValueError, RecursionError):
+        names = []
+    if isinstance(names, list) and names and all(isinstance(name, str) and not steers(name) for name in names):
+        return names
     return [f"fracture {i + 1}" for i in range(count)]
 
 

@@ -7,7 +7,7 @@ import datetime
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -60,26 +60,22 @@ def write_report(folder: str | Path, output: str | Path | None = None) -> tuple[
 def page(run: RunReport) -> str:
     """The page as text."""
     frames = run.attempt(lambda: read_frames(run), None)
-    drawn = run.attempt(lambda: map_record(run, frames), None)
+    drawn = map_record(run, frames)
     charts: Charts = {}
-    parts: list[tuple[str, str, Callable[[], str]]] = [
-        ("scene", "The scene", lambda: _scene(run)),
-        ("mesh", "Mesh and fractures", lambda: _mesh(run, frames)),
-        ("model", "Parts modelled and left out", lambda: _model(run)),
-        ("wells", "Wells", lambda: _wells(run, charts, frames)),
-        ("map", "Map", lambda: _map(drawn)),
-        ("along", "Along the fractures", lambda: _along(frames)),
-        ("probes", "Probes", lambda: _probes(run, charts)),
-        ("events", "Events", lambda: events_of(run, charts)),
-        ("energy", "Energy balance", lambda: _energy(run, charts)),
-        ("steps", "Steps", lambda: _steps(run, charts)),
-    ]
     made = [
-        (key, head, run.attempt(make, "<p>This part could not be made; see the warnings.</p>"))
-        for key, head, make in parts
+        ("warnings", "Warnings", _warnings(run)),
+        ("scene", "The scene", _scene(run)),
+        ("mesh", "Mesh and fractures", _mesh(run, frames)),
+        ("model", "Parts modelled and left out", _model(run)),
+        ("wells", "Wells", _wells(run, charts, frames)),
+        ("map", "Map", _map(drawn)),
+        ("along", "Along the fractures", _along(frames)),
+        ("probes", "Probes", _probes(run, charts)),
+        ("events", "Events", events_of(run, charts)),
+        ("energy", "Energy balance", _energy(run, charts)),
+        ("steps", "Steps", _steps(run, charts)),
+        ("repeat", "How to repeat it", _repeat(run)),
     ]
-    made.append(("repeat", "How to repeat it", _repeat(run)))
-    made.insert(0, ("warnings", "Warnings", _warnings(run)))
     body = "".join(f'<section id="{key}"><h2>{safe(head)}</h2>{text}</section>' for key, head, text in made if text)
     index = "".join(f'<li><a href="#{key}">{safe(head)}</a></li>' for key, head, text in made if text)
     data = {"charts": {key: chart.as_record() for key, chart in charts.items()}, "map": drawn}

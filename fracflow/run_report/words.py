@@ -314,7 +314,7 @@ def plan_table(run: RunReport) -> str:
 
     rows = []
     for each in sorted(run.plan, key=lambda each: not each.get("left_out")):
-        part = each.get("part", "") + (f", stage {each['stage']}" if each.get("stage") else "")
+        part = str(each.get("part", "")) + (f", stage {each['stage']}" if each.get("stage") else "")
         error = "" if each.get("verdict") == "kept" else each.get("error", "")
         cells = (each.get("verdict", ""), part, each.get("criterion", ""), short(each.get("value", "")))
         rows.append((*cells, short(each.get("limit", "")), error, each.get("saves", "")))

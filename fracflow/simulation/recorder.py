@@ -92,6 +92,8 @@ class Recorder:
         self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
         self._notices = Notices(model, self.totals, self.log)
         self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
+        if comm.bcast(self.files is not None and bool(self.files.profiles.lost), root=0):
+            self.profiles, self.totals.profiles = Timetable(), {}
 
     def log(self, line: str) -> None:
         """A line for log.txt."""

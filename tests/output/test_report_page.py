@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import pytest
 from chromium import Chromium
@@ -17,11 +18,13 @@ import fracflow
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
+from fracflow.output.checkpoint import read_notes, write_checkpoint
 from fracflow.output.profiles import MOST, ProfileFile, Timetable, read_profiles
 from fracflow.run_report import write_report
 from fracflow.run_report.data import number, read_run, thinned, unit_for
 from fracflow.run_report.map import _traces, read_frames
 from fracflow.simulation.run import resume, run
+from fracflow.storage.sealed import read_sealed
 
 pytestmark = pytest.mark.serial
 
@@ -229,6 +232,44 @@ def test_a_page_says_what_is_damaged_and_shows_the_rest(stopped, tmp_path, lacki
             assert [fault for fault in faults if name in fault] and name in re.sub("<[^>]*>", "", text)
 
 
+def forged_plan(folder):
+    (folder / "plan.json").write_text('{"decisions": [{"part": 3, "value": []}], "card": [{"name": null}]}')
+
+
+def forged_places(folder):
+    with h5py.File(folder / "history.h5", "r+") as file:
+        del file["seal"], file.attrs["seal"]
+        file.attrs["wells"] = '{"well": [0]}'
+
+
+def forged_fractures(folder):
+    for path in (folder / "fields").glob("fractures_0*.h5"):
+        with h5py.File(path, "r+") as file:
+            del file["seal"], file.attrs["seal"]
+            file["cell/fracture"][...] = 10**9
+
+
+@pytest.mark.parametrize(
+    ("forge", "faults"),
+    [(forged_plan, 0), (forged_places, 1), (forged_fractures, 1)],
+    ids=lambda x: getattr(x, "__name__", ""),
+)
+def test_values_of_strangers_make_no_page_fail(stopped, tmp_path, forge, faults):
+    shutil.copytree(stopped, tmp_path / "out")
+    forge(tmp_path / "out")
+    path, found = write_report(tmp_path / "out")
+    assert len(found) == faults and "<footer>" in path.read_text()
+
+
+def test_an_error_of_the_program_is_no_damage_of_a_file(stopped, monkeypatch):
+    def broken(_):
+        raise TypeError("a slip of ours")
+
+    monkeypatch.setattr("fracflow.run_report.data.read_events", broken)
+    with pytest.raises(TypeError, match="a slip of ours"):
+        read_run(stopped)
+
+
 @pytest.mark.parametrize("states", [0, 1])
 def test_a_run_that_has_just_started_has_a_page(stopped, tmp_path, browser, states):
     (tmp_path / "out").mkdir()
@@ -271,6 +312,27 @@ def test_profiles_are_those_of_the_states_and_survive_a_resume(stopped, tmp_path
     run(fracflow.load(stopped / "scene.toml"), tmp_path / "whole")
     mine, whole = read_profiles(folder), read_profiles(tmp_path / "whole")
     assert mine.keys() == whole.keys() and all(np.array_equal(mine[key], whole[key]) for key in mine)
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_checkpoint_without_profiles_is_resumed(stopped, tmp_path, lost):
+    """That of an earlier version, which wrote none; and one whose profiles are lost: those of the states since begin anew."""
+    folder = tmp_path / "out"
+    shutil.copytree(stopped, folder)
+    steps = len(fracflow.open(folder).history["time"])
+    (folder / "profiles.h5").unlink()
+    if not lost:
+        found = read_sealed(folder / "checkpoint.h5", "is no checkpoint")
+        notes = json.loads(found.notes["notes"])
+        del notes["totals"]["profiles"]
+        write_checkpoint(folder / "checkpoint.h5", found.arrays, notes)
+    resume(folder)
+    mine, run = read_profiles(folder), read_run(folder)
+    assert mine["step"][0] == steps and mine["time"].tolist() == run.times[mine["step"]].tolist()
+    kept = read_notes(folder / "checkpoint.h5")["totals"]["profiles"]
+    assert kept["rows"] == len(mine["time"])
+    assert any("the profiles begin anew" in line for line in run.log) == lost
+    assert write_report(folder)[1] == []
 
 
 def test_profiles_are_few_and_even_in_time():
