@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -66,7 +67,8 @@ def test_joint_time_step_takes_the_mass_of_the_walls_there_are():
 def test_coupling_factor_is_the_published_one_where_walls_send_off_waves(length, published):
     stage, kappa = FlowStage("", 0.01, 200.0, 4e4, True), np.pi / length
     modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
-    stiff = film.wall_stiffness(1e8, modulus, kappa, stage, 5.12 * wave / 2, 0.0)
+    joints = SimpleNamespace(modulus=modulus, impedance=5.12 * wave / 2, mass=0.0)
+    stiff = film.wall_stiffness(joints, 1e8, kappa, stage)
     assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(published, rel=2e-3)
 
 
@@ -75,7 +77,8 @@ def test_coupling_factor_with_the_mass_of_cells_is_that_measured(length, depth, 
     """Measured in 2-D with eight cells along the fault; at 0.01 s a wave is still in its cell of the longest."""
     stage, kappa = FlowStage("", 0.01, 200.0, 4e4, True), np.pi / length
     modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
-    stiff = film.wall_stiffness(1e8, modulus, kappa, stage, 5.12 * wave / 2, 5.12 * depth / 4)
+    joints = SimpleNamespace(modulus=modulus, impedance=5.12 * wave / 2, mass=5.12 * depth / 4)
+    stiff = film.wall_stiffness(joints, 1e8, kappa, stage)
     assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(measured, rel=0.012)
 
 

@@ -178,14 +178,30 @@ def shown(value: Any) -> str:
 
 
 @app.command()
-def picture(folder: Annotated[Path, typer.Argument(help="a run folder")]) -> None:
-    """Draw the pictures of a run again."""
+def picture(
+    what: Annotated[Path, typer.Argument(metavar="RUN|SCENE", help="a run folder, or a scene before its run")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="of a scene: NAME.png, by default runs/<its name>-before.png")
+    ] = None,
+    set_: Overrides = None,
+    trust: Trust = False,
+) -> None:
+    """Draw the pictures of a run again; or a scene: mesh, wells, and how near each fracture is to slip."""
     from fracflow.output.pictures import draw
 
+    if what.is_file():
+        from fracflow.cli.picture import picture_of_scene
+        from fracflow.scene.scene import load
+
+        for line in picture_of_scene(load(what, set_ or [], trust), output):
+            typer.echo(line)
+        return
+    if output is not None or set_:
+        raise InputError(f"{what}: -o and --set are for scenes; a run is drawn into its own folder, as it was run")
     try:
-        paths = draw(folder)
+        paths = draw(what)
     except OSError as error:
-        raise DiskError.of(error, folder) from error
+        raise DiskError.of(error, what) from error
     for path in paths:
         typer.echo(str(path))
 

@@ -8,16 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
-from fracflow.output.events import LATEST, read_events
+from fracflow.output.drawing.axes import shown, unit_for
+from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
+from fracflow.output.fracture_table import COLUMNS, fracture_table
 from fracflow.output.history import read_attributes, read_history, read_units
 from fracflow.output.slip_at_crossings import told_handed
+from fracflow.scene.units import LENGTH, TIME
 from fracflow.storage.files import shown_plain
 
 BOOKS = (
@@ -26,6 +30,7 @@ BOOKS = (
     "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
 MOST_EVENTS = 20
+MOST_FRACTURES = 40
 OPEN = 1e-6  # of the largest entry of the energy balance
 COARSE = 1e-2  # the same, of what closed forms of the stored energies leave
 
@@ -47,12 +52,6 @@ def _nearest(folder: Path) -> str:
         f"; nearest to it at the end is {name} at ({x:.6g}, {y:.6g}), |f_s|/f_sy = {share[nearest]:.4g}: more steps,"
         " more pressure or a larger increment_per_step may reach it"
     )
-
-
-def _began(event: Mapping[str, Any]) -> str:
-    """When slip or opening began: an instant, or the step in which it did."""
-    start, latest = event["start"], event[LATEST]
-    return f"{start:.6g}" if latest is None or latest <= start else f"{start:.6g} to {latest:.6g}"
 
 
 def _told_books(left: float, closed: float, most: float, noise: float) -> Iterator[str]:
@@ -82,7 +81,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
     history = read_history(folder / "history.h5")
     about = read_attributes(folder / "history.h5")
     units = read_units(folder / "history.h5", about)
-    length, time, force = (shown_plain(units.get(key, "")) for key in ("length", "time", "force"))
+    length, force = (shown_plain(units.get(key, "")) for key in ("length", "force"))
     title = "Energy balance" + (f" [{force} {length} per {length} of thickness]" if length else "")
     table = Table("entry", "at the end", "largest", title=escape(title), title_style="bold")
     books = [name for name in BOOKS if f"energy/{name}" in history]  # earlier versions had fewer
@@ -101,34 +100,64 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
     noise *= len(history["time"])
     for line in _told_books(left, closed, most, noise):
         console.print(line, soft_wrap=True, markup=False)
+    _report_fractures(folder, console, units)
     events = read_events(folder / "events.csv")
     if not events:
         console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
         return
-    heads = [f"{word} [{unit}]" if unit else word for word, unit in (("from", time), ("to", time), ("slip", length))]
-    slips = Table("what", "fracture", "node", "probe", *map(escape, heads), title_style="bold")
-    slips.title = "Slip and opening"
-    shown = sorted(events, key=lambda event: -abs(event["slip"]))[:MOST_EVENTS]
-    for event in sorted(shown, key=lambda event: event["start"]):
-        end = "" if event["end"] is None else f"{event['end']:.6g}"
-        slips.add_row(
-            event["kind"],
-            escape(event["fracture"]),
-            str(event["node"]),
-            escape(event["probe"]),
-            _began(event),
-            end,
-            f"{event['slip']:.4e}",
-        )
-    console.print(slips)
+    _report_events([event for event in events if event["kind"] == "event"], console, units)
     for line in told_handed(events, load_mesh(folder / "mesh.h5")):
         console.print(line, soft_wrap=True, markup=False)
-    if len(events) > MOST_EVENTS:
-        console.print(
-            f"and {len(events) - MOST_EVENTS} more, of smaller slip, in {folder / 'events.csv'}",
-            soft_wrap=True,
-            markup=False,
+
+
+def _report_fractures(folder: Path, console: Console, units: Mapping[str, str]) -> None:
+    """A row a fracture, in units that suit the numbers; those of most slip first, then the longest."""
+    found = fracture_table(folder)
+    if found is None:
+        return
+    at = shown_plain(shown(TIME, found.time, units, 6))
+    table = Table(title=escape(f"Fractures at {at}"), title_style="bold")
+    table.add_column("fracture", overflow="fold")
+    columns = {key: values for key, values in found.columns.items() if np.isfinite(values).any()}
+    scales = {key: unit_for(COLUMNS[key], _largest(values), units) for key, values in columns.items()}
+    for key, (_, unit) in scales.items():
+        table.add_column(
+            escape(f"{key.replace('_', ' ')} [{shown_plain(unit)}]" if unit else key.replace("_", " ")), justify="right"
         )
+    table.add_column("state")
+    slip, length = np.nan_to_num(found.columns["largest_slip"]), found.columns["length"]
+    order = np.lexsort((-length, -slip))
+    for i in order[:MOST_FRACTURES]:
+        cells = (
+            f"{scales[key][0] * values[i]:.4g}" if np.isfinite(values[i]) else "-" for key, values in columns.items()
+        )
+        table.add_row(escape(shown_plain(found.names[i])), *cells, found.state[i])
+    console.print(table)
+    if len(order) > MOST_FRACTURES:
+        rest = f"and {len(order) - MOST_FRACTURES} more; all by: fracflow export {folder} --csv"
+        console.print(rest, soft_wrap=True, markup=False)
+
+
+def _largest(values: NDArray[np.float64]) -> float:
+    return float(np.abs(values[np.isfinite(values)]).max())
+
+
+def _report_events(events: Sequence[Mapping[str, Any]], console: Console, units: Mapping[str, str]) -> None:
+    """The catalogue's events, the largest of them, in their order."""
+    if not events:
+        return
+    table = Table(title="Events", title_style="bold")
+    for head in ("begins on", "from", "to", "largest slip", "magnitude"):
+        table.add_column(head)
+    largest = sorted(events, key=lambda event: -abs(event["slip"]))[:MOST_EVENTS]
+    for event in sorted(largest, key=lambda event: event["start"]):
+        times = ["" if event[key] is None else shown(TIME, event[key], units, 8) for key in ("start", "end")]
+        size = "" if event["magnitude"] is None else f"{event['magnitude']:.2f}"
+        slip = shown(LENGTH, event["slip"], units)
+        table.add_row(*(escape(shown_plain(text)) for text in (event["fracture"], *times, slip, size)))
+    console.print(table)
+    if len(events) > MOST_EVENTS:
+        console.print(f"and {len(events) - MOST_EVENTS} more, of smaller slip, in events.csv", soft_wrap=True)
 
 
 def report_checks(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:

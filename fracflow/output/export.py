@@ -1,4 +1,4 @@
-"""The history of a run as CSV: a table each for steps, energies and every probe, or all in one."""
+"""The history of a run as CSV: a table each for steps, energies, every probe, and fractures; or histories in one."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import check_own, write_atomic
+from fracflow.output.fracture_table import COLUMNS, fracture_table
 from fracflow.output.history import read_history, read_units
 from fracflow.scene.quantities import component_names, dimension_of, row_of
 from fracflow.scene.units import unit_text
@@ -37,7 +38,8 @@ def units_of_run(folder: Path) -> dict[str, str]:
 def tables(folder: str | Path) -> dict[str, Columns]:
     """Tables of a run by name: "steps", "energy", "probe_<name>"; each column (steps,), headed "name [unit]".
 
-    Every table begins with the time. Raises InputError if there is no history.
+    Every table begins with the time, but "fractures", which has a row a fracture, of the last fields. Raises InputError if
+    there is no history.
     """
     check_own(Path(folder))
     history, units = read_history(Path(folder) / "history.h5"), units_of_run(Path(folder))
@@ -54,7 +56,18 @@ def tables(folder: str | Path) -> dict[str, Columns]:
         kind = "scalar" if values.ndim == 1 else row.kind if row is not None else None
         heads = [_head(each, key, units) for each in component_names(name, kind, flat.shape[1])]
         table |= dict(zip(heads, flat.T, strict=True))
-    return found
+    return found | _by_fracture(Path(folder), units)
+
+
+def _by_fracture(folder: Path, units: Mapping[str, str]) -> dict[str, Columns]:
+    """The table "fractures", of the last fields, where there are any."""
+    table = fracture_table(folder)
+    if table is None:
+        return {}
+    heads = {f"{key} [{unit}]" if (unit := unit_text(of, units)) else key: key for key, of in COLUMNS.items()}
+    columns: Columns = {"fracture": np.array(table.names, dtype=object)}
+    columns |= {head: table.columns[key] for head, key in heads.items()}
+    return {"fractures": columns | {"state": np.array(table.state, dtype=object)}}
 
 
 def export_csv(folder: str | Path, output: str | Path | None = None) -> list[Path]:
@@ -70,6 +83,7 @@ def export_csv(folder: str | Path, output: str | Path | None = None) -> list[Pat
     target = Path(folder) / "csv" if output is None else Path(output)
     one = target.suffix.lower() == ".csv" and not target.is_dir()
     if one:
+        found.pop("fractures", None)  # its rows are not times
         wide: Columns = dict(found.pop("steps", {}))
         for table, columns in found.items():
             wide |= {f"{table}/{head}": values for head, values in list(columns.items())[1:]}

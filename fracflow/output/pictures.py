@@ -7,11 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fracflow.output.plot_style import COLOURS, INK, PALE, plain, styled
+from fracflow.output.drawing.axes import Axis, Floats, axis_of
+from fracflow.output.drawing.labels import beside_trace, placed
+from fracflow.output.drawing.network_map import (
+    Network,
+    coloured,
+    draw_map,
+    name_all,
+    name_size,
+    plain_numbers,
+    scaled,
+    write_name,
+)
+from fracflow.output.plot_style import COLOURS, INK, PALE, draw_head, plain, save, styled
 from fracflow.output.reader import RunData, load_run_data
 from fracflow.scene.quantities import QUANTITIES, OutputQuantity, probed
-from fracflow.scene.units import ENERGY, LENGTH, STRESS, VELOCITY
-from fracflow.storage.files import fresh, replacing
+from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,56 +38,62 @@ _ENERGIES = (
     ("radiated", "radiated"),
     ("damping", "damped at faults"),
 )
+_OF_WELLS = (("pressure", STRESS), ("rate", FLOW_RATE), ("volume", "length**3"))
 _MAX_LINES = 7
 _MOST_FIRST = 5  # more than these at once show no place of the onset
+_LEAST_SLIP = 1e-6  # of the largest, that is drawn
+_WIDEST = 6.0  # line of slip [points]
 
 
 def draw(folder: str | Path) -> list[Path]:
-    """Draw ``pictures/overview.png`` and ``pictures/probes.png`` of a run and return their paths.
+    """Draw ``overview.png``, ``probes.png`` and ``wells.png`` into ``pictures`` of a run and return their paths.
 
-    The second is left out if the run has no probes. Raises InputError if the folder has no history.
+    The second and third are left out if the run has no histories of probes or wells. Raises InputError if the folder has no
+    history.
     """
     run = load_run_data(folder)
     pictures = Path(folder) / "pictures"
     pictures.mkdir(exist_ok=True)
     with styled():
-        drawn = {"overview": _overview(run), "probes": _probes(run)}
-        paths = [_save(figure, pictures / f"{name}.png") for name, figure in drawn.items() if figure]
+        drawn = {"overview": _overview(run), "probes": _probes(run), "wells": _wells(run)}
+        paths = [save(figure, pictures / f"{name}.png") for name, figure in drawn.items() if figure]
     return paths
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    with replacing(path) as part:
-        figure.savefig(fresh(part), format="png")
-    return path
 
 
 def _overview(run: RunData) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, _height(run)), layout="constrained")
-    axes = figure.subplot_mosaic([["map", "slip"], ["map", "energy"], ["map", "pressure"]], width_ratios=[1.15, 1])
-    _draw_head(figure, run.title, run.account)
-    _draw_map(axes["map"], run)
-    _draw_probes(axes["slip"], run, QUANTITIES["slip"], "Slip at the probes")
-    _draw_energy(axes["energy"], run)
-    if not _draw_pressure_profiles(axes["pressure"], run):
-        _draw_probes(axes["pressure"], run, QUANTITIES["pressure"], "Pressure at the probes")
+    draw_head(figure, run.title, run.account)
+    left, right = figure.subfigures(1, 2, width_ratios=[1.1, 1])
+    slip, energy, pressure = right.subplots(3, 1)
+    named = {}
+    if run.probes_with("slip"):
+        _draw_probes(slip, run, QUANTITIES["slip"], "Slip at the probes")
+    else:
+        named[slip] = _draw_profiles(slip, run, QUANTITIES["plastic_slip"], by_size=True)
+    _draw_energy(energy, run)
+    if run.fractures is not None and run.fractures.has("pressure"):
+        named[pressure] = _draw_profiles(pressure, run, QUANTITIES["pressure"])
+    else:
+        row = QUANTITIES["pressure" if run.probes_with("pressure") else "shear_traction"]
+        _draw_probes(pressure, run, row, f"{row.axis.capitalize()} at the probes")
+    axes = left.subplots()
+    network = _network(run)
+    scales = _draw_map(axes, run, network)
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        left.legend(handles, labels, loc="outside lower left", ncols=3, handletextpad=0.3)
+    figure.draw_without_rendering()  # names are placed in the pixels of the final layout
+    name_all(axes, network, scales, _WIDEST)
+    for panel, lines in named.items():
+        _name_lines(panel, lines)
     return figure
 
 
-def _draw_probes(axes: Axes, run: RunData, row: OutputQuantity, title: str) -> None:
+def _draw_probes(axes: Axes, run: RunData, row: OutputQuantity, title: str, word: str = "") -> None:
     lines = {name: run.probe(name, row.name) for name in run.probes_with(row.name)}
-    _draw_lines(axes, run, lines, title, row.axis, row.dimension, run.settled)
-
-
-def _draw_head(figure: Figure, title: str, below: str) -> None:
-    """The title, and a smaller line under it."""
-    from matplotlib.text import Annotation
-
-    head = figure.suptitle(f"{plain(title)}\n", fontsize=13, fontweight="bold", x=0.01, ha="left")
-    place = dict(xy=(0.0, 0.0), xycoords=head, xytext=(0.0, 2.0), textcoords="offset points")
-    figure.add_artist(Annotation(plain(below), **place, fontsize=9, annotation_clip=False))  # type: ignore[arg-type]
+    _draw_lines(axes, run, lines, title, word or row.axis, row.dimension, run.settled)
 
 
 def _height(run: RunData) -> float:
@@ -87,95 +104,40 @@ def _height(run: RunData) -> float:
     return float(np.clip(5.2 * high / max(wide, 1e-300) + 2.2, 6.2, 7.6))
 
 
-_SCALED = {
-    STRESS: ((1e6, "MPa"), (1e3, "kPa")),
-    ENERGY: ((1e6, "MJ/m"), (1e3, "kJ/m")),
-    LENGTH: ((1e-1, ""), (1e-3, "mm"), (1e-6, "µm")),
-    VELOCITY: ((1e-1, ""), (1e-3, "mm/s")),
-}
-"""Dimension -> sizes in SI from which on numbers are drawn in a unit, "" for that of the run; the largest first."""
+def _network(run: RunData) -> Network:
+    """What the map of a run shows."""
+    found = run.fractures
+    first = run.first_events()
+    marks = {"well": run.wells, "probe": run.probes}
+    if 0 < len(first) <= _MOST_FIRST:
+        marks["slipped first"] = {f"\0{i}": (event["x"], event["y"]) for i, event in enumerate(first)}
+    if found is None:
+        return Network(run.rock or [], np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64), [], run.units, marks)
+    return Network(run.rock or [], found.segments, found.fracture, found.names, run.units, marks)
 
 
-def _unit(run: RunData, word: str, dimension: str, largest: float) -> tuple[float, str]:
-    """Factor and axis label: in MPa, MJ and mm where the run is in SI and its numbers call for it."""
-    if (run.units.get("length"), run.units.get("force")) == ("m", "N") and 0.0 < largest < np.inf:
-        for size, unit in _SCALED.get(dimension, ()):
-            if largest >= size:
-                return (1.0 / size, f"{word} [{unit}]") if unit else (1.0, run.label(word, dimension))
-    return 1.0, run.label(word, dimension)
-
-
-def _draw_map(axes: Axes, run: RunData) -> None:
-    from matplotlib.collections import LineCollection, PolyCollection
-
+def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:
     fractures = run.fractures
     axes.set_title(f"Where the rock slipped, until {run.at(fractures.time)}" if fractures else "Where the rock slipped")
-    axes.grid(False)
-    axes.set_aspect("equal", anchor="N")
-    if run.rock is not None:
-        look = dict(facecolors="#f4f1ea", edgecolors="#dcd6c8", linewidths=0.25)
-        axes.add_collection(PolyCollection(run.rock, **look))  # type: ignore[arg-type]
-    if fractures is not None and len(fractures.segments):
-        ends = fractures.segments
-        axes.add_collection(LineCollection(list(ends), colors=INK, linewidths=1.0))
-        slip = np.abs(fractures.on_segments("plastic_slip"))
-        top = slip.max(initial=0.0)
-        if top == 0.0:
-            since = run.slipped_since() if run.is_behind else []
-            later = f"; {len(since)} {'has' if len(since) == 1 else 'have'} since" if since else ""
-            axes.set_title(f"The fractures: none had slipped at {run.at(fractures.time)}{later}")
-        else:
-            share = slip / top
-            moved = share > 1e-6
-            lines = LineCollection(
-                list(ends[moved]), cmap="viridis_r", linewidths=(2.0 + 6.0 * share[moved]), capstyle="round"
-            )
-            factor, label = _unit(run, f"plastic slip at {run.at(fractures.time)}", LENGTH, top)
-            lines.set_array(factor * slip[moved])
-            lines.set_clim(0.0, factor * top)
-            axes.add_collection(lines)
-            look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.02, panchor=False)
-            bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)  # type: ignore[arg-type]
-            _tidy_numbers(bar.ax)
-        for name, (x, y) in fractures.label_places().items():
-            _tag(axes, name, x, y, (0, 0), color="#5a5a5a", ha="center", va="center")
-    _draw_marks(axes, run)
-    axes.autoscale_view()
-    axes.margins(0.03)
-    axes.locator_params(axis="x", nbins=5)
-    axes.set_xlabel(run.label("x", LENGTH))
-    axes.set_ylabel(run.label("y", LENGTH))
-
-
-def _draw_marks(axes: Axes, run: RunData) -> None:
-    first = run.first_events()
-    if 0 < len(first) <= _MOST_FIRST:
-        x, y = np.array([(event["x"], event["y"]) for event in first]).T
-        axes.plot(x, y, "*", ms=11, mfc="#D55E00", mec="white", mew=0.8, zorder=6.5, label="slipped first")
-    looks = ((run.wells, "v", "#56B4E9", "well", 11), (run.probes, "o", "white", "probe", 5))
-    for places, marker, colour, label, size in looks:
-        if places:
-            x, y = np.array(list(places.values())).T
-            axes.plot(x, y, marker, ms=size, mfc=colour, mec=INK, mew=0.9, ls="", zorder=6, label=label)
-    names: dict[tuple[float, float], list[str]] = {}
-    for name, place in [*run.probes.items(), *run.wells.items()]:
-        there = names.setdefault(place, [])
-        there += [] if name in there else [name]
-    for (x, y), found in names.items():
-        _tag(axes, ", ".join(found), x, y, (9, 0), va="center")
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        figure = axes.get_figure()
-        assert figure is not None
-        figure.legend(handles, labels, loc="outside lower left", ncols=3, handletextpad=0.3)
-
-
-def _tag(axes: Axes, text: str, x: float, y: float, shift: tuple[float, float], **how: str) -> None:
-    import matplotlib.patheffects as effects
-
-    halo = [effects.withStroke(linewidth=2.5, foreground="white")]
-    place = dict(xy=(x, y), xytext=shift, textcoords="offset points", fontsize=7.5, zorder=7)
-    axes.annotate(plain(text), path_effects=halo, **place, **how)  # type: ignore[arg-type]
+    scales = draw_map(axes, network)
+    if fractures is None or not len(network.segments):
+        return scales
+    slip = np.abs(fractures.on_segments("plastic_slip"))
+    axis = axis_of(LENGTH, [np.r_[0.0, slip]], run.units, run.noise.get(LENGTH, 0.0))
+    top = float(axis(slip[np.isfinite(slip)]).max(initial=0.0))
+    if axis.is_constant:
+        since = run.slipped_since() if run.is_behind else []
+        later = f"; {len(since)} {'has' if len(since) == 1 else 'have'} since" if since else ""
+        axes.set_title(f"The fractures: none had slipped at {run.at(fractures.time)}{later}")
+        return scales
+    moved = axis(slip) > _LEAST_SLIP * top
+    widths = 2.0 + (_WIDEST - 2.0) * axis(slip[moved]) / top
+    lines = coloured(axes, scaled(network.segments[moved], *scales), axis(slip[moved]), widths, "viridis_r", (0.0, top))
+    label = axis.label(f"plastic slip at {run.at(fractures.time)}")
+    look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.03, panchor=False)
+    bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)  # type: ignore[arg-type]
+    plain_numbers(bar.ax, "x")
+    return scales
 
 
 def _draw_lines(
@@ -197,25 +159,34 @@ def _draw_lines(
         return
     if len(shown) < len(lines):
         axes.set_title(f"{title} (the {len(shown)} that change most)")
-    largest = max(float(np.abs(np.nan_to_num(lines[name][span])).max()) for name in shown)
-    factor, label = _unit(run, word, dimension, largest)
-    drawn = {name: factor * lines[name][span] for name in shown}
+    scale = axis_of(dimension, [lines[name][span] for name in shown], run.units, run.noise.get(dimension, 0.0))
+    drawn = {name: scale(lines[name][span]) for name in shown}
     for (_, values), colour in zip(drawn.items(), COLOURS, strict=False):
         axes.plot(x, values, color=colour, marker="." if len(x) == 1 else "")
     axes.margins(x=0.0)
     axes.set_xlabel(x_label)
-    axes.set_ylabel(label)
-    _tidy_numbers(axes)
-    _name_ends(axes, [(name, float(np.nan_to_num(values[-1]))) for name, values in drawn.items()])
+    axes.set_ylabel(scale.label(word))
+    plain_numbers(axes)
+    ends = [(name, float(np.nan_to_num(values[-1]))) for name, values in drawn.items()]
+    if scale.is_constant:
+        _draw_constant(axes, [value for _, value in ends])
+    _name_ends(axes, ends, scale.unit if scale.is_constant else None)
 
 
-def _tidy_numbers(axes: Axes) -> None:
-    axes.ticklabel_format(axis="both", scilimits=(-2, 4), useMathText=True)
-    axes.locator_params(axis="both", nbins=6)
+def _draw_constant(axes: Axes, values: list[float]) -> None:
+    """An axis on which nothing changes: wide about its values, which are said beside it."""
+    axes.set_title(f"{axes.get_title(loc='left')}: constant", loc="left")
+    around = max(0.2 * max(abs(value) for value in values), 1.0 if not any(values) else 0.0)
+    axes.set_ylim(min(values) - around, max(values) + around)
+    if not any(values):
+        axes.set_yticks([0.0])
 
 
-def _name_ends(axes: Axes, ends: list[tuple[str, float]]) -> None:
-    """Name lines beside their last values, together where these coincide, else moved apart."""
+def _name_ends(axes: Axes, ends: list[tuple[str, float]], unit: str | None = None) -> None:
+    """Name lines beside their last values, together where these coincide, else moved apart.
+
+    unit  say the values too, in this unit
+    """
     low, high = axes.get_ylim()
     heights = [(value - low) / (high - low) for _, value in ends]
     groups: list[list[int]] = []
@@ -234,9 +205,11 @@ def _name_ends(axes: Axes, ends: list[tuple[str, float]]) -> None:
     for group, y in zip(groups, spread, strict=True):
         colour = COLOURS[group[0]] if len(group) == 1 else INK
         names = [plain(ends[i][0]) for i in sorted(group)]
+        said = "" if unit is None else f": {ends[group[0]][1]:.5g} {unit}".rstrip()
+        text = ",\n".join(", ".join(names[k : k + 2]) for k in range(0, len(names), 2))
         line = dict(arrowstyle="-", color=colour, lw=0.7, shrinkA=0, shrinkB=0)
         axes.annotate(
-            ",\n".join(", ".join(names[k : k + 2]) for k in range(0, len(names), 2)), (1.0, heights[group[0]]), (1.03, y),
+            text + said, (1.0, heights[group[0]]), (1.03, y),
             "axes fraction", "axes fraction", arrowprops=line, color=colour, fontsize=8, va="center", annotation_clip=False,
         )  # fmt: skip
 
@@ -260,40 +233,91 @@ def _draw_energy(axes: Axes, run: RunData) -> None:
         axes.axhline(0.0, color=PALE, lw=0.8, zorder=1)
 
 
-def _draw_pressure_profiles(axes: Axes, run: RunData) -> bool:
-    """Pressure along each fracture, in the first fields written (dashed) and the last; False if there is no fluid."""
-    fractures = run.fractures
-    if fractures is None or not fractures.has("pressure"):
-        return False
+def _draw_profiles(
+    axes: Axes, run: RunData, row: OutputQuantity, by_size: bool = False
+) -> dict[str, tuple[Floats, str]]:
+    """A field along the longest fractures, in the first fields written (dashed) and the last.
+
+    Returns the last lines (k, 2) by name, with their colours.
+
+    by_size  along those where it is largest
+    """
+    fractures, word = run.fractures, row.axis.capitalize()
+    if fractures is None or not fractures.has(row.name) or not len(fractures.segments):
+        axes.set_title(f"{word} along the fractures")
+        _say_nothing(axes)
+        return {}
+    profiles = fractures.profiles(row.name, _MAX_LINES, by_size)
+    which = f"{len(profiles)} with most" if by_size else f"the {len(profiles)} longest"
+    of = "the fractures" if len(profiles) == len(fractures.names) else which
     first = f"{run.at(fractures.begins)} (dashed) and " if fractures.has_before else ""
-    axes.set_title(f"Pressure along the fractures at {first}{run.at(fractures.time)}")
-    profiles = fractures.profiles("pressure", _MAX_LINES)
-    largest = max((float(np.abs(after).max()) for _, _, after in profiles.values()), default=0.0)
-    factor, label = _unit(run, QUANTITIES["pressure"].axis, STRESS, largest)
+    axes.set_title(f"{word} along {of}: {first}{run.at(fractures.time)}")
+    both = [np.ravel(line) for _, before, after in profiles.values() for line in (before, after) if line is not None]
+    scale = axis_of(row.dimension, [np.concatenate(both)], run.units, run.noise.get(row.dimension, 0.0))
+    s = axis_of(LENGTH, [along for along, _, _ in profiles.values()], run.units)
+    drawn = {}
     for (name, (along, before, after)), colour in zip(profiles.items(), COLOURS, strict=False):
         if before is not None:
-            axes.plot(along, factor * before, color=colour, lw=1.0, ls=(0, (4, 2)), alpha=0.7)
-        axes.plot(along, factor * after, color=colour)
-        _tag(axes, name, along[-1], factor * after[-1], (4, 2), color=colour)
-    axes.set_xlabel(run.label("distance along the fracture", LENGTH))
-    axes.set_ylabel(label)
-    _tidy_numbers(axes)
+            axes.plot(s(along), scale(np.ravel(before)), color=colour, lw=1.0, ls=(0, (4, 2)), alpha=0.7)
+        axes.plot(s(along), scale(np.ravel(after)), color=colour)
+        drawn[name] = (np.stack([s(along), scale(np.ravel(after))], axis=1), colour)
+    axes.set_xlabel(s.label("distance along the fracture"))
+    axes.set_ylabel(scale.label(row.axis))
+    plain_numbers(axes)
     axes.margins(x=0.0)
-    return True
+    if scale.is_constant:
+        _draw_constant(axes, [float(np.nan_to_num(line[0, 1])) for line, _ in drawn.values()])
+    return drawn
+
+
+def _name_lines(axes: Axes, lines: dict[str, tuple[Floats, str]]) -> None:
+    """Names of lines (k, 2) beside them, in their colours, off the others where that can be; the figure is laid out."""
+    traces = {name: axes.transData.transform(line) for name, (line, _) in lines.items()}
+    traces = {name: line for name, line in traces.items() if np.all(np.isfinite(line)) and len(line) > 1}
+    pieces = [np.stack([line[:-1], line[1:]], axis=1) for line in traces.values()]
+    labels = [beside_trace(line, name_size(axes, name)) for name, line in traces.items()]
+    bounds = np.ravel(axes.get_window_extent().get_points())
+    found = placed(labels, np.concatenate(pieces or [np.zeros((0, 2, 2))]), np.zeros((0, 4)), bounds)
+    for name, at in zip(traces, found, strict=True):
+        if at is not None:
+            write_name(axes, name, axes.transData.inverted().transform(at), lines[name][1])
 
 
 def _probes(run: RunData) -> Figure | None:
-    from matplotlib.figure import Figure
-
     shown = [row for row in probed().values() if row.drawn and run.probes_with(row.name)]
     if not shown:
         return None
-    rows = -(-len(shown) // 2)
-    figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
-    _draw_head(figure, f"{run.title}: probes", run.account.partition(". Map")[0])
-    grid = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes, row in zip(grid, shown, strict=False):
-        _draw_probes(axes, run, row, row.axis.capitalize())
-    for axes in grid[len(shown) :]:
-        axes.remove()
+    figure, panels = _sheet(run, "probes", len(shown))
+    for axes, row in zip(panels, shown, strict=True):
+        _draw_probes(axes, run, row, row.axis.capitalize(), row.name.replace("_", " "))
     return figure
+
+
+def _wells(run: RunData) -> Figure | None:
+    shown = [(word, dimension) for word, dimension in _OF_WELLS if _of_wells(run, word)]
+    if not shown:
+        return None
+    figure, panels = _sheet(run, "wells", len(shown))
+    for axes, (word, dimension) in zip(panels, shown, strict=True):
+        _draw_lines(axes, run, _of_wells(run, word), word.capitalize(), word, dimension, run.settled)
+    return figure
+
+
+def _of_wells(run: RunData, quantity: str) -> dict[str, Floats]:
+    """Histories (steps,) of a quantity by the names of the wells."""
+    tail = f"/{quantity}"
+    keys = [key for key in run.history if key.startswith("well/") and key.endswith(tail)]
+    return {key[len("well/") : -len(tail)]: run.history[key] for key in keys}
+
+
+def _sheet(run: RunData, of: str, count: int) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels in two columns."""
+    from matplotlib.figure import Figure
+
+    rows = -(-count // 2)
+    figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
+    draw_head(figure, f"{run.title}: {of}", run.account.partition(". Map")[0])
+    grid = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes in grid[count:]:
+        axes.remove()
+    return figure, list(grid[:count])

@@ -5,6 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fracflow.storage.files import fresh, replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Okabe and Ito's colours, distinct to colour-blind readers and in grey
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -75,3 +82,19 @@ def one_note_on_letters() -> Iterator[None]:
             "names in the pictures have letters that no font here has; install one, such as fonts-noto-cjk",
             stacklevel=3,
         )
+
+
+def draw_head(figure: Figure, title: str, below: str) -> None:
+    """The title of a figure, and a smaller line under it."""
+    from matplotlib.text import Annotation
+
+    head = figure.suptitle(f"{plain(title)}\n", fontsize=13, fontweight="bold", x=0.01, ha="left")
+    place = dict(xy=(0.0, 0.0), xycoords=head, xytext=(0.0, 2.0), textcoords="offset points")
+    figure.add_artist(Annotation(plain(below), **place, fontsize=9, annotation_clip=False))  # type: ignore[arg-type]
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure whole or not at all. Raises OSError."""
+    with replacing(path) as part:
+        figure.savefig(fresh(part), format="png")
+    return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
+from fracflow.output.drawing.axes import axis_of, shown
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step, read_time
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.plot_style import plain
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
-from fracflow.scene.units import TIME, unit_text
+from fracflow.scene.quantities import dimension_of
+from fracflow.scene.units import ENERGY, LENGTH, STRESS, TIME, VELOCITY
 from fracflow.storage.files import steers
 
 Floats = NDArray[np.float64]
 FieldProfile = tuple[Floats, Floats | None, Floats]
 
 _DYNAMIC, _EQUILIBRATE = 2, 3
+_EPS = 1e-15  # round-off, of the size of the domain or of the largest stress
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
 
@@ -69,21 +73,11 @@ class FractureFields:
             return np.zeros(len(self.cells))
         return np.asarray(self.after[key].reshape(len(self.points), -1)[:, 0][self.cells].mean(axis=1))
 
-    def label_places(self) -> dict[str, tuple[float, float]]:
-        """A point beside the middle piece of each fracture, where its name can stand."""
-        places = {}
-        size = float(np.ptp(self.points, axis=0).max(initial=0.0))
-        for i, name in enumerate(self.names):
-            pieces = np.flatnonzero(self.fracture == i)
-            if len(pieces):
-                ends = self.segments[pieces[len(pieces) // 3]]
-                along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-300)
-                x, y = ends.mean(axis=0) + 0.025 * size * np.array([-along[1], along[0]])
-                places[name] = (float(x), float(y))
-        return places
+    def profiles(self, key: str, most: int, by_size: bool = False) -> dict[str, FieldProfile]:
+        """Name -> (distance along the trace, field before or None, field after) of the longest fractures.
 
-    def profiles(self, key: str, most: int) -> dict[str, FieldProfile]:
-        """Name -> (distance along the trace, field before or None, field after), longest fractures first."""
+        by_size  of those where the field is largest after
+        """
         found: dict[str, FieldProfile] = {}
         for i, name in enumerate(self.names):
             nodes = self._trace(self.cells[self.fracture == i])
@@ -91,8 +85,12 @@ class FractureFields:
                 steps = np.linalg.norm(np.diff(self.points[nodes], axis=0), axis=1)
                 before = self.before[key][nodes] if key in self.before else None
                 found[name] = (np.concatenate([[0.0], np.cumsum(steps)]), before, self.after[key][nodes])
-        longest = sorted(found, key=lambda name: -found[name][0][-1])[:most]
-        return {name: found[name] for name in found if name in longest}
+        sizes = {
+            name: float(np.nan_to_num(np.abs(after)).max() if by_size else along[-1])
+            for name, (along, _, after) in found.items()
+        }
+        first = sorted(found, key=lambda name: -sizes[name])[:most]
+        return {name: found[name] for name in found if name in first}
 
     def _trace(self, pieces: NDArray[np.int64]) -> NDArray[np.int64]:
         """Nodes of one fracture in the order of its trace, by the coordinate along its longest extent.
@@ -118,7 +116,10 @@ class FractureFields:
 
 @dataclass(frozen=True)
 class RunData:
-    """Data of the pictures. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium."""
+    """Data of the pictures. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium.
+
+    energy_noise  round-off of the entries of the energy balance [energy per thickness]
+    """
 
     title: str
     units: dict[str, str]
@@ -131,6 +132,7 @@ class RunData:
     start: int
     has_dynamics: bool
     status: Status
+    energy_noise: float = 0.0
 
     @property
     def is_behind(self) -> bool:
@@ -160,8 +162,8 @@ class RunData:
         return f"{line}. Map and profiles are older: of {self.at(self.fractures.time)}, step {self.fractures.step}"
 
     def at(self, time: float) -> str:
-        """A time with its unit."""
-        return f"{time:.6g} {self.units.get('time', '')}".rstrip()
+        """A time in the unit that suits it."""
+        return shown(TIME, time, self.units, 6)
 
     @property
     def settled(self) -> slice:
@@ -169,17 +171,25 @@ class RunData:
         time = self.history["time"]
         return slice(int(np.flatnonzero(time == time[0])[-1]) if np.ptp(time) > 0.0 else 0, None)
 
-    def label(self, word: str, dimension: str) -> str:
-        """Axis label with the run's unit of a dimension."""
-        unit = unit_text(dimension, self.units, is_printed=True)
-        return f"{word} [{unit}]" if unit else word
-
     def axis(self, span: slice) -> tuple[Floats, str]:
-        """Abscissa (steps,) of histories: time, or the step's number if no time passes."""
+        """Abscissa (steps,) of histories as it is drawn, and its label: time, or the step's number if no time passes."""
         time = self.history["time"][span]
         if len(time) and np.ptp(time) > 0.0:
-            return time, self.label("time", TIME)
+            scale = axis_of(TIME, [time], self.units)
+            return scale(time), scale.label("time")
         return np.arange(len(self.history["time"]), dtype=float)[span], "step"
+
+    @cached_property
+    def noise(self) -> dict[str, float]:
+        """Dimension -> what round-off may leave of a quantity: smaller values are zero in a picture."""
+        points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in self.rock or [])])
+        extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+        steps = np.diff(self.history["time"])
+        length = _EPS * extent
+        stresses = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for key, values in self.history.items()
+                    if dimension_of(key) == STRESS]  # fmt: skip
+        found = {LENGTH: length, STRESS: _EPS * max(stresses, default=0.0), ENERGY: self.energy_noise}
+        return found | {VELOCITY: length / float(np.median(steps[steps > 0.0]))} if np.any(steps > 0.0) else found
 
     def probes_with(self, quantity: str) -> list[str]:
         """Names of the probes that have a quantity, in the order of the file."""
@@ -227,11 +237,17 @@ def load_run_data(folder: str | Path) -> RunData:
         wells=_places(folder, attrs, "wells"),
         events=events,
         rock=_rock(folder),
-        fractures=_fractures(folder, float(history["time"][start])),
+        fractures=load_fractures(folder, float(history["time"][start])),
         start=start,
         has_dynamics=bool(len(dynamic)),
         status=read_status(folder),
+        energy_noise=_number(attrs.get("energy_noise")) * len(history["time"]),
     )
+
+
+def _number(value: Any) -> float:
+    """A number of the history's attributes; 0 for anything else, as earlier versions had none."""
+    return float(value) if isinstance(value, int | float | np.number) and np.isfinite(value) else 0.0
 
 
 def _places(folder: Path, attrs: dict[str, Any], key: str) -> dict[str, tuple[float, float]]:
@@ -255,7 +271,8 @@ def _rock(folder: Path) -> list[Floats] | None:
     return [cell for block in blocks for cell in block]
 
 
-def _fractures(folder: Path, start: float) -> FractureFields | None:
+def load_fractures(folder: Path, start: float) -> FractureFields | None:
+    """Fields of the fractures at a time ``start`` and the last; None where none were written. Raises InputError."""
     steps = list_steps(folder, "fractures")
     if not steps or not (folder / "fields" / "fractures_mesh.h5").exists():
         return None

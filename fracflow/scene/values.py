@@ -102,8 +102,9 @@ class Tabled(Annotation):
         fallen = [f"{later:g} after {earlier:g}" for earlier, later in pairwise(t) if later < earlier]
         if fallen:
             raise fault(f"the times of a table must ascend, here {fallen[0]}")
-        if any(third == first for first, third in zip(t, t[2:], strict=False)):
-            raise fault("a time may stand at most twice in a table (a jump)")
+        thrice = [f"{first:g}" for first, third in zip(t, t[2:], strict=False) if third == first]
+        if thrice:
+            raise fault(f"a time may stand at most twice in a table (a jump), not {thrice[0]}; remove a row")
         if interpolation == "step" and len(set(t)) < len(t):
             raise fault("the times of a step table must differ; a step needs no second row")
         return TimeTable(t, v, interpolation)

@@ -86,7 +86,7 @@ def test_a_stop_leaves_its_last_state_and_going_on_takes_it_away(tmp_path, scene
     data = load_run_data(tmp_path / "out")
     assert not data.is_behind and slip(tmp_path / "out") > 1e-4
     assert slip(tmp_path / "out") >= np.abs(data.probe("middle", "plastic_slip")[-1]) > 0.0
-    assert data.account == "Stopped at 129600 s; fracflow resume goes on"
+    assert data.account == "Stopped at 36 h; fracflow resume goes on"
     assert fracflow.open(tmp_path / "out").status == "stopped"
     assert every or all(path.stat().st_size for path in draw(tmp_path / "out"))
     resume(tmp_path / "out")
@@ -98,7 +98,7 @@ def test_a_stop_leaves_its_last_state_and_going_on_takes_it_away(tmp_path, scene
         ):
             assert mine.name == other.name and mine.read_bytes() == other.read_bytes()
     assert fracflow.open(tmp_path / "out").status == "ended"
-    assert load_run_data(tmp_path / "out").account == "Ended at 216000 s"
+    assert load_run_data(tmp_path / "out").account == "Ended at 2.5 days"
 
 
 def test_a_checkpoint_leaves_fields_of_the_fractures_until_the_next(tmp_path, scene):
@@ -116,7 +116,7 @@ def test_a_checkpoint_leaves_fields_of_the_fractures_until_the_next(tmp_path, sc
     assert steps_of(folder) == [0, LAST] == steps_of(folder, "rock")
     data = seen[SLIPS - 1][1]  # slip began after the checkpoint
     assert data.is_behind and data.slipped_since() == ["Bruno"]
-    assert data.account == "Under way: histories to 86400 s. Map and profiles are older: of 43200 s, step 2"
+    assert data.account == "Under way: histories to 24 h. Map and profiles are older: of 12 h, step 2"
     (folder / "status.json").write_text('{"status": "running", "line": ""}')
     assert fracflow.open(folder).status == "cut off"
 
@@ -153,4 +153,4 @@ def test_an_event_starts_as_the_step_begins_in_which_it_slips(tmp_path, scene):
 def test_a_folder_of_an_earlier_version_tells_its_times(tmp_path, scene):
     run(scene(), tmp_path / "out")
     (tmp_path / "out/status.json").unlink()
-    assert load_run_data(tmp_path / "out").account == "Histories to 216000 s"
+    assert load_run_data(tmp_path / "out").account == "Histories to 2.5 days"

@@ -8,7 +8,8 @@ from matplotlib.image import imread
 
 from fracflow.errors import InputError
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
-from fracflow.output.pictures import draw
+from fracflow.output.pictures import _probes, _wells, draw
+from fracflow.output.plot_style import styled
 from fracflow.output.reader import load_run_data
 
 pytestmark = pytest.mark.serial
@@ -112,6 +113,32 @@ def test_a_vector_that_turns_is_drawn_without_jumps(tmp_path):
     turning = {"probe/turning/displacement": np.array([[0.0, 0.0], [2.0, 1.5], [3.0, -4.0], [-1.5, 2.0], [0.4, 0.3]])}
     found = replace(data, history={**data.history, **turning}).probe("turning", "displacement")
     assert found == pytest.approx([0.0, 0.0, -5.0, 2.5, 0.0], abs=1e-14)
+
+
+def test_histories_of_wells_are_drawn(tmp_path):
+    data = load_run_data(make_run(tmp_path))
+    grows = np.linspace(0.0, 1.0, STEPS)
+    wells = {"well/a/b $/rate": 5e-3 * grows, "well/a/b $/pressure": 2e4 + grows, "well/out/pressure": 0.0 * grows}
+    with styled():
+        figure = _wells(replace(data, history={**data.history, **wells}))
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["Pressure", "Rate"]
+    assert [len(axes.lines) for axes in figure.axes] == [2, 1]
+    assert _wells(data) is None
+
+
+def test_an_axis_shows_neither_noise_nor_offsets(tmp_path):
+    """Round-off is drawn flat with its value; a small change of a large value from a round number."""
+    data = load_run_data(make_run(tmp_path))
+    noise = 2e4 * (1.0 + 1e-15 * np.sin(np.arange(STEPS)))
+    quiet = {f"probe/{name}/pressure": noise for name in data.probes}
+    with styled():
+        figure = _probes(replace(data, history={**data.history, **quiet}))
+    (axes,) = (axes for axes in figure.axes if axes.get_title(loc="left").startswith("Pressure"))
+    assert axes.get_title(loc="left") == "Pressure: constant"
+    assert all(np.ptp(line.get_ydata()) == 0.0 for line in axes.lines)
+    assert "node1, node2,\nnode3: 20 10³ lbf/ft²" in [text.get_text() for text in axes.texts]
+    figure.draw_without_rendering()
+    assert not any(axis.get_offset_text().get_text() for axes in figure.axes for axis in (axes.xaxis, axes.yaxis))
 
 
 def test_an_empty_folder_is_an_input_error(tmp_path):

@@ -69,6 +69,7 @@ CASES = {
     "support.0.components=['z']": 'allowed: "x", "y", "rotation"',
     "support.0={on='west',components=['x'],displacement={y=1}}": 'support.0.components = ["x"]: contradicts displacement',
     "well.node2.flow_rate=[[1,0],[0,1]]": "the times of a table must ascend, here 0 after 1",
+    "well.node2.flow_rate=[[0,1],[2,1],[2,2],[2,3]]": "at most twice in a table (a jump), not 2; remove a row",
     "well.node2.flow_rate=[[0,1],[2]]": "row 2 is no pair [time, value]; must be a number in m**3/s",
     "well.node2.flow_rate=[0,1]": 'or a time table [[t, v], ...] such as [[0, 0], [10, "0.1 m^3/s"]], or {time = [...]',
     'well.node2.flow_rate=[[0,"x"]]': "row 1 of the table [[t, v], ...], its value: must be a number in m**3/s",

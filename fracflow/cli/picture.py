@@ -1,0 +1,86 @@
+"""Pictures at the command line: of a run, or of a scene before its run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fracflow.diagnostics.criticality import criticality
+from fracflow.errors import DiskError, InputError
+from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.model.setup import place
+from fracflow.output.drawing.before_a_run import before_a_run
+from fracflow.output.drawing.network_map import Network, Places
+from fracflow.output.plot_style import plain, save, styled
+from fracflow.reduction.prepare import read_split
+from fracflow.scene.scene import Scene
+
+
+def picture_of_scene(scene: Scene, output: Path | None) -> list[str]:
+    """Draw a scene before its run into ``output``, by default runs/NAME-before.png; lines to print.
+
+    Raises InputError where it has no mesh or the file is no .png, and DiskError.
+    """
+    path = output or Path("runs") / f"{scene.name}-before.png"
+    if path.suffix.lower() != ".png" or path.is_dir():
+        raise InputError(f"{path}: is no file for a picture; name one with -o NAME.png")
+    mesh = read_split(scene)
+    marks, notes = _marks(scene, mesh)
+    near = criticality(scene, mesh)
+    below = (
+        f"{len(mesh.cells)} cells, {len(mesh.fractures)} fracture{'s' * (len(mesh.fractures) != 1)} of"
+        f" {len(mesh.joint_fracture)} joints. From the initial stress and pressure, with rock and other fractures at rest"
+    )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with styled():
+            figure = before_a_run(
+                _network(scene, mesh, marks),
+                scene.title or scene.name,
+                below,
+                _of_pieces(near.tendency),
+                _of_pieces(near.rise),
+            )
+            save(figure, path)
+    except OSError as error:
+        raise DiskError.of(error, path) from error
+    return [*notes, str(path)]
+
+
+def _marks(scene: Scene, mesh: SplitMesh) -> tuple[dict[str, Places], list[str]]:
+    """Places of wells and probes, and a note where they have none yet."""
+    try:
+        found = place(scene, mesh)
+    except InputError as error:
+        return {}, [f"note: wells and probes are not drawn: {error}"]
+    wells = {name: mesh.points[mesh.flow_origin[np.ravel(nodes)[0]]] for name, nodes in found.wells.items()}
+    probes = {name: each.point for name, each in found.probes.items()}
+    return {
+        kind: {name: (float(at[0]), float(at[1])) for name, at in places.items()}
+        for kind, places in (("well", wells), ("probe", probes))
+    }, []
+
+
+def _of_pieces(at_ends: Floats) -> Floats:
+    """Means (j,) of values at both ends (j, 2)."""
+    return np.asarray(at_ends.mean(axis=1))
+
+
+def _network(scene: Scene, mesh: SplitMesh, marks: dict[str, Places]) -> Network:
+    units = scene.unit_system
+    names = {"length": plain(units.length), "force": plain(units.force), "time": plain(units.time)}
+    rock = [mesh.points[cell[cell >= 0]] for cell in mesh.cells]
+    sides = {}
+    for kind, tables in (("support", scene.support), ("absorbing side", scene.absorbing)):
+        of = [number for number, name in enumerate(mesh.sides) if any(name in table.on for table in tables)]
+        sides[kind] = mesh.points[mesh.side_facets[np.isin(mesh.side_of, of)]]
+    return Network(
+        rock,
+        mesh.points[mesh.joint_bottom],
+        mesh.joint_fracture,
+        mesh.fractures,
+        names,
+        marks,
+        sides,
+    )

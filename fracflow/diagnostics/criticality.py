@@ -1,0 +1,73 @@
+"""How near the fractures are to slip before a run: slip tendency, and the rise of pressure that makes them slip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracflow.elements import facet, joint
+from fracflow.laws import JOINT_LAWS
+from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.model.properties import initial_pressure, initial_stress
+from fracflow.scene.profiles import sample
+from fracflow.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Criticality:
+    """Joint ends (j, 2) under the initial stress and pressure; NaN where the fracture's law has no Coulomb friction.
+
+    tendency  |tau|/sigma_n', shear over effective normal traction [1]; inf where nothing presses the walls together
+    rise      of the pressure, with the rock at rest, at which they slip or part [stress]: 0 past that, inf for never
+    """
+
+    tendency: Floats
+    rise: Floats
+
+
+def criticality(scene: Scene, mesh: SplitMesh) -> Criticality:
+    """Slip tendency and critical rise of pressure of a scene on its mesh. On one process."""
+
+    def ends(key: str) -> Floats:
+        values = np.full(mesh.joint_along.shape, np.nan)
+        for number, name in enumerate(mesh.fractures):
+            here, table = mesh.joint_fracture == number, scene.fracture_named(name)
+            if JOINT_LAWS[table.law].status:
+                values[here] = sample(getattr(table, key, None), mesh.joint_along[here])
+        return values
+
+    shear, normal = _initial_tractions(scene, mesh)
+    return Criticality(*_near_slip(shear, normal, ends("friction"), np.nan_to_num(ends("cohesion"))))
+
+
+def _near_slip(shear: Floats, normal: Floats, friction: Floats, cohesion: Floats) -> tuple[Floats, Floats]:
+    """Slip tendency, and the rise that brings |f_s| to the strength C - f_n tan phi of (2.12), or f_n to 0 before that."""
+    size, pressed = np.abs(shear), np.maximum(-normal, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tendency = np.where(pressed > 0.0, size / pressed, np.where(size > 0.0, np.inf, 0.0))
+        slips = pressed - (size - cohesion) / friction
+    slips = np.where(friction > 0.0, slips, np.where(size > cohesion, 0.0, np.inf))
+    rise = np.clip(np.minimum(slips, pressed), 0.0, None)
+    return tuple(np.where(np.isnan(friction), np.nan, values) for values in (tendency, rise))  # type: ignore[return-value]
+
+
+def _initial_tractions(scene: Scene, mesh: SplitMesh) -> tuple[Floats, Floats]:
+    """f_s0 and effective f_n0 (j, 2) as given, or else of the initial stress and pressure (2.14) [stress]."""
+    places = mesh.points[mesh.joint_bottom]
+    if not len(places):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    sigma = initial_stress(scene, places)[..., :2, :2]
+    frame = np.repeat(facet.frame(places)[0], 2, axis=0)
+    traction = joint.traction_from_stress(frame, sigma.reshape(-1, 2, 2)).reshape(*places.shape[:2], 2)
+    found = []
+    for key, own in (
+        ("initial_shear_traction", traction[..., 0]),
+        ("initial_normal_traction", traction[..., 1] + initial_pressure(scene, places)),
+    ):
+        given = np.full(own.shape, np.nan)
+        for number, name in enumerate(mesh.fractures):
+            here = mesh.joint_fracture == number
+            given[here] = sample(getattr(scene.fracture_named(name), key), mesh.joint_along[here])
+        found.append(np.where(np.isnan(given), own, given))
+    return found[0], found[1]

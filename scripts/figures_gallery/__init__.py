@@ -1,0 +1,1 @@
+"""The gallery: each scene of meshes/, before its run and after it."""
