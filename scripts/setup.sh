@@ -1,14 +1,19 @@
 # Source this: everything fracflow needs on Debian or Ubuntu, made once, then the environment to run in.
 #   . scripts/setup.sh
+#   FRACFLOW_TESTS=yes . scripts/setup.sh       what the tests need too, as scripts/test does
 # System packages come from apt, the rest from pip into .venv beside this folder; nothing else is touched.
 
 _fracflow_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 _fracflow_packages="python3 python3-venv python3-petsc4py python3-mpi4py python3-h5py-mpi python3-scipy
   python3-numpy python3-gmsh openmpi-bin"
+_fracflow_test_packages="chromium fonts-dejavu-core"
 
 _fracflow_missing() {
-  local package
-  for package in $_fracflow_packages; do
+  local package packages=$_fracflow_packages
+  [ -z "${FRACFLOW_TESTS:-}" ] || packages="$packages $_fracflow_test_packages"
+  for package in $packages; do
+    # another Chromium serves too: Ubuntu has none among its packages
+    [ "$package" = chromium ] && command -v chromium chromium-browser google-chrome >/dev/null && continue
     [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || printf '%s ' "$package"
   done
 }
@@ -35,25 +40,26 @@ _fracflow_install_system() {
   return 1
 }
 
-_fracflow_stamp() { # of files with what pip brings
-  (cd "$_fracflow_root" && { cat "$@" scripts/setup.sh pyproject.toml
+_fracflow_stamp() {
+  (cd "$_fracflow_root" && { cat scripts/constraints.txt $1 scripts/setup.sh pyproject.toml
     pwd; /usr/bin/python3 --version; dpkg-query -W -f '${Version}\n' python3-numpy; } | sha256sum | cut -d' ' -f1)
 }
 
 _fracflow_install_python() {
-  local venv=$_fracflow_root/.venv stamp pin numpy
-  stamp=$(_fracflow_stamp scripts/constraints.txt)
-  [ "$(cat "$venv/.fracflow-stamp" 2>/dev/null)" = "$stamp" ] && return 0
+  local venv=$_fracflow_root/.venv stamp pin system tests="" file=.fracflow-stamp
+  [ -z "${FRACFLOW_TESTS:-}" ] || { tests=scripts/constraints-test.txt; file=.fracflow-stamp-tests; }
+  stamp=$(_fracflow_stamp $tests)
+  [ "$(cat "$venv/$file" 2>/dev/null)" = "$stamp" ] && return 0
   echo "setup: preparing $venv"
   # The system's own Python by its full path: its petsc4py works with no other.
   local clear=--clear
   grep -qs '^home = /usr/bin$' "$venv/pyvenv.cfg" && clear=""
   /usr/bin/python3 -m venv $clear --system-site-packages "$venv" || return 1
-  numpy=$(/usr/bin/python3 -c 'import numpy; print(numpy.__version__)') || return 1
+  system=$(/usr/bin/python3 -c 'import numpy, scipy; print(f"numpy=={numpy.__version__}\nscipy=={scipy.__version__}")') || return 1
   pin=$(mktemp) || return 1
-  { cat "$_fracflow_root/scripts/constraints.txt"; echo "numpy==$numpy"; } >"$pin"
-  "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
-    -r "$_fracflow_root/scripts/constraints.txt" -c "$pin" </dev/null &&
+  { cat "$_fracflow_root/scripts/constraints.txt"; echo "$system"; } >"$pin"
+  "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input --no-warn-conflicts \
+    -r "$_fracflow_root/scripts/constraints.txt" ${tests:+-r "$_fracflow_root/$tests"} -c "$pin" </dev/null &&
     "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
       --no-deps --no-build-isolation -e "$_fracflow_root" </dev/null
   local status=$?
@@ -61,23 +67,8 @@ _fracflow_install_python() {
   [ $status = 0 ] || { echo "setup: pip could not fill $venv" >&2; return 1; }
   "$venv/bin/python" -c 'from fracflow._petsc import PETSc; import h5py, scipy, gmsh' ||
     { echo "setup: the packages in $venv do not import together" >&2; return 1; }
-  echo "$stamp" >"$venv/.fracflow-stamp"
-}
-
-_fracflow_install_tests() { # what tests need beside; scripts/test calls it
-  local venv=$_fracflow_root/.venv stamp pin status
-  stamp=$(_fracflow_stamp scripts/constraints.txt scripts/constraints-test.txt)
-  [ "$(cat "$venv/.fracflow-test-stamp" 2>/dev/null)" = "$stamp" ] && return 0
-  echo "setup: adding to $venv what tests need"
-  pin=$(mktemp) || return 1
-  { cat "$_fracflow_root/scripts/constraints.txt"
-    /usr/bin/python3 -c 'import numpy, scipy; print(f"numpy=={numpy.__version__}\nscipy=={scipy.__version__}")'; } >"$pin"
-  "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
-    -r "$_fracflow_root/scripts/constraints-test.txt" -c "$pin" </dev/null
-  status=$?
-  rm -f "$pin"
-  [ $status = 0 ] || { echo "setup: pip could not add to $venv what scripts/constraints-test.txt names" >&2; return 1; }
-  echo "$stamp" >"$venv/.fracflow-test-stamp"
+  echo "$stamp" >"$venv/$file"
+  [ -z "$tests" ] || _fracflow_stamp >"$venv/.fracflow-stamp"
 }
 
 _fracflow_petsc_dir() {

@@ -23,7 +23,7 @@ LAYERS = (
     {"scene", "mesh"},
     {"model"},
     {"solve", "diagnostics", "output"},
-    {"advance"},
+    {"advance", "run_report"},
     {"reduction"},
     {"simulation"},
     {"cli", "api", "__main__"},

@@ -1,4 +1,4 @@
-"""The command line: fracflow run, resume, check, mesh, picture, export, schema, help."""
+"""The command line: fracflow run, resume, check, mesh, picture, report, export, schema, help."""
 
 from __future__ import annotations
 
@@ -204,6 +204,25 @@ def picture(
         raise DiskError.of(error, what) from error
     for path in paths:
         typer.echo(str(path))
+
+
+@app.command("report")
+def report_command(
+    folder: Annotated[Path, typer.Argument(help="a run folder, also of a run that is under way or was stopped")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="the file; by default FOLDER/report.html")
+    ] = None,
+) -> None:
+    """Write a page on a run: one HTML file with its scene, plots, map, events and energy balance, which opens offline."""
+    from fracflow.run_report import write_report
+
+    try:
+        path, faults = write_report(folder, output)
+    except OSError as error:
+        raise DiskError.of(error, folder if output is None else output.parent) from error
+    for line in faults:
+        typer.echo(f"note: {line}")
+    typer.echo(str(path))
 
 
 @app.command()

@@ -24,6 +24,8 @@ _OWN_FILES = (
     "mesh.h5",
     "history.h5",
     "history.h5.redo",
+    "profiles.h5",
+    "profiles.h5.redo",
     "events.csv",
     "plan.json",
     "status.json",
@@ -79,7 +81,7 @@ def check_own(path: Path, writes: bool = False) -> None:
     A folder may come from anybody: a link in it leads out of it, and a pipe or a device never ends. Raises InputError. Where
     something ``writes``, files that are changed in their place have no second name.
     """
-    completed = ["history.h5"] if (path / "history.h5.redo").exists() else []
+    completed = [name for name in ("history.h5", "profiles.h5") if (path / f"{name}.redo").exists()]
     for file in [path / name for name in (MARKER, "log.txt", *completed)] if writes else ():
         if not file.is_symlink() and file.is_file() and file.stat().st_nlink > 1:
             raise InputError(no_plain_file(file))

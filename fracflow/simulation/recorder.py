@@ -30,12 +30,14 @@ from fracflow.output.checkpoint import Arrays, gather_state, restoring, write_ch
 from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
+from fracflow.output.profiles import ProfileFile, Timetable, intervals
 from fracflow.output.slip_at_crossings import told_handed
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
+from fracflow.scene.scene import Scene
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import read_bytes
@@ -44,6 +46,11 @@ from fracflow.storage.sealed import AGAIN, digest
 Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
 EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
+
+
+def kind_of(step: Step, scene: Scene) -> int:
+    """The regime of a step as ``step/kind`` has it."""
+    return KINDS[step.regime or scene.stage[step.stage].kind]
 
 
 class Before:
@@ -83,8 +90,12 @@ class Recorder:
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
         self._report_saved: Callable[[int], None] | None = None
+        self.profiles = Timetable(**self.totals.profiles)
+        self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
         self._notices = Notices(model, self.totals, self.log)
         self.files: Files | None = on_root(comm, lambda: Files(model, facts, folder, notes))
+        if comm.bcast(self.files is not None and bool(self.files.profiles.lost), root=0):
+            self.profiles, self.totals.profiles = Timetable(), {}
 
     def log(self, line: str) -> None:
         """A line for log.txt."""
@@ -121,6 +132,7 @@ class Recorder:
         self._goes_on = False
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
+        self._profile(step)
         self.totals.add(step.report)
         self._notices.of(step)
 
@@ -151,6 +163,18 @@ class Recorder:
         if is_extra:
             self._fields(step, index, whole)
         self._write(lambda files: files.drop_extra(index if is_extra else None))
+
+    def _profile(self, step: Step) -> None:
+        """Write the profiles of a state where they are due. Collective."""
+        time, kind = step.state.time, kind_of(step, self.model.scene)
+        if not self.model.operators.blocks.sizes.joints or not self.profiles.is_due(time, kind, self._profiles):
+            return
+        ends = sampling.all_ends(self.sampler, step.state)
+        if ends is not None:
+            values = fracture_fields(self.sampler.fields, ends)
+            self._write(lambda files: files.profiles.append(time, self.totals.steps, values))
+        self.profiles.add(time, kind)
+        self.totals.profiles = asdict(self.profiles)
 
     def _wants_fields(self, index: int) -> bool:
         every = self.model.scene.output.fields_every
@@ -209,8 +233,9 @@ class Recorder:
         """Close the files, whatever happened."""
         self._write(Files.end)
         if (files := self.files) is not None:
-            with suppress(OSError):
-                files.history.close()
+            for file in (files.history, files.profiles):
+                with suppress(OSError):
+                    file.close()
             files.folder.close()
 
 
@@ -257,6 +282,9 @@ class Files:
         is_known = begun is None or not begun.rows or "volume/injected" in begun.rows
         self.has_wells = model.operators.flow is not None and bool(points) and is_known
         self.history = HistoryFile.after(file, begun.rows, begun.attrs) if begun else HistoryFile(file, about)
+        written = notes["totals"].get("profiles", {}) if notes is not None else {}
+        self.profiles = ProfileFile(self.folder.path, written.get("rows", 0))
+        self._warn([self.profiles.lost] if self.profiles.lost else [])
         self.scene_seal = scene_seal(self.folder.path)
         self._warn(before.notes if before is not None else [])
         fracture, flow, self.inverse = sampling.node_table(self.mesh)
@@ -327,7 +355,7 @@ class Files:
         # a step that is cut where a status changes ends with the change; else the change is somewhere in the step
         began = state.time if self.time is None or step.report.located else self.time
         self.time = state.time
-        at = Recorded(step, snapshot, KINDS[step.regime or self.scene.stage[step.stage].kind])
+        at = Recorded(step, snapshot, kind_of(step, self.scene))
         record = {row.name: row.formula(at) for row in quantities("run").values()}
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}
@@ -358,6 +386,7 @@ class Files:
     def end(self) -> None:
         """Close history and events. Raises OSError."""
         self.history.close()
+        self.profiles.close()
         if not self.is_ended:
             self.events.close(self.catalogue.unfinished() if self.catalogue is not None else None)
             if self.vtkhdf is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ class Totals:
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
     doubts    lines of the log that say that a result may be wrong
+    profiles  where the ``Timetable`` of the profiles stands
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """
 
@@ -43,6 +45,7 @@ class Totals:
     widening: float = 1.0
     doubts: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)
+    profiles: dict[str, Any] = field(default_factory=dict)
 
     def add(self, report: StepReport) -> None:
         """Count a step."""

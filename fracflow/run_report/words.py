@@ -1,0 +1,344 @@
+"""The words and tables of a run's report, as HTML; every text from outside is escaped."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
+from fracflow.run_report.data import VOLUME, RunReport, number
+from fracflow.run_report.map import Frames
+from fracflow.scene.scene import Scene
+from fracflow.scene.time_table import TimeTable
+from fracflow.scene.units import DENSITY, ENERGY, FLOW_RATE, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
+from fracflow.storage.files import shown_plain
+
+OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it
+STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
+LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
+_ROUTINE = re.compile(
+    r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.snap)"
+    r"|^(incipient failure|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
+)
+
+
+def safe(text: object) -> str:
+    """A text from outside as HTML."""
+    return escape(shown_plain(str(text)))
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[object]], kind: str = "") -> str:
+    """A table of texts; on a narrow screen each row stands as a block with its heads."""
+    body = "".join(
+        "<tr>"
+        + "".join(f'<td data-head="{safe(head)}">{safe(cell)}</td>' for head, cell in zip(heads, row, strict=True))
+        + "</tr>"
+        for row in rows
+    )
+    top = "".join(f"<th>{safe(head)}</th>" for head in heads)
+    return f'<div class="rows {kind}"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def items(lines: Iterable[str]) -> str:
+    """A list of texts."""
+    return "<ul>" + "".join(f"<li>{safe(line)}</li>" for line in lines) + "</ul>"
+
+
+def state_of(run: RunReport) -> str:
+    """How the run stands, in a sentence."""
+    reached = run.shown(float(run.times[-1]), TIME) if len(run.times) else "before its first state"
+    where = f"at {reached}" if len(run.times) else reached
+    words = {
+        RUNNING: f"Under way, {where} so far. Write the page again to see more.",
+        ENDED: f"Ended {where}.",
+        STOPPED: f"Stopped {where}. fracflow resume goes on.",
+        FAILED: f"Failed {where}: no state beyond it was found.",
+        CUT_OFF: f"Cut off {where}: the program was killed. fracflow resume goes on.",
+    }
+    return words.get(run.status.word, f"Histories reach {reached}." if len(run.times) else "No state is on record yet.")
+
+
+def key_numbers(run: RunReport, frames: Frames | None) -> list[tuple[str, str]]:
+    """The numbers that a reader looks for first: word and value."""
+    found = [("time simulated", run.shown(float(np.ptp(run.times)), TIME, 3))] if len(run.times) else []
+    found.append(("states on record", str(len(run.times))))
+    if frames is not None:
+        found.append(("fractures", str(len(frames.names))))
+        for name, word, dimension in (
+            ("pressure", "highest pressure", STRESS),
+            ("plastic_slip", "largest slip", LENGTH),
+        ):
+            if name in frames.fields:
+                found.append((word, run.shown(float(np.nanmax(frames.fields[name])), dimension, 3)))
+    if any(stage.kind == "auto" for stage in run.scene.stage) if run.scene else run.catalogue:
+        sizes = [event["magnitude"] for event in run.catalogue if event["magnitude"] is not None]
+        found.append(("events", str(len(run.catalogue))))
+        found += [("largest magnitude", f"{max(sizes):.2f}".replace("-", "−"))] if sizes else []
+    return found
+
+
+def warnings_of(run: RunReport) -> Iterator[tuple[str, str]]:
+    """Heading and text of everything that may make a result wrong."""
+    if run.status.word in (FAILED, CUT_OFF, STOPPED) and run.status.line:
+        yield "how it ended", run.status.line
+    for line in run.faults:
+        yield "missing or damaged", line
+    for each in run.checks:
+        if each.get("out_of_range"):
+            value, limit = each.get("value_text", ""), each.get("limit_text", "")
+            head = f"check of {each.get('name', '')}"
+            yield head, f"{each.get('where', '')}: {value}, limit {limit or 'none'}; {each.get('remedy', '')}"
+    for each in run.plan:
+        if each.get("undone"):
+            yield f"plan: {each.get('part', '')}", f"taken back during the run: {each['undone']}"
+    left = energy_left(run)
+    if left is not None and left > OPEN:
+        yield (
+            "energy balance",
+            f"{number(left, 2)} of its largest entry is left over; results are not known better than that",
+        )
+    yield from (("log", line) for line in log_lines(run.log))
+
+
+def log_lines(lines: Sequence[str]) -> list[str]:
+    """Lines of the log that are no routine, those alike once."""
+    alike: dict[str, list[str]] = {}
+    for line in lines:
+        if line.strip() and not _ROUTINE.search(line):
+            alike.setdefault(re.sub(r"\bof \S+ is\b|[-+.\d]+(e[-+]\d+)?", "#", line)[:120], []).append(line)
+    return [group[0] + (f" (and {len(group) - 1} lines like it)" if len(group) > 1 else "") for group in alike.values()]
+
+
+def energy_left(run: RunReport) -> float | None:
+    """Largest residual of the energy balance over its largest entry."""
+    entries = [np.abs(run.history[f"energy/{n}"]) for n in (*STORED, *LOST) if f"energy/{n}" in run.history]
+    entries += [np.abs(values) for key, values in run.history.items() if key.startswith("energy/work_")]
+    most = max((float(np.nanmax(values)) for values in entries if np.isfinite(values).any()), default=0.0)
+    residual = run.history.get("energy/residual", np.zeros(0))
+    noise = run.notes.get("energy_noise", 0.0)
+    noise = float(noise) * len(run.times) if isinstance(noise, int | float) else 0.0
+    if not len(residual) or most <= noise or not np.isfinite(residual).any():
+        return None
+    return float(np.nanmax(np.abs(residual))) / most
+
+
+def energy_table(run: RunReport) -> str:
+    """The entries of the energy balance, in groups."""
+    groups: list[tuple[str, list[str]]] = [("stored", [*STORED]), ("lost", [*LOST])]
+    groups.append(("work", sorted(key[7:] for key in run.history if key.startswith("energy/work_"))))
+    groups.append(("left over", ["residual", "residual_closed"]))
+    rows = []
+    for group, names in groups:
+        for name in names:
+            values = run.history.get(f"energy/{name}")
+            if values is None or not len(values) or (group != "left over" and not np.any(values)):
+                continue
+            cells = (run.shown(float(size), ENERGY, 4) for size in (values[-1], np.nanmax(np.abs(values))))
+            rows.append((group, name.replace("_", " "), *cells))
+    return table(("", "entry", "at the end", "largest"), rows, "small")
+
+
+def scene_in_words(run: RunReport) -> list[str]:
+    """The scene as sentences."""
+    scene = run.scene
+    if scene is None:
+        return []
+    shown = run.shown
+    lines = [_domain(run, scene)]
+    for name, rock in scene.rock.items():
+        if rock.rigid:
+            lines.append(f'Rock "{name}": rigid.')
+            continue
+        parts = [f"Young's modulus {shown(rock.youngs_modulus, STRESS)}", f"Poisson's ratio {rock.poissons_ratio:g}"]
+        parts += [f"density {run.shown(_number(rock.density), DENSITY)}"] if rock.density is not None else []
+        lines.append(f'Rock "{name}": {", ".join(parts)}.')
+    if scene.initial_stress is not None:
+        parts = [
+            f"σ{axis} = {shown(_number(getattr(scene.initial_stress, axis, None)), STRESS)}"
+            for axis in ("xx", "yy", "zz", "xy")
+        ]
+        lines.append(f"Stress in the rock at the start: {', '.join(parts)} (compression is negative).")
+    if scene.fluid is not None:
+        fluid = scene.fluid
+        parts = [f"viscosity {run.shown(_number(fluid.viscosity), VISCOSITY)}"]
+        if (pressure := _number(fluid.initial_pressure)) is not None:
+            parts.append(f"pressure at the start {shown(pressure, STRESS)}")
+        parts.append(f"depth of the flow out of the plane {shown(_number(fluid.flow_depth), LENGTH)}")
+        lines.append(f"Fluid: {', '.join(parts)}.")
+    for name, kind in scene.fracture.items():
+        who = "Fractures without a table of their own" if name == "default" else f'Fracture "{name}"'
+        lines.append(f"{who}: {_fracture(run, kind)}.")
+    lines += [f'Well "{well.name}": {_well(run, well)}.' for well in scene.well]
+    for support in scene.support:
+        lines.append(f"Held in {' and '.join(support.components)}: {', '.join(map(str, support.on))}.")
+    for term in scene.terms:
+        if term.absorbs:
+            lines.append(f"Sides that absorb waves: {', '.join(map(str, term.on))}.")
+    if scene.load:
+        lines.append(f"Loads: {len(scene.load)}, in the scene file at the end of this page.")
+    return [*lines, *(_stage(run, order, stage) for order, stage in enumerate(scene.stage, 1))]
+
+
+def _number(value: Any) -> float | None:
+    """A plain number of a scene, None for a profile or a table."""
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _domain(run: RunReport, scene: Scene) -> str:
+    if scene.geometry is None:
+        file = scene.mesh_path.name if scene.mesh_path is not None else "a file"
+        return f"The rock is the mesh of {file}, in plane strain."
+    corners = np.array(scene.geometry.domain, dtype=float)
+    wide, high = (run.shown(float(size), LENGTH) for size in np.ptp(corners, axis=0))
+    count = len(scene.geometry.fracture)
+    return f"A piece of rock {wide} wide and {high} high, in plane strain, with {count} fracture{'' if count == 1 else 's'}."
+
+
+def _fracture(run: RunReport, kind: Any) -> str:
+    parts = [f"law {kind.law}"]
+    rows = (
+        ("normal_stiffness", "normal stiffness", STIFFNESS), ("shear_stiffness", "shear stiffness", STIFFNESS),
+        ("aperture", "aperture", LENGTH), ("cohesion", "cohesion", STRESS),
+        ("friction_coefficient", "friction", "1"), ("dynamic_friction_coefficient", "friction once weakened", "1"),
+        ("slip_weakening_distance", "weakens over a slip of", LENGTH),
+        ("stick_slip_ratio", "strength left while slipping", "1"),
+    )  # fmt: skip
+    for key, word, dimension in rows:
+        value = getattr(kind, key, None)
+        if value is None or value == 0.0:
+            continue
+        one = _number(value)
+        parts.append(f"{word} {'varies along it' if one is None else run.shown(one, dimension)}")
+    return ", ".join(parts)
+
+
+def _tabled(run: RunReport, value: Any, dimension: str) -> str:
+    """A value of a well, constant or tabled over time."""
+    if not isinstance(value, TimeTable):
+        return str(value) if isinstance(value, str) else run.shown(_number(value), dimension)
+    if len(value.times) == 1 or value.spread == 0.0:
+        return run.shown(value.values[0], dimension)
+    since = "from" if value.interpolation == "step" else "at"
+    steps = [f"{run.shown(v, dimension)} {since} {run.clock_text(t)}"
+             for t, v in zip(value.times[:8], value.values[:8], strict=True)]  # fmt: skip
+    return ", ".join(steps) + (", and more" if len(value.times) > 8 else "")
+
+
+def _well(run: RunReport, well: Any) -> str:
+    parts = []
+    if well.flow_rate is not None:
+        parts.append(f"flow rate {_tabled(run, well.flow_rate, FLOW_RATE)}")
+    if well.pressure is not None:
+        initial = "that of the start" if well.pressure == "initial" else _tabled(run, well.pressure, STRESS)
+        parts.append(f"pressure {initial}")
+    if well.control:
+        parts.append(f"times the control {well.control}")
+    for key in ("maximum_pressure", "minimum_pressure"):
+        if (limit := getattr(well, key)) is not None:
+            parts.append(f"{key.replace('_', ' ')} {_tabled(run, limit, STRESS)}")
+    return ", ".join(parts) or "no rate or pressure"
+
+
+def _stage(run: RunReport, order: int, stage: Any) -> str:
+    kinds = {
+        "equilibrate": "finds the state at rest",
+        "steady": "steady, without storage and inertia",
+        "quasi-static": "without inertia",
+        "dynamic": "with inertia",
+        "auto": "without inertia, and with it while slip runs away",
+    }
+    parts = [kinds.get(stage.kind, stage.kind)]
+    if stage.until:
+        parts.append(f"raises {stage.control} until a section is about to slip")
+    if stage.time_step:
+        parts.append(f"steps of {'at most ' if stage.kind == 'auto' else ''}{run.shown(stage.time_step, TIME)}")
+    if stage.dynamic_time_step:
+        parts.append(f"of {run.shown(stage.dynamic_time_step, TIME)} with inertia")
+    parts += [f"{stage.steps} steps"] if stage.steps else []
+    parts += [f"until {run.shown(stage.end, TIME)}"] if stage.end else []
+    return f"Stage {order}, {stage.title}: {'; '.join(parts)}."
+
+
+def mesh_line(run: RunReport) -> str:
+    """Sizes of the mesh, in a sentence."""
+    mesh = run.mesh
+    if mesh is None:
+        return "No mesh is in the run folder."
+    lengths = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom[:, :2]], axis=1)[:, 0], axis=-1)
+    text = f"{len(mesh.cells)} cells, {len(mesh.points)} nodes, {len(mesh.joint_bottom)} joint elements"
+    if len(lengths):
+        few, usual, most = (
+            run.shown(float(size), LENGTH, 3) for size in (lengths.min(), np.median(lengths), lengths.max())
+        )
+        text += f" of {few} to {most}, median {usual}"
+    return f"{text}."
+
+
+def fracture_table(run: RunReport, frames: Frames | None) -> str:
+    """A row for each fracture: its size, and the most that it reached."""
+    if frames is None:
+        return ""
+    rows, heads = [], ["fracture", "length", "direction", "joints"]
+    words = {
+        "pressure": ("highest pressure", STRESS),
+        "aperture": ("widest aperture", LENGTH),
+        "plastic_slip": ("largest slip", LENGTH),
+    }
+    shown = {name: words[name] for name in frames.fields}
+    for name, part in zip(frames.names, frames.ends, strict=True):
+        ends = frames.points[part][[0, -1]]
+        angle = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1])) % 180.0
+        cells = [
+            name,
+            run.shown(float(frames.along[part][-1]), LENGTH),
+            f"{angle:.0f}°",
+            str(part.stop - part.start - 1),
+        ]
+        for key, (_, dimension) in shown.items():
+            values = frames.fields[key][:, part]
+            cells.append(run.shown(float(np.nanmax(values)) if np.isfinite(values).any() else None, dimension, 3))
+        rows.append(cells)
+    return table([*heads, *(word for word, _ in shown.values())], rows, "long")
+
+
+def plan_table(run: RunReport) -> str:
+    """The parts that are modelled or left out, these first."""
+
+    def short(value: Any) -> str:
+        return number(value, 3) if isinstance(value, float) else str(value)
+
+    rows = []
+    for each in sorted(run.plan, key=lambda each: not each.get("left_out")):
+        part = str(each.get("part", "")) + (f", stage {each['stage']}" if each.get("stage") else "")
+        error = "" if each.get("verdict") == "kept" else each.get("error", "")
+        cells = (each.get("verdict", ""), part, each.get("criterion", ""), short(each.get("value", "")))
+        rows.append((*cells, short(each.get("limit", "")), error, each.get("saves", "")))
+    return table(("", "part", "criterion", "value", "limit", "may err by", "saves"), rows, "wide")
+
+
+def check_table(run: RunReport) -> str:
+    """The checks before the run."""
+    rows = [
+        ("out of range" if each.get("out_of_range") else "", f"{each.get('name', '')}, {each.get('formula', '')}",
+         each.get("value_text") or "–", each.get("limit_text") or each.get("note", ""), each.get("where", ""))
+        for each in run.checks
+    ]  # fmt: skip
+    return table(("", "number", "value", "limit", "where"), rows, "wide")
+
+
+def event_table(run: RunReport, events: Sequence[Mapping[str, Any]]) -> str:
+    """The largest events of a catalogue."""
+    rows = []
+    for event in events:
+        size = "–" if event["magnitude"] is None else f"{event['magnitude']:.2f}".replace("-", "−")
+        lasted = None if event["end"] is None else event["end"] - event["start"]
+        sizes = (("length", LENGTH), ("mean_slip", LENGTH), ("stress_drop", STRESS), ("injected", VOLUME))
+        numbers = [run.shown(event[name], dimension, 3) for name, dimension in sizes]
+        rows.append((run.clock_text(event["start"]), size, event["fracture"], run.shown(lasted, TIME, 3), *numbers))
+    heads = ("begins", "magnitude", "begins on", "lasts", "length", "mean slip", "stress drop", "net volume before")
+    return table(heads, rows, "wide")
