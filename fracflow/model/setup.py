@@ -92,17 +92,20 @@ class Model:
 
 def on_root(comm: MPI.Comm, work: Callable[[], Result]) -> Result | None:
     """Do ``work`` on rank 0; its InputError is raised on every rank, an OSError as a DiskError. Collective."""
-    result, failure = None, None
+    result: Result | None = None
+    failure: InputError | DiskError | None = None
     if comm.rank == 0:
         try:
             result = work()
-        except (InputError, DiskError) as error:
-            failure = error
+        except InputError as error:
+            failure = InputError(str(error))
+        except DiskError as error:
+            failure = DiskError(str(error))
         except OSError as error:
             failure = DiskError.of(error, "the run folder")
-    kind, message = comm.bcast((type(failure), str(failure)), root=0)
-    if issubclass(kind, Exception):
-        raise kind(message)
+    failure = comm.bcast(failure, root=0)
+    if failure is not None:
+        raise failure
     return result
 
 

@@ -26,6 +26,8 @@ from malformed import (
     traces,
 )
 
+from fracflow.mesh.files import gmsh
+
 pytestmark = pytest.mark.serial
 
 TABLES = {
@@ -275,3 +277,10 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_one_line_and_nothing_written(name, tmp_path, monkeypatch, capfd):
     one_line_and_nothing_written(CASES[name], tmp_path, monkeypatch, capfd)
+
+
+def test_a_mesh_that_crashes_gmsh(tmp_path, monkeypatch, capfd):
+    """Each kind of bad input is told by all ranks as one and the same error."""
+    monkeypatch.setattr(gmsh, "_run", lambda folder, allowed: (-11, ""))
+    expected = "square.msh: Gmsh crashed (signal 11); save it again from Gmsh"
+    one_line_and_nothing_written((mesh(MSH), expected), tmp_path, monkeypatch, capfd)
