@@ -14,6 +14,7 @@ Exit code 1 if anything failed.
 from __future__ import annotations
 
 import argparse
+import fcntl
 import json
 import os
 import re
@@ -284,6 +285,12 @@ def main(words: list[str] | None = None) -> int:
     options = parser.parse_args(words)
     options.out = options.out.absolute()
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
+    options.out.mkdir(parents=True, exist_ok=True)
+    mine = (options.out / "lock").open("w")
+    try:
+        fcntl.flock(mine, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        sys.exit(f"fuzz: another run uses {options.out}; give another --out")
     for name in ("cases", "base", *(f"box{k}" for k in range(options.jobs))):
         shutil.rmtree(options.out / name, ignore_errors=True)
     bases = Bases(options.out / "base")
