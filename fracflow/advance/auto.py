@@ -36,6 +36,11 @@ from fracflow.solve.request import LoadStep, StepRequest
 LARGEST = PETSc.NormType.INFINITY
 SHAKES = 0.1  # of the range of a load: a vibration that a stage auto does not leave out
 WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest period"
+NEAR = 1e-9  # of a step: times so near are one
+TIME_ROUND_OFF = 1e-14  # of a time
+SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
+REPORTED = 4  # trials rejected on the way to one step from which on the log reports them
+REST, WAVES = "quasi-static", "dynamic"
 
 
 @dataclass(frozen=True)
@@ -106,13 +111,6 @@ def swing(old: State, new: State, period: float, left: float) -> float:
     change.destroy()
     reach = float(new.motion.displacement.norm(LARGEST)) + rate * left
     return kick * period / (pi * reach) if reach > 0.0 else 0.0
-
-
-NEAR = 1e-9  # of a step: times so near are one
-TIME_ROUND_OFF = 1e-14  # of a time
-SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
-REPORTED = 4  # trials rejected on the way to one step from which on the log reports them
-REST, WAVES = "quasi-static", "dynamic"
 
 
 def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:

@@ -25,6 +25,9 @@ from fracflow.solve.request import StepRequest
 
 MOST_PARTS = 1e5  # of the rest of a stage: more substeps are reported
 WATCHED = 500  # substeps in a row before the report: some periods of the vibration
+FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
+LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
+LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
 
 
 def swing_of(acceleration: float, jerk: float) -> tuple[float, float]:
@@ -103,11 +106,6 @@ def _place(operators: Operators, node: int) -> str:
     faces = np.any(np.concatenate([joints.bottom, joints.top], axis=1) == node, axis=1)
     on = f"on {joints.fractures[joints.fracture[faces.argmax()]]} " if faces.any() else ""
     return f"{on}at ({', '.join(f'{x:.4g}' for x in operators.blocks.solid.points[node])})"
-
-
-FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
-LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
-LEAST = 1e-9  # of the length of a joint: smaller motions need no accuracy
 
 
 def step_error(

@@ -28,6 +28,10 @@ HALVED = 3  # every so many times its interval is halved, whatever the values sa
 LEAST = 1e-3  # of its interval: so far from either end it is looked for
 FRICTION, CONTACT = 0, 1  # the two distances of ``JointLaw.approach``
 TOGETHER = 1e-3  # of the step: events that lie so near behind the first are taken with it
+NEAR = 1e-4  # of the step: how well the time of an event is known
+REFINEMENTS = 6
+BEYOND = 1.25  # a step towards an event looks so far past its own end for it
+MANY = 16  # sliding sections: a crack, whose front passes sections one by one, and no block that sticks and slips
 
 
 @dataclass(frozen=True)
@@ -157,12 +161,6 @@ def _fall(
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
         stays = np.where(beyond, -1.0, 1.0)
     return high
-
-
-NEAR = 1e-4  # of the step: how well the time of an event is known
-REFINEMENTS = 6
-BEYOND = 1.25  # a step towards an event looks so far past its own end for it
-MANY = 16  # sliding sections: a crack, whose front passes sections one by one, and no block that sticks and slips
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,9 @@ from fracflow.model.state import State, StepReport
 from fracflow.solve.explicit import ExplicitCoupling
 from fracflow.solve.request import StepRequest, on_the_way
 
+PRODUCTS = 16.0  # the time of a substep, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
+TIMED = 5  # products
+
 
 class ExplicitSteps:
     """The explicit coupling of a model, and the line of its critical time step for the log."""
@@ -104,10 +107,6 @@ class ExplicitSubsteps:
                 widest=widest.widest,
             )
         return Outcome(now, total, request.end)
-
-
-PRODUCTS = 16.0  # the time of a substep, in products of the rock's stiffness: 7 with 4e5 unknowns, 15 with 7e4
-TIMED = 5  # products
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,12 @@ from fracflow.solve.period import longest_period
 SHARE = 0.1  # of the slip over which strength falls: no step without inertia may slip farther
 PARTS = 50  # of the longest period, at least, in steps with inertia
 LONGER = 3  # steps without inertia before they are twice as long
+AHEAD = 0.4  # of the slip that a step may have: one that slips so far may be twice as long next
+RADIATED = 1e-3  # of the strength: what rho c_s v/2 of slip without inertia may reach
+SETTLED = 0.3  # of that: what slip may radiate as inertia goes
+FLOOR = 0.1  # of the largest traction: strength of what pressure has all but opened, in what slip radiates of it
+LONG = 20.0  # longest periods: an event that has lasted so long may have nothing that ends it
+CREEP = 2.0  # times the kinetic energy at the onset: slow slip goes on with no more
 
 
 def wave_step(model: Model, state: State, stage: Stage) -> tuple[float, float]:
@@ -109,14 +115,6 @@ def _weakening(model: Model) -> Iterator[int]:
             if np.any(here & (group.law.strength_drop(pressed[group.sections]) > 0.0) & (lengths > 0.0)):
                 yield number
                 break
-
-
-AHEAD = 0.4  # of the slip that a step may have: one that slips so far may be twice as long next
-RADIATED = 1e-3  # of the strength: what rho c_s v/2 of slip without inertia may reach
-SETTLED = 0.3  # of that: what slip may radiate as inertia goes
-FLOOR = 0.1  # of the largest traction: strength of what pressure has all but opened, in what slip radiates of it
-LONG = 20.0  # longest periods: an event that has lasted so long may have nothing that ends it
-CREEP = 2.0  # times the kinetic energy at the onset: slow slip goes on with no more
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from fracflow.solve.request import LoadStep, StepRequest, to_next
 
 DOUBLINGS = 60
 SEARCH_TOLERANCE = 1e-13  # of the control; far below the stage's own tolerance, so that ranks agree on where it ends
+JUST_OVER = 1.5  # times the shortest part: longer ones are halved where they fail
 
 
 def utilisation(model: Model, sections: Sections) -> float:
@@ -109,9 +110,6 @@ def search_incipient(stepping: Stepping, state: State, number: int, log: Log, pr
     reached = utilisation(model, best[0].sections)
     log(f"incipient failure at {control} = {value:.12g}: |f_s|/f_sy = 1 - {1.0 - reached:.3e}")
     yield Step(best[0], number, 0.0, best[1], DONE)
-
-
-JUST_OVER = 1.5  # times the shortest part: longer ones are halved where they fail
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ CONDUCTS = 1e-15
 """Of the conductance of all elements at its ends: an element with less is pinched, as it is lost in the balance there.
 Elements elsewhere do not count: a thin fracture far from a wide one conducts."""
 FREE = 1e-10  # of the volume that single nodes take up by a wall's motion: less is round-off
+MOST_NAMES = 12  # fractures that a line lists
 
 
 @dataclass(frozen=True)
@@ -177,9 +178,6 @@ def closure_row(closure: Closure, layout: Layout) -> tuple[Ints, Floats]:
     if closure.by != "fluid":
         return cols, values
     return np.concatenate([cols, layout.flow_numbers(closure.nodes)]), np.append(values, np.zeros(len(closure.nodes)))
-
-
-MOST_NAMES = 12  # fractures that a line lists
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""(Fig. 7) The loop: stages, steps, and where a run goes on after it was stopped."""
+"""(Fig. 7) The loop: stages, steps, signals, and where a run goes on after it was stopped."""
 
 from __future__ import annotations
 

@@ -131,6 +131,11 @@ def test_what_floats(overrides, carried, free):
     assert np.abs(motions.T @ motions - np.eye(free)).max(initial=0.0) < 1e-9
 
 
+def test_a_layer_that_repeats_itself_shifts_and_does_not_turn():
+    _, motions = _motions("tie=[{on = ['west', 'east'], components = ['y']}]", carried=(0, 0))
+    assert np.abs(motions[[2, 5]]).max() < 1e-9
+
+
 def test_the_net_force_on_a_block():
     """A force on every unknown of the upper layer adds up to its own resultant and moment."""
     floating, _ = _motions(carried=(1, 1))

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from fracflow._petsc import MPI
 from fracflow.output import read_events, read_history
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
@@ -94,3 +95,16 @@ def test_ranks_agree(scene, tmp_path):
         for name in names:
             apart = np.nanmax(np.abs(one[name][:rows] - many[name][:rows]), initial=0.0)
             assert apart <= 1e-10 * sizes[kind[name]], (scene, ranks, name, apart, sizes[kind[name]])
+
+
+def test_what_ranks_decide_by_is_one_number(shared_tmp):
+    """Largest pressures and powers so far: a rank with others would stop, or go on, alone."""
+    seen = []
+    scene = load("meshes/crossings/scene.toml", ["output.pictures=false", "stage.1.steps=2"])
+    run(
+        scene,
+        shared_tmp / "out",
+        progress=lambda step: seen.append((step.state.max_overpressure, step.state.max_dissipation)),
+    )
+    assert seen[-1][0] > 0.0
+    assert MPI.COMM_WORLD.allgather(seen) == [seen] * MPI.COMM_WORLD.size

@@ -116,7 +116,8 @@ class _File:
 
     def _bounded(self, first: int, start: int, after: int) -> None:
         """Refuse a loop between plain numbers, from ``start`` to before ``after``, that Gmsh would be in for hours."""
-        texts = "".join(token.shown for token in self.tokens[start:after]).split(":")
+        words = ["a word" if token.kind == "word" else token.shown for token in self.tokens[start:after]]  # inf is one
+        texts = "".join(words).split(":")
         try:
             low, high, *steps = (float(text) for text in texts)
         except ValueError:

@@ -138,7 +138,7 @@ def _arrays(
 
 
 def read_msh2(path: Path) -> dict[str, Any]:
-    """All points, elements and groups, as ``gmsh_worker.dump`` gives them. Raises ValueError of one line.
+    """All points, elements and groups, as ``dump`` gives them. Raises ValueError of one line.
 
     Version 2 has one physical tag an element; one in two groups stands twice.
     """
