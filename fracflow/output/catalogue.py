@@ -157,7 +157,8 @@ def fault_ends(scene: Scene, mesh: SplitMesh, place: Ints) -> FaultEnds:
     length = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom], axis=1)[:, 0], axis=-1)
     parts = mesh.joint_bottom != mesh.joint_top
     modulus = np.array([_shear_modulus(scene, name) for name in mesh.rocks])[mesh.cell_rock[mesh.joint_cells]]
-    both: Floats = 2.0 / (1.0 / modulus).sum(axis=1) if len(modulus) else np.zeros(0)
+    with np.errstate(divide="ignore"):  # between two rigid walls it is infinite
+        both: Floats = 2.0 / (1.0 / modulus).sum(axis=1) if len(modulus) else np.zeros(0)
     return FaultEnds(
         place,
         (0.5 * length[:, None] * parts).ravel(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -32,7 +33,9 @@ SLEEPS = 3.0 * HANGS  # seconds of wall clock: beyond it a process waits for wha
 WAIT = 0.002  # [s]
 CRASHES = (signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL)
 MOST_STEPS, MOST_CELLS = 12, 2000.0
-UNKNOWN = ("step/predicted", "step/measured")  # of a history: nan where nothing was foretold
+UNKNOWN = re.compile(
+    r"step/(predicted|measured)|well/.*/injectivity$"
+)  # nan where nothing was foretold, or no pressure rose
 BOUNDLESS = ("strength", "slip_margin")  # inf where a law knows no slip
 
 
@@ -238,9 +241,7 @@ def _unreadable(folder: Path) -> Iterator[Found]:
         return
     odd = [key for key, values in history.items() if values.dtype.kind == "f" and not np.isfinite(values).all()]
     odd = [
-        key
-        for key in odd
-        if not (key.startswith(UNKNOWN) or (key.endswith(BOUNDLESS) and not np.isnan(history[key]).any()))
+        key for key in odd if not (UNKNOWN.match(key) or (key.endswith(BOUNDLESS) and not np.isnan(history[key]).any()))
     ]
     if odd:
         yield Found(f"history holds what is no number: {odd[0]}", ", ".join(odd))

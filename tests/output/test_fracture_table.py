@@ -1,12 +1,15 @@
 """The table by fracture: means and largest values along each, its moment, and how it stands."""
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from fracflow.cli.report import report
+from fracflow.model.setup import read_sized
+from fracflow.output.catalogue import fault_ends
 from fracflow.output.export import export_csv
 from fracflow.output.fracture_table import fracture_table
 from fracflow.scene.scene import load
@@ -70,3 +73,10 @@ def test_a_table_without_scene_and_mesh_lacks_moments_only(folder):
 
 def test_a_folder_without_fields_has_no_table(tmp_path):
     assert fracture_table(tmp_path) is None
+
+
+def test_a_joint_between_rigid_walls_has_no_bounded_modulus(recwarn):
+    """Its moment has no meaning, and nobody is warned of a division by zero."""
+    scene = load(Path(__file__).parents[2] / "meshes" / "failures" / "closing_joint" / "scene.toml")
+    ends = fault_ends(scene, read_sized(scene), np.zeros(0, dtype=np.int64))
+    assert len(ends.modulus) and not np.isfinite(ends.modulus).any() and not recwarn.list
