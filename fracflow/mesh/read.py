@@ -17,6 +17,7 @@ from fracflow.mesh.files.gmsh import open_checked, open_msh, open_other, run_wor
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.files.others import FORMATS
 from fracflow.mesh.interpret import interpret
+from fracflow.mesh.locate import PLACE_ROUND_OFF
 from fracflow.mesh.plane.near import NearMiss, near_misses, told
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
@@ -99,13 +100,23 @@ def build_mesh(geometry: GeometrySpec) -> RawMesh:
     """Mesh a domain so that its fractures are edges of cells, each facet running along its trace.
 
     The sides of a rectangle along the axes are south, east, north, west; those of another polygon side1,
-    side2, ... in the order of its corners. The notes of the mesh say what was changed in the traces. Raises InputError
-    for traces that cannot be made fit (``traces.tidy``).
+    side2, ... in the order of its corners. The notes of the mesh say what was changed in the traces. A mesh that lacks one of
+    the ``nodes`` is made again with traces cut there. Raises InputError for traces that cannot be made fit
+    (``traces.tidy``).
     """
-    domain, sides = np.asarray(geometry.domain, dtype=float), side_names(np.asarray(geometry.domain, dtype=float))
-    _check_sizes(geometry, polygon_area(domain))
+    _check_sizes(geometry, polygon_area(np.asarray(geometry.domain, dtype=float)))
     network, snap, misses = network_of(geometry)
-    network = cut_at(network, geometry.nodes, snap)
+    raw = _meshed(geometry, network, snap, misses)
+    near = PLACE_ROUND_OFF * np.ptp(raw.points, axis=0).max()
+    on_traces = raw.points[np.unique(raw.fracture_facets)]
+    if all(np.linalg.norm(on_traces - place, axis=1).min(initial=np.inf) <= near for place in geometry.nodes):
+        return raw
+    return _meshed(geometry, cut_at(network, geometry.nodes, snap), snap, misses)
+
+
+def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: list[NearMiss]) -> RawMesh:
+    """The mesh of a ``network`` by Gmsh."""
+    domain, sides = np.asarray(geometry.domain, dtype=float), side_names(np.asarray(geometry.domain, dtype=float))
     fine = float(geometry.size_at_fractures or geometry.size)
     is_quads = geometry.cells == "quads"
     coarser = 2 if is_quads else 1  # quads are cut in four in the end

@@ -15,7 +15,15 @@ from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.facets import components
-from fracflow.mesh.locate import FracturePlace, RockPlace, on_fracture, point_along, probe_place, tied_nodes
+from fracflow.mesh.locate import (
+    PLACE_ROUND_OFF,
+    FracturePlace,
+    RockPlace,
+    on_fracture,
+    point_along,
+    probe_place,
+    tied_nodes,
+)
 from fracflow.mesh.plane.refine import refined
 from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
@@ -262,7 +270,7 @@ def _is_point(asked: object) -> bool:
 def moved(mesh: SplitMesh, name: str, asked: Position, spot: Floats) -> str:
     """Say at which ``spot`` (dim,) a well or probe sits, and how far from the coordinates asked for; "" if there."""
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) if _is_point(asked) else 0.0
-    if away <= 1e-6 * float(np.ptp(mesh.points, axis=0).max()):
+    if away <= PLACE_ROUND_OFF * float(np.ptp(mesh.points, axis=0).max()):
         return ""
     where = "node" if name.startswith("well.") else "fracture"
     return f"{name} sits on the {where} at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"

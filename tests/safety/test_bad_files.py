@@ -245,8 +245,8 @@ COMMANDS = {
     ),
     "picture of nothing": (call("picture", "nothing"), "nothing/history.h5: no such file; name the folder of a run"),
     "picture of a file": (
-        call("picture", "scene.toml"),
-        "scene.toml/history.h5: no such file; name the folder of a run",
+        call("picture", "notes.txt", notes_txt="a"),
+        "notes.txt/history.h5: no such file; name the folder of a run",
     ),
     "picture of rubbish": (
         call("picture", ".", history_h5=RUBBISH),

@@ -54,7 +54,7 @@ def test_names_in_pictures_are_no_formulas(tmp_path, monkeypatch):
     (tmp_path / "scene.toml").write_text(text)
     run(load(tmp_path / "scene.toml"), tmp_path / "out")
     with matplotlib.rc_context({"text.usetex": True, "text.latex.preamble": r"\input{/etc/hostname}"}):
-        assert len(draw(tmp_path / "out")) == 2
+        assert len(draw(tmp_path / "out")) == 3
 
 
 def test_names_in_a_run_folder_steer_no_terminal(ended, tmp_path):
