@@ -246,7 +246,7 @@ COMMANDS = {
     "picture of nothing": (call("picture", "nothing"), "nothing/history.h5: no such file; name the folder of a run"),
     "picture of a file": (
         call("picture", "notes.txt", notes_txt="a"),
-        "notes.txt/history.h5: no such file; name the folder of a run",
+        "notes.txt: not valid TOML: … correct the line",
     ),
     "picture of rubbish": (
         call("picture", ".", history_h5=RUBBISH),
