@@ -112,7 +112,7 @@ class StepProblem:
         ops, u, p = self.operators, self.displacement, self.pressure
         # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
-        self.accept(ops.joints.evaluate(strain, self.trial_status, self.law_step(hold)))
+        self.accept(self.evaluate_joints(strain, hold))
         solid, terms = self.solid_balance, [largest(self.load)]
         solid.set(0.0)
         term = solid.duplicate()
