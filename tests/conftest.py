@@ -64,7 +64,7 @@ def pytest_collection_modifyitems(config, items):
     """Serial tests run on one rank; whole applications on one and two, and parts of the program on any number.
 
     Serial is what needs one process or knows of no ranks, and orders in time, of steps that other tests take on ranks.
-    Of one test with many cases ranks run the first and the last where that is a whole application, or on three ranks.
+    Of one test with many cases ranks run the first and the last, but of those that take a state apart and put it together.
     """
     tests = Path(__file__).parent
     cases: dict[str, list[str]] = {}
@@ -77,7 +77,7 @@ def pytest_collection_modifyitems(config, items):
         group = item.path.relative_to(tests).parts[0]
         # three ranks on two cores are slow
         is_spared = group in APPLICATIONS or (group == "physics" and number % 4 != 0)
-        is_inner = item.nodeid in inner and group not in EVERY_CASE and (SIZE > 2 or group in APPLICATIONS)
+        is_inner = item.nodeid in inner and group not in EVERY_CASE
         return item.get_closest_marker("serial") is not None or is_inner or (SIZE > 2 and is_spared)
 
     if SIZE == 1:
