@@ -55,6 +55,12 @@ class Totals:
         self.rejected += report.rejected
         self.wasted += report.wasted
 
+    def observe(self, time: float, margin: float, least: int, least_flow: float) -> None:
+        """Keep the smallest margin of a status with its time, and the most that minimum apertures did; see ``Snapshot``."""
+        if margin < self.narrowest:
+            self.narrowest, self.narrow_time = margin, time
+        self.least, self.least_flow = max(self.least, least), max(self.least_flow, least_flow)
+
     def give_up(self, failure: SolveError) -> None:
         """Count the trials of a step that failed."""
         self.rejected += failure.trials
