@@ -15,7 +15,7 @@ from fracflow.advance.outcome import Advance, Outcome
 from fracflow.advance.prescribed_times import AT_A_TIME, bends_of, latest
 from fracflow.advance.step_error import Vibration, largest_displacement, step_error, swing_of, vibration
 from fracflow.errors import SolveError
-from fracflow.integrators import FilmRule, Rates, Stepper, storage_error
+from fracflow.integrators import FlowRule, Rates, Stepper, storage_error
 from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import compression_of
 from fracflow.model.setup import Model
@@ -209,7 +209,7 @@ class ErrorEstimator:
         if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
             last = 0.0
         rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
-        wrong: Floats = storage_error(cast(FilmRule, self.stepper), dt, rates)
+        wrong: Floats = storage_error(cast(FlowRule, self.stepper), dt, rates)
         wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
         return self._sum(wrong)
 

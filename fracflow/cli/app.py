@@ -135,9 +135,9 @@ def check(
     found, moved, numbers, decisions, network = set_up(given)
     notes = [*advice(given), *moved]
     if as_json:
-        card = card_records(numbers)
-        told = {"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes, "network": asdict(network)}
-        typer.echo(to_json(told, indent=1))
+        card, plan = card_records(numbers), as_records(decisions)
+        record = {"sizes": found, "plan": plan, "card": card, "notes": notes, "network": asdict(network)}
+        typer.echo(to_json(record, indent=1))
         return
     console = Console(highlight=False, width=WIDTH)
     report_checks(card_records(numbers), console)
@@ -152,7 +152,7 @@ def check(
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
     from fracflow.mesh.split import summary
-    from fracflow.model.network_parts import told_apart
+    from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
     from fracflow.reduction.prepare import read_split
     from fracflow.scene.scene import load
@@ -162,7 +162,7 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     for note in split.notes:
         typer.echo(note)
     try:
-        for note in told_apart(given, split, place(given, split).wells):
+        for note in unconnected_wells(given, split, place(given, split).wells):
             typer.echo(note)
     except InputError as error:  # wells may be placed later
         typer.echo(f"note: {error}")

@@ -102,20 +102,20 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
     solves = steps > 0 or more
     factors = ENTRIES * unknowns * math.log2(max(unknowns, 2)) if solves else 0.0
     memory = PROGRAM + NUMBER * (MATRICES * unknowns + factors)
-    found, told, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
+    found, parts, seconds = {"memory, about": f"{memory / 1e9:.2g} GB"}, [], 0.0
     if explicit is not None:
         found["explicit steps"] = explicit.line
         part = explicit.seconds + OWN
         seconds += explicit.parts * part
-        told.append(f"{explicit.parts} explicit parts of about {part:.2g} s")
+        parts.append(f"{explicit.parts} explicit parts of about {part:.2g} s")
     if solves:
         lasted = seconds_of_factors(model.operators)
         each = lasted * (1.0 + BESIDES) + OWN
         seconds += steps * ITERATIONS * each
         found |= _cost_of_events(model, each, ITERATIONS)
-        told.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
+        parts.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
     without = ", without those of events and searches" if more else ""
-    found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(told)}"
+    found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(parts)}"
     return found
 
 

@@ -232,7 +232,7 @@ def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> l
     return found
 
 
-def told_apart(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
+def unconnected_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
     """Lines about wells between which nothing can flow; none where all are in one part. On one process."""
     parts = parts_with_wells(mesh, wells)
     if len(parts) < 2:

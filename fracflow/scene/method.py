@@ -69,10 +69,10 @@ class Table(BaseModel):
 
 if TYPE_CHECKING:
     InertiaStepper: TypeAlias = str
-    FilmStepper: TypeAlias = str
+    FlowStepper: TypeAlias = str
     StepperKeys: Any = Table
 else:
-    InertiaStepper, FilmStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
+    InertiaStepper, FlowStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
     StepperKeys = create_model(
         "StepperKeys",
         __base__=Table,
@@ -100,7 +100,7 @@ class Method(StepperKeys):
     rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which
     damps them, of explicit steps, and of model = "report"
     """
-    flow_integrator: FilmStepper = "backward-euler"
+    flow_integrator: FlowStepper = "backward-euler"
     """time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of scenes
     that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a stage is
     one of backward Euler"""

@@ -57,11 +57,11 @@ class Notices:
             after = "handed over to the monolithic solver, as are later steps like it"
             self._log(f"{stage}: {report.handed_over}; {after}")
         totals.handed_over += bool(report.handed_over)
-        last, factor = totals.told_factor, report.predicted
+        last, factor = totals.reported_factor, report.predicted
         if np.isnan(factor):
             return
         if np.isnan(last) or (max(factor, last) >= LEAST_FACTOR and not abs(factor - last) <= CHANGED * last):
-            totals.told_factor = factor
+            totals.reported_factor = factor
             time = f"time {now:.6g} {scene.unit_system.time}".rstrip()
             measured = (
                 f"the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"

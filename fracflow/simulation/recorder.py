@@ -31,7 +31,7 @@ from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
 from fracflow.output.profiles import ProfileFile, Timetable, intervals
-from fracflow.output.slip_at_crossings import told_handed
+from fracflow.output.slip_at_crossings import lines_of
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
@@ -80,7 +80,7 @@ class Recorder:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes, model.placed.wells)
-        self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
+        self.totals, self._goes_on = Totals.of(notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
         self._report_saved: Callable[[int], None] | None = None
@@ -191,7 +191,7 @@ class Recorder:
 
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
-        found = on_root(self.comm, lambda: told_handed(files.events.rows, files.mesh) if (files := self.files) else [])
+        found = on_root(self.comm, lambda: lines_of(files.events.rows, files.mesh) if (files := self.files) else [])
         for line in found or ():
             self.log(line)
 

@@ -138,7 +138,7 @@ def resume(
     if comm.bcast(on_root(comm, lambda: has_checkpoint(folder)), root=0):
         notes = comm.bcast(on_root(comm, lambda: read_notes(saved)), root=0)
         with restoring(saved):
-            totals = Totals(**notes["totals"])
+            totals = Totals.of(notes["totals"])
         if notes["finished"]:
             return totals
         arrays = spread(comm, on_root(comm, lambda: read_arrays(saved)))

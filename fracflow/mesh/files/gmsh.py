@@ -146,8 +146,8 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             (folder / each).write_bytes(text)
         if "link" in job:
             (folder / "mesh.msh").symlink_to(job["link"])
-        told = {**job, "seconds": allowed.seconds, "memory": allowed.memory, "parent": os.getpid()}
-        (folder / "job.json").write_text(json.dumps(told), encoding="utf-8")
+        given = {**job, "seconds": allowed.seconds, "memory": allowed.memory, "parent": os.getpid()}
+        (folder / "job.json").write_text(json.dumps(given), encoding="utf-8")
         code, said = _run(folder, allowed)
         if code is None or code == -signal.SIGXCPU:
             why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"
