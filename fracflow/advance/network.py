@@ -24,6 +24,7 @@ from fracflow.model.network_parts import (
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
+from fracflow.scene.units import FLOW_RATE
 from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
@@ -242,10 +243,9 @@ class FlowNetwork:
 
     def _sum_of(self, wells: tuple[str, ...], rates: list[float]) -> str:
         """Rates of wells and, last, of all terms, in words."""
-        system, flow = self.model.scene.unit_system, self.model.operators.flow
-        unit = system.unit("length**3/time") if system.name != "none" else ""
+        flow, unit = self.model.operators.flow, self.model.scene.unit_system.behind(FLOW_RATE)
         names = (*wells, *(term.name for term in flow.terms)) if flow is not None and rates[-1] else wells
-        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g} {unit}".rstrip()
+        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g}{unit}"
 
     def _lost(self, conduction: Conduction | None) -> Floats:
         """Rates by which fluid leaves by terms at all flow nodes (n,) [volume rate per thickness]. Collective."""

@@ -104,4 +104,4 @@ class CheckInput:
 
     def unit(self, dimension: str) -> str:
         """The unit to write behind a number, with a blank before it."""
-        return f" {self.scene.unit_system.unit(dimension)}" if self.scene.units != "none" else ""
+        return self.scene.unit_system.behind(dimension)

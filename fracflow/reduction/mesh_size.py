@@ -278,7 +278,7 @@ def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]
         return {}, []
     traces = [(trace.name, np.array(trace.points, dtype=float)) for trace in geometry.fracture]
     snap, why = natural_snap(np.array(geometry.domain, dtype=float), traces)
-    unit = f" {scene.unit_system.unit(LENGTH)}" if scene.units != "none" else ""
+    unit = scene.unit_system.behind(LENGTH)
     return {"snap": snap}, [f"geometry.snap = {snap:g}{unit}: {why}"]
 
 

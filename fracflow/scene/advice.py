@@ -158,7 +158,7 @@ def _bouncing(scene: Scene) -> Iterator[str]:
     for name, fracture in scene.fracture.items():
         if fracture.pressure is not None:
             given[f"fracture.{name}"] = fracture.pressure(np.array(fracture.pressure.along), 0.0).tolist()
-    unit = "" if scene.units == "none" else f" {scene.unit_system.unit(STRESS)}"
+    unit = scene.unit_system.behind(STRESS)
     for at, values in given.items():
         jump = max(values, key=lambda value: abs(value - start)) - start
         if abs(jump) > AT_ONCE * max(abs(start), abs(start + jump)):
