@@ -262,16 +262,19 @@ def schema(
     from rich.table import Table
 
     from fracflow.scene.scene import Scene
-    from fracflow.scene.schema import markdown, rows
+    from fracflow.scene.schema import markdown, note_on_meanings, rows
 
+    keys = Scene.json_schema()
+    if note := note_on_meanings(keys):
+        typer.echo(note, err=True)
     if as_json:
-        typer.echo(json.dumps(Scene.json_schema(), indent=1))
+        typer.echo(json.dumps(keys, indent=1))
         return
     if as_markdown:
-        typer.echo(markdown(Scene.json_schema()), nl=False)
+        typer.echo(markdown(keys), nl=False)
         return
     table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
-    for row in rows(Scene.json_schema()):
+    for row in rows(keys):
         table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
     Console(highlight=False, width=WIDTH).print(table)
 
