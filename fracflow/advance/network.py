@@ -8,7 +8,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.advance.outcome import Log
-from fracflow.errors import MOST_TOLD, SolveError
+from fracflow.errors import MOST_NAMED, SolveError
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
@@ -199,12 +199,12 @@ class FlowNetwork:
         stores = fluid is not None and fluid.compressibility > 0.0
         cut_off = [each for each in zip(self._parts, gives, strict=True) if not drained[each[0].nodes].any()]
         cut_off.sort(key=lambda found: -len(found[0].nodes))
-        for part, moves in cut_off[:MOST_TOLD]:
+        for part, moves in cut_off[:MOST_NAMED]:
             by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
             both = " and by compression" if moves and stores else ""
             self.log(f"time {time:.6g}: no pressure is prescribed in {part}, whose level is settled {by}{both}")
-        if len(cut_off) > MOST_TOLD:
-            self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_TOLD} more parts")
+        if len(cut_off) > MOST_NAMED:
+            self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_NAMED} more parts")
 
     def _drained(self, loads: Loads) -> np.ndarray:
         layout = self.model.operators.layout
@@ -226,9 +226,9 @@ class FlowNetwork:
             closures.append(close(operators, part, moves and not at_start, holds))
         return _Closed(replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
 
-    def _node(self, vector: object) -> int:
-        local = vector.getArray(readonly=True)  # type: ignore[attr-defined]
-        here = np.flatnonzero(local) + vector.getOwnershipRange()[0]  # type: ignore[attr-defined]
+    def _node(self, vector: PETSc.Vec) -> int:
+        local = vector.getArray(readonly=True)
+        here = np.flatnonzero(local) + vector.getOwnershipRange()[0]
         return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
 
     def _refuse(

@@ -26,7 +26,7 @@ while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's num
 os.close(_free)
 sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
 WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
-USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
+USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
 Overrides = Annotated[
@@ -295,12 +295,14 @@ def help_command(
 
 def commands() -> dict[str, Any]:
     """The commands by name, each with its help and parameters."""
-    return typer.main.get_command(app).commands  # type: ignore[attr-defined, no-any-return]
+    group: Any = typer.main.get_command(app)
+    found: dict[str, Any] = group.commands
+    return found
 
 
-def petsc_options(petsc: object, words: list[str]) -> None:
+def petsc_options(petsc: Any, words: list[str]) -> None:
     """Put options such as ``-solid_pc_type cholesky`` into PETSc's database. Raises InputError for stray words."""
-    database = petsc.Options()  # type: ignore[attr-defined]
+    database = petsc.Options()
     words = [word for word in words if word != "--"]
     while words:
         key = words.pop(0)
@@ -331,7 +333,7 @@ def main() -> None:
             raise KeyboardInterrupt
         sys.exit(code)
     except USAGE as error:
-        message = error.format_message() or "no command"  # type: ignore[attr-defined]
+        message = error.format_message() or "no command"
         stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
     except typer.Abort:
         stop("interrupted", 130)

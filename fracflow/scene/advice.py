@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -220,9 +221,9 @@ def _transit(scene: Scene) -> float | None:
 
 
 def _unusual(scene: Scene) -> Iterator[str]:
-    tables = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
-    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]  # type: ignore[misc]
-    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []  # type: ignore[list-item]
+    tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
+    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
+    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []
     for path, table, kind in tables:
         for key, (dimension, least, most) in USUAL[kind].items():
             value = getattr(table, key)

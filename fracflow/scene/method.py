@@ -70,9 +70,11 @@ class Table(BaseModel):
 if TYPE_CHECKING:
     InertiaStepper: TypeAlias = str
     FlowStepper: TypeAlias = str
+    Conductance: TypeAlias = str
     StepperKeys: Any = Table
 else:
     InertiaStepper, FlowStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
+    Conductance = Literal[tuple(FLOW_LAWS)]
     StepperKeys = create_model(
         "StepperKeys",
         __base__=Table,
@@ -91,7 +93,7 @@ class Method(StepperKeys):
     storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = "lumped"
     """matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one for both;
     report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work"""
-    conductance: Literal[tuple(FLOW_LAWS)] = "exact"  # type: ignore[valid-type]
+    conductance: Conductance = "exact"
     """mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)"""
     mass: Literal["lumped", "consistent"] = "lumped"
     """mass matrix of the rock"""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow.errors import MOST_TOLD, InputError
+from fracflow.errors import MOST_NAMED, InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
@@ -72,7 +72,7 @@ def open_checked(path: Path, checked: Checked) -> Elements:
     except Crashed as error:
         if error.signal != signal.SIGFPE or not checked.remainders:
             raise
-        where = ", ".join(checked.remainders[:MOST_TOLD])
+        where = ", ".join(checked.remainders[:MOST_NAMED])
         raise InputError(f"{where}: Gmsh crashed over a division by zero: after % stands 0; correct the file") from None
 
 
