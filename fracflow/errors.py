@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 LONGEST = 1500  # letters of a message
-MOST_TOLD = 5  # names that a message lists
+MOST_NAMED = 5  # names that a message lists
 
 
 class InputError(Exception):

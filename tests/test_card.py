@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
-from fracflow.diagnostics import fracture_flow as film
+from fracflow.diagnostics import fracture_flow as flow
 from fracflow.diagnostics import pre_run_checks
 from fracflow.diagnostics.number import FlowStage
 from fracflow.errors import InputError
@@ -68,8 +68,8 @@ def test_coupling_factor_is_the_published_one_where_walls_send_off_waves(length,
     stage, kappa = FlowStage("", 0.01, 200.0, 4e4, True), np.pi / length
     modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
     joints = SimpleNamespace(modulus=modulus, impedance=5.12 * wave / 2, mass=0.0)
-    stiff = film.wall_stiffness(joints, 1e8, kappa, stage)
-    assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(published, rel=2e-3)
+    stiff = flow.wall_stiffness(joints, 1e8, kappa, stage)
+    assert flow.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(published, rel=2e-3)
 
 
 @pytest.mark.parametrize(("length", "depth", "measured"), [(1000, 125, 53.4), (2000, 250, 203), (4000, 500, 734)])
@@ -78,8 +78,8 @@ def test_coupling_factor_with_the_mass_of_cells_is_that_measured(length, depth, 
     stage, kappa = FlowStage("", 0.01, 200.0, 4e4, True), np.pi / length
     modulus, wave = 5e8 / (1 - 0.25**2), np.sqrt(6e8 / 5.12)
     joints = SimpleNamespace(modulus=modulus, impedance=5.12 * wave / 2, mass=5.12 * depth / 4)
-    stiff = film.wall_stiffness(joints, 1e8, kappa, stage)
-    assert film.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(measured, rel=0.012)
+    stiff = flow.wall_stiffness(joints, 1e8, kappa, stage)
+    assert flow.coupling_factor(200.0, 0.01**3 / (12 * 0.235e-4), kappa, stiff) == pytest.approx(measured, rel=0.012)
 
 
 def test_coupling_factor_of_the_card_is_that_of_the_matrices():

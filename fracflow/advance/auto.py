@@ -1,116 +1,34 @@
-"""The stage auto: large steps without inertia, wave steps while something moves, and back, any number of times.
-
-Waves that come in excite the rock, and loads and supports that jump or change their rate fast. A load whose rate changes at
-once by r sets a mode of period T swinging by r T/(2 pi) about the quasi-static response (Biggs 1964, 2.3); changes within a
-period may add up.
-"""
+"""The stage auto: large steps without inertia, wave steps while something moves, and back, any number of times."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from math import pi
+from dataclasses import replace
 
-import numpy as np
-
-from fracflow._petsc import MPI, PETSc
-from fracflow.advance.error_control import step_error
 from fracflow.advance.events import EventLocated
+from fracflow.advance.excitation import excitations, why_inertia
 from fracflow.advance.instability import patch_at_limit
 from fracflow.advance.outcome import Log
 from fracflow.advance.prescribed_times import prescribed
-from fracflow.advance.regime import LONG, RADIATED, SETTLED, EventState, Tried, begin, may_rest, slipped, weak_waves
+from fracflow.advance.regime import LONG, EventState, begin
+from fracflow.advance.slow_slip import RADIATED, SETTLED, Tried, may_rest, slipped, weak_waves
 from fracflow.advance.step import Progress, Step, Stepping, Trial, stepper_of
+from fracflow.advance.step_error import step_error
 from fracflow.advance.substeps import CALM, Rules, SubstepCursor, Substepped, most_halvings
 from fracflow.diagnostics.slip import coarse_of_slip, of_fractures
 from fracflow.errors import NotConverged, ReductionInvalid
 from fracflow.model.setup import on_root
 from fracflow.model.state import State, StepReport
-from fracflow.scene.scene import Scene
-from fracflow.scene.time_table import TimeTable
 from fracflow.solve.failure import fractures_of, places_of
 from fracflow.solve.newton import BRIEF
 from fracflow.solve.period import longest_period
 from fracflow.solve.request import LoadStep, StepRequest
 
-LARGEST = PETSc.NormType.INFINITY
-SHAKES = 0.1  # of the range of a load: a vibration that a stage auto does not leave out
-WAVE, LOAD = "a wave comes in", "what is prescribed changes within the longest period"
 NEAR = 1e-9  # of a step: times so near are one
 TIME_ROUND_OFF = 1e-14  # of a time
 SEEN = 1e-2  # of the spread of a table: what it leaves a straight line by, where the scene states no tolerance
 REPORTED = 4  # trials rejected on the way to one step from which on the log reports them
 REST, WAVES = "quasi-static", "dynamic"
-
-
-@dataclass(frozen=True)
-class Excitation:
-    """A time span, or an instant, in which the rock is excited, and the cause."""
-
-    start: float
-    end: float
-    why: str
-
-
-def excitations(scene: Scene, period: float) -> tuple[Excitation, ...]:
-    """All of a scene's spans, by their start; ``period`` is the longest period of vibration of its rock."""
-    waves = [wave for each in scene.terms for wave in each.waves]
-    loads = [table for table in scene.driving_tables if table not in waves]
-    found = [span for table in waves for span in _arrivals(table)]
-    found += [span for table in loads for span in _rate_jumps(table, period)]
-    return tuple(sorted(found, key=lambda span: span.start))
-
-
-def _arrivals(table: TimeTable) -> Iterator[Excitation]:
-    times, values = np.array(table.times), np.array(table.values)
-    ends = [*times[1:], np.inf]
-    for n, (start, end) in enumerate(zip(times, ends, strict=True)):
-        after = values[min(n + 1, len(values) - 1)] if table.interpolation == "linear" else values[n]
-        if values[n] != 0.0 or (after != 0.0 and end > start):
-            yield Excitation(float(start), float(end), WAVE)
-
-
-def _rate_jumps(table: TimeTable, period: float) -> Iterator[Excitation]:
-    at, _ = table.jumps
-    yield from (Excitation(float(time), float(time), LOAD) for time in at)
-    if table.interpolation == "step" or table.spread == 0.0:
-        return
-    times, values = np.array(table.times), np.array(table.values)
-    length = np.diff(times)
-    moves = length > 0.0
-    rates = np.diff(values)[moves] / length[moves]
-    changes = np.abs(np.diff(rates, prepend=0.0, append=0.0)) * period / (2.0 * pi * table.spread)
-    at = np.append(times[:-1][moves], times[1:][moves][-1])
-    total, last = np.concatenate([[0.0], np.cumsum(changes)]), np.searchsorted(at, at + period, side="right")
-    for n in np.flatnonzero((total[last] - total[:-1] > SHAKES) & (changes > 0.0)):
-        yield Excitation(float(at[n]), float(at[last[n] - 1]), LOAD)
-
-
-def why_inertia(old: State, new: State, period: float, left: float, most: float) -> str:
-    """Why a step planned without inertia needs it: joints slip or open, or a large vibration; else empty. Collective.
-
-    ``left`` and the vibration as in ``swing``, which may come to ``most``.
-    """
-    before, after = old.sections, new.sections
-    changed = np.any(after.is_open != before.is_open) | np.any(after.is_sliding)
-    changed |= np.any(after.inelastic[:, :-1] != before.inelastic[:, :-1])
-    if new.motion.velocity.comm.tompi4py().allreduce(bool(changed), op=MPI.LOR):
-        return "joints slip or open"
-    found = swing(old, new, period, left)
-    return f"a vibration of {found:.3g} of the displacement would be left out, above {most:g}" if found > most else ""
-
-
-def swing(old: State, new: State, period: float, left: float) -> float:
-    """Amplitude of the vibration that a step without inertia leaves out, over the displacement to come [1]. Collective.
-
-    A rate that changes by r sets off r T/(2 pi), and stopping again as much; ``left`` is how long loads go on at their rate
-    """
-    change = new.motion.velocity.copy()
-    change.axpy(-1.0, old.motion.velocity)
-    kick, rate = float(change.norm(LARGEST)), float(new.motion.velocity.norm(LARGEST))
-    change.destroy()
-    reach = float(new.motion.displacement.norm(LARGEST)) + rate * left
-    return kick * period / (pi * reach) if reach > 0.0 else 0.0
 
 
 def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: Progress) -> Iterator[Step]:

@@ -134,7 +134,11 @@ def _first_roots(joints: Joints, path: Path, old: State, dt: float, until: float
             first, every = np.argmax(falls[:, :, kind], axis=0), np.arange(count)
             above, below = values[first, every, kind], values[first + 1, every, kind]
             brackets = (times[first], times[first + 1]), (above, below)
-            found = _fall(lambda at, column=kind: distances(at)[:, column], *brackets, there)  # type: ignore[misc]
+
+            def distance(at: Floats, column: int = kind) -> Floats:
+                return distances(at)[:, column]
+
+            found = _fall(distance, *brackets, there)
             roots[:, kind] = np.where(there, found, roots[:, kind])
     return roots
 

@@ -13,6 +13,7 @@ from fracflow.integrators.explicit import parts
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
+from fracflow.scene.units import TIME
 from fracflow.solve.explicit import ExplicitCoupling
 from fracflow.solve.request import StepRequest, on_the_way
 
@@ -141,7 +142,7 @@ def explicit_cost(model: Model) -> ExplicitCost | None:
     critical = coupling.critical
     coupling.destroy()
     cuts = [(count, dt, parts(dt, critical)) for count, dt in planned]
-    unit = f" {scene.unit_system.time}".rstrip()
+    unit = scene.unit_system.behind(TIME)
     ways = [f" in {n} parts of {dt / n:.4g}{unit}" if n > 1 else "" for _, dt, n in cuts]
     words = [f"{count} steps of {dt:.4g}{unit}{way}" for (count, dt, _), way in zip(cuts, ways, strict=True)]
     words += ["as many as events take"] if events else []

@@ -21,6 +21,7 @@ from fracflow.model.properties import on_joints
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import Sections, State
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import LENGTH, TIME
 from fracflow.solve.request import StepRequest
 from fracflow.solve.stability import Weakening, largest_share, of_state, of_step
 
@@ -72,7 +73,7 @@ class Patch:
 
     def describe(self, scene: Scene) -> str:
         """Fracture, place and lengths, for messages."""
-        unit = f" {scene.unit_system.length}" if scene.units != "none" else ""
+        unit = scene.unit_system.behind(LENGTH)
         spot = ", ".join(f"{value:.6g}" for value in self.place)
         beside = "rigid rock" if self.critical is None else f"nucleation length {self.critical:.4g}{unit}"
         return (
@@ -216,7 +217,7 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
     if patch is None:
         return None
     scene = model.scene
-    unit = f" {scene.unit_system.time}" if scene.units != "none" else ""
+    unit = scene.unit_system.behind(TIME)
     return LimitPoint(
         f"time {state.time:.9g}: limit point: within {least:.3g}{unit} slip goes on by itself, and no state at rest is near:"
         f" {patch.describe(scene)}{REMEDY}",

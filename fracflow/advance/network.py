@@ -8,7 +8,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.advance.outcome import Log
-from fracflow.errors import MOST_TOLD, SolveError
+from fracflow.errors import MOST_NAMED, SolveError
 from fracflow.mesh.data import Floats
 from fracflow.model.flow import Conduction
 from fracflow.model.loads import Limit, Loads
@@ -24,6 +24,7 @@ from fracflow.model.network_parts import (
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
+from fracflow.scene.units import FLOW_RATE
 from fracflow.solve.initial_rates import EnclosedComponent
 from fracflow.solve.problem import StepProblem
 
@@ -198,12 +199,12 @@ class FlowNetwork:
         stores = fluid is not None and fluid.compressibility > 0.0
         cut_off = [each for each in zip(self._parts, gives, strict=True) if not drained[each[0].nodes].any()]
         cut_off.sort(key=lambda found: -len(found[0].nodes))
-        for part, moves in cut_off[:MOST_TOLD]:
+        for part, moves in cut_off[:MOST_NAMED]:
             by = "by its walls" if moves else "by compression" if stores else "by nothing: its mean pressure stays"
             both = " and by compression" if moves and stores else ""
             self.log(f"time {time:.6g}: no pressure is prescribed in {part}, whose level is settled {by}{both}")
-        if len(cut_off) > MOST_TOLD:
-            self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_TOLD} more parts")
+        if len(cut_off) > MOST_NAMED:
+            self.log(f"time {time:.6g}: nor in {len(cut_off) - MOST_NAMED} more parts")
 
     def _drained(self, loads: Loads) -> np.ndarray:
         layout = self.model.operators.layout
@@ -225,9 +226,9 @@ class FlowNetwork:
             closures.append(close(operators, part, moves and not at_start, holds))
         return _Closed(replace(loads, closures=tuple(closures)) if parts else loads, tuple(parts))
 
-    def _node(self, vector: object) -> int:
-        local = vector.getArray(readonly=True)  # type: ignore[attr-defined]
-        here = np.flatnonzero(local) + vector.getOwnershipRange()[0]  # type: ignore[attr-defined]
+    def _node(self, vector: PETSc.Vec) -> int:
+        local = vector.getArray(readonly=True)
+        here = np.flatnonzero(local) + vector.getOwnershipRange()[0]
         return int(np.concatenate(self.model.operators.layout.comm.allgather(here))[0])
 
     def _refuse(
@@ -242,10 +243,9 @@ class FlowNetwork:
 
     def _sum_of(self, wells: tuple[str, ...], rates: list[float]) -> str:
         """Rates of wells and, last, of all terms, in words."""
-        system, flow = self.model.scene.unit_system, self.model.operators.flow
-        unit = system.unit("length**3/time") if system.name != "none" else ""
+        flow, unit = self.model.operators.flow, self.model.scene.unit_system.behind(FLOW_RATE)
         names = (*wells, *(term.name for term in flow.terms)) if flow is not None and rates[-1] else wells
-        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g} {unit}".rstrip()
+        return f"flow rates of {', '.join(names)} add up to {sum(rates):.6g}{unit}"
 
     def _lost(self, conduction: Conduction | None) -> Floats:
         """Rates by which fluid leaves by terms at all flow nodes (n,) [volume rate per thickness]. Collective."""

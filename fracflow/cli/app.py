@@ -26,7 +26,7 @@ while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's num
 os.close(_free)
 sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
 WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
-USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
+USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
 Overrides = Annotated[
@@ -135,9 +135,9 @@ def check(
     found, moved, numbers, decisions, network = set_up(given)
     notes = [*advice(given), *moved]
     if as_json:
-        card = card_records(numbers)
-        told = {"sizes": found, "plan": as_records(decisions), "card": card, "notes": notes, "network": asdict(network)}
-        typer.echo(to_json(told, indent=1))
+        card, plan = card_records(numbers), as_records(decisions)
+        record = {"sizes": found, "plan": plan, "card": card, "notes": notes, "network": asdict(network)}
+        typer.echo(to_json(record, indent=1))
         return
     console = Console(highlight=False, width=WIDTH)
     report_checks(card_records(numbers), console)
@@ -152,7 +152,7 @@ def check(
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
     from fracflow.mesh.split import summary
-    from fracflow.model.network_parts import told_apart
+    from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
     from fracflow.reduction.prepare import read_split
     from fracflow.scene.scene import load
@@ -162,7 +162,7 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     for note in split.notes:
         typer.echo(note)
     try:
-        for note in told_apart(given, split, place(given, split).wells):
+        for note in unconnected_wells(given, split, place(given, split).wells):
             typer.echo(note)
     except InputError as error:  # wells may be placed later
         typer.echo(f"note: {error}")
@@ -262,16 +262,19 @@ def schema(
     from rich.table import Table
 
     from fracflow.scene.scene import Scene
-    from fracflow.scene.schema import markdown, rows
+    from fracflow.scene.schema import markdown, note_on_meanings, rows
 
+    keys = Scene.json_schema()
+    if note := note_on_meanings(keys):
+        typer.echo(note, err=True)
     if as_json:
-        typer.echo(json.dumps(Scene.json_schema(), indent=1))
+        typer.echo(json.dumps(keys, indent=1))
         return
     if as_markdown:
-        typer.echo(markdown(Scene.json_schema()), nl=False)
+        typer.echo(markdown(keys), nl=False)
         return
     table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
-    for row in rows(Scene.json_schema()):
+    for row in rows(keys):
         table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
     Console(highlight=False, width=WIDTH).print(table)
 
@@ -292,12 +295,14 @@ def help_command(
 
 def commands() -> dict[str, Any]:
     """The commands by name, each with its help and parameters."""
-    return typer.main.get_command(app).commands  # type: ignore[attr-defined, no-any-return]
+    group: Any = typer.main.get_command(app)
+    found: dict[str, Any] = group.commands
+    return found
 
 
-def petsc_options(petsc: object, words: list[str]) -> None:
+def petsc_options(petsc: Any, words: list[str]) -> None:
     """Put options such as ``-solid_pc_type cholesky`` into PETSc's database. Raises InputError for stray words."""
-    database = petsc.Options()  # type: ignore[attr-defined]
+    database = petsc.Options()
     words = [word for word in words if word != "--"]
     while words:
         key = words.pop(0)
@@ -328,7 +333,7 @@ def main() -> None:
             raise KeyboardInterrupt
         sys.exit(code)
     except USAGE as error:
-        message = error.format_message() or "no command"  # type: ignore[attr-defined]
+        message = error.format_message() or "no command"
         stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
     except typer.Abort:
         stop("interrupted", 130)

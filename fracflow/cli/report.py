@@ -20,7 +20,7 @@ from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.fracture_table import COLUMNS, fracture_table
 from fracflow.output.history import read_attributes, read_history, read_units
-from fracflow.output.slip_at_crossings import told_handed
+from fracflow.output.slip_at_crossings import lines_of as crossings
 from fracflow.scene.quantities import quantities
 from fracflow.scene.units import LENGTH, TIME, VOLUME, unit_text
 from fracflow.storage.files import shown_plain
@@ -55,7 +55,7 @@ def _nearest(folder: Path) -> str:
     )
 
 
-def _told_books(left: float, closed: float, most: float, noise: float) -> Iterator[str]:
+def _balance_lines(left: float, closed: float, most: float, noise: float) -> Iterator[str]:
     """Lines on an open energy balance: by ``left``, by ``closed`` with closed forms, beside the largest entry ``most``.
 
     noise  round-off of sums of forces times displacements, of which nothing is known [energy per thickness]
@@ -92,8 +92,8 @@ def _report_wells(history: Mapping[str, Any], units: Mapping[str, str], console:
     console.print(table)
     unit = f" {shown_plain(unit_text(VOLUME, units))}".rstrip()
     parts = [key.removeprefix("volume/") for key in history if key.startswith("volume/")]
-    told = [f"{part.replace('_', ' ')} {history[f'volume/{part}'][-1]:.4e}{unit}" for part in parts]
-    shown = [line for line, part in zip(told, parts, strict=True) if history[f"volume/{part}"].any()]
+    lines = [f"{part.replace('_', ' ')} {history[f'volume/{part}'][-1]:.4e}{unit}" for part in parts]
+    shown = [line for line, part in zip(lines, parts, strict=True) if history[f"volume/{part}"].any()]
     console.print(f"fluid since the start: {', '.join(shown) or 'none moved'}", soft_wrap=True, markup=False)
 
 
@@ -120,7 +120,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
     if isinstance(noise, str):
         raise InputError(f"{folder / 'history.h5'}: its energy_noise is no number; name the folder of a run")
     noise *= len(history["time"])
-    for line in _told_books(left, closed, most, noise):
+    for line in _balance_lines(left, closed, most, noise):
         console.print(line, soft_wrap=True, markup=False)
     _report_fractures(folder, console, units)
     events = read_events(folder / "events.csv")
@@ -128,7 +128,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
         console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
         return
     _report_events([event for event in events if event["kind"] == "event"], console, units)
-    for line in told_handed(events, load_mesh(folder / "mesh.h5")):
+    for line in crossings(events, load_mesh(folder / "mesh.h5")):
         console.print(line, soft_wrap=True, markup=False)
 
 

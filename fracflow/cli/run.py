@@ -100,7 +100,7 @@ class ProgressBar:
         """A step has been taken; its report counts the trials before it."""
         self.rejected, self.since = self.rejected + step.report.rejected, 0
         besides = f", {self.rejected} trials rejected" if self.rejected else ""
-        self.update(f"{self.name}{told(self.scene, step)}{besides}", 1)
+        self.update(f"{self.name}{regime_of(self.scene, step)}{besides}", 1)
 
     def trial(self, time: float, length: float, why: str) -> None:
         """A step of a length was tried from a time, and rejected."""
@@ -109,7 +109,7 @@ class ProgressBar:
         self.update(f"{self.name}, {self.rejected + self.since} trials rejected, the last of {length:.3g} at {at}", 0)
 
 
-def told(scene: Scene, step: Step) -> str:
+def regime_of(scene: Scene, step: Step) -> str:
     """Of a stage that chooses its regime the one it is in, and the time."""
     return f", {step.regime} at {step.state.time:.6g} {scene.unit_system.time}".rstrip() if step.regime else ""
 

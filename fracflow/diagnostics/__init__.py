@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from math import isfinite
 
-from fracflow.diagnostics import fracture_flow as film
-from fracflow.diagnostics import slip
+from fracflow.diagnostics import fracture_flow, slip
 from fracflow.diagnostics.joints import gather
 from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.mesh.data import SplitMesh
@@ -19,8 +18,8 @@ from fracflow.scene.scene import Scene
 __all__ = ["Number", "as_lines", "as_records", "pre_run_checks"]
 
 NUMBERS = (
-    slip.stiffness, slip.length_scale, film.transient, film.steady, film.ringing,
-    slip.joint_step, film.fluid_inertia, film.compressibility, slip.nucleation, film.contrast,
+    slip.stiffness, slip.length_scale, fracture_flow.transient, fracture_flow.steady, fracture_flow.ringing,
+    slip.joint_step, fracture_flow.fluid_inertia, fracture_flow.compressibility, slip.nucleation, fracture_flow.contrast,
     slip.cohesive_zone, slip.dissimilar_rock,
 )  # fmt: skip
 
@@ -50,9 +49,9 @@ def as_records(numbers: list[Number]) -> list[dict[str, object]]:
     JSON has no infinity: where a value or limit is "inf" in its text, the field itself is null; where there is none, both
     are null.
     """
-    return [asdict(number) | _told("value", number.value) | _told("limit", number.limit) for number in numbers]
+    return [asdict(number) | _texts("value", number.value) | _texts("limit", number.limit) for number in numbers]
 
 
-def _told(name: str, value: float | None) -> dict[str, object]:
+def _texts(name: str, value: float | None) -> dict[str, object]:
     known = value if value is not None and isfinite(value) else None
     return {name: known, f"{name}_text": None if value is None else f"{value:.3g}"}

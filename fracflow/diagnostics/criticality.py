@@ -49,7 +49,8 @@ def _near_slip(shear: Floats, normal: Floats, friction: Floats, cohesion: Floats
         slips = pressed - (size - cohesion) / friction
     slips = np.where(friction > 0.0, slips, np.where(size > cohesion, 0.0, np.inf))
     rise = np.clip(np.minimum(slips, pressed), 0.0, None)
-    return tuple(np.where(np.isnan(friction), np.nan, values) for values in (tendency, rise))  # type: ignore[return-value]
+    is_unknown = np.isnan(friction)
+    return np.where(is_unknown, np.nan, tendency), np.where(is_unknown, np.nan, rise)
 
 
 def _initial_tractions(scene: Scene, mesh: SplitMesh) -> tuple[Floats, Floats]:

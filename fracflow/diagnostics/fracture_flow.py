@@ -24,13 +24,13 @@ STEEPEST = {"lumped": 4.0, "consistent-lumped": 12.0, "consistent": 36.0, "avera
 a = pi. Where (3.16) averages, which stores none of it, three elements a wave."""
 
 
-def wall_stiffness(joints: CheckJoints, normal: Floats, wavenumber: Floats, film: FlowStage) -> Floats:
+def wall_stiffness(joints: CheckJoints, normal: Floats, wavenumber: Floats, stage: FlowStage) -> Floats:
     """k_tot (j,) = k_n + E' kappa/4 + inertia [stress/length], E' = 0 of rigid rock, which does not bend.
 
     inertia is the larger of two: alpha_1 rho c_p/2 where a step is long against the time of a wave through a cell, and
     alpha_0 rho h/4 of the walls' lumped masses where it is short.
     """
-    inertia = np.maximum(film.alpha_1 * joints.impedance, film.alpha_0 * joints.mass) if film.alpha_0 > 0.0 else 0.0
+    inertia = np.maximum(stage.alpha_1 * joints.impedance, stage.alpha_0 * joints.mass) if stage.alpha_0 > 0.0 else 0.0
     result: Floats = normal + _soft(joints) * wavenumber / 4.0 + inertia
     return result
 
@@ -58,11 +58,11 @@ def _modes(view: CheckInput) -> tuple[Floats, NDArray[Any]]:
     return np.pi / (2.0 * np.where(moves, reach, 1.0)), moves
 
 
-def slowest(view: CheckInput, film: FlowStage) -> Floats:
+def slowest(view: CheckInput, stage: FlowStage) -> Floats:
     """rho_t (j,) of the slowest mode of each joint's component, by means of 1/C and 1/k_tot along it."""
     joints = view.joints
     kappa, moves = _modes(view)
-    stiff = wall_stiffness(joints, joints.normal.mean(axis=1), kappa, film)
+    stiff = wall_stiffness(joints, joints.normal.mean(axis=1), kappa, stage)
     length = np.bincount(joints.component, joints.length)
 
     def mean(values: Floats) -> Floats:
@@ -72,7 +72,7 @@ def slowest(view: CheckInput, film: FlowStage) -> Floats:
     conducting, held = 1.0 / mean((1.0 / joints.conducting).mean(axis=1)), mean(_held(view))
     with np.errstate(divide="ignore"):  # walls that cannot give way are infinitely stiff
         stiffness = 1.0 / mean(1.0 / stiff)
-        return np.where(moves, coupling_factor(film.alpha_1, conducting, kappa, stiffness, held), 0.0)
+        return np.where(moves, coupling_factor(stage.alpha_1, conducting, kappa, stiffness, held), 0.0)
 
 
 def _held(view: CheckInput) -> Floats:
@@ -97,9 +97,9 @@ def transient(view: CheckInput) -> Number:
     if not view.flows or not view.stages:
         return Number(name, formula, note="no fracture flow that moves")
     limit, note = _cycles(view)
-    found = [(view.worst(slowest(view, film)), film) for film in view.stages]
-    (value, _, where), film = max(found, key=lambda each: -1.0 if each[0][0] is None else each[0][0])
-    where = f"{where}, {film.name}"
+    found = [(view.worst(slowest(view, stage)), stage) for stage in view.stages]
+    (value, _, where), stage = max(found, key=lambda each: -1.0 if each[0][0] is None else each[0][0])
+    where = f"{where}, {stage.name}"
     limit = limit and WITHIN  # of 1: the run predicts the factor itself, this is an estimate of it
     if limit is None or value is None or value < limit:
         return Number(name, formula, value, limit, False, where, note=note)
@@ -108,7 +108,7 @@ def transient(view: CheckInput) -> Number:
         remedy += ' with a pressure, or set method.fixed_point = "added-storage" or method.coupling = "monolithic"'
         return Number(name, formula, value, limit, True, where, remedy)
     remedy = "the fixed point (4.5) may diverge, and smaller steps make it worse: take time_step above"
-    remedy += f' {film.time_step * value / limit:.2g}{view.unit(TIME)} there, or set method.coupling = "monolithic"'
+    remedy += f' {stage.time_step * value / limit:.2g}{view.unit(TIME)} there, or set method.coupling = "monolithic"'
     return Number(name, formula, value, limit, True, where, remedy)
 
 
@@ -145,28 +145,28 @@ def _largest_pressure(view: CheckInput) -> float:
 def ringing(view: CheckInput) -> Number:
     """dt/(2 tau_d) of the shortest mode on the mesh, the first to ring."""
     name, formula, joints = "pressure ringing", "dt/(2 tau_d)", view.joints
-    films = [film for film in view.stages if film.is_trapezoid] or view.stages
-    if not view.flows or not films or joints.is_held.all():
-        return Number(name, formula, note=HELD if view.flows and films else "no fracture flow that moves")
+    stages = [stage for stage in view.stages if stage.is_trapezoid] or view.stages
+    if not view.flows or not stages or joints.is_held.all():
+        return Number(name, formula, note=HELD if view.flows and stages else "no fracture flow that moves")
     kappa = np.sqrt(STEEPEST[view.scene.method.storage]) / joints.length
 
-    def worst(film: FlowStage) -> tuple[float, str]:
-        stiff = wall_stiffness(joints, joints.normal.max(axis=1), kappa, film)
+    def worst(stage: FlowStage) -> tuple[float, str]:
+        stiff = wall_stiffness(joints, joints.normal.max(axis=1), kappa, stage)
         conducting, yields = joints.conducting.max(axis=1), 1.0 / stiff + _held(view)
         with np.errstate(divide="ignore"):  # as long as walls cannot give way, and the fluid neither
-            rings = conducting * kappa**2 * film.time_step / (2.0 * yields)
+            rings = conducting * kappa**2 * stage.time_step / (2.0 * yields)
             value, _, where = view.worst(np.where(joints.is_held, np.nan, rings))
         return value or 0.0, where
 
-    film = max(films, key=lambda each: worst(each)[0])
-    value, where = worst(film)
-    where = f"{where}, {film.name}"
-    if not film.is_trapezoid:
+    stage = max(stages, key=lambda each: worst(each)[0])
+    value, where = worst(stage)
+    where = f"{where}, {stage.name}"
+    if not stage.is_trapezoid:
         return Number(name, formula, value, None, False, where, note="no trapezoid")
     if value <= 1.0:
         return Number(name, formula, value, 1.0, False, where)
-    remedy = f"pressures change sign from step to step: time_step below {film.time_step / value:.3g}{view.unit(TIME)}"
-    remedy += f" in {film.name}" + ("" if film.alpha_0 else ', or method.flow_integrator = "backward-euler"')
+    remedy = f"pressures change sign from step to step: time_step below {stage.time_step / value:.3g}{view.unit(TIME)}"
+    remedy += f" in {stage.name}" + ("" if stage.alpha_0 else ', or method.flow_integrator = "backward-euler"')
     return Number(name, formula, value, 1.0, True, where, remedy)
 
 
@@ -183,8 +183,8 @@ def fluid_inertia(view: CheckInput) -> Number:
     value, _, where = view.worst(np.where(view.joints.is_held[:, None], np.nan, slow))
     if not view.dynamic:
         return Number(name, formula, value, None, False, where, note="no inertia")
-    film = min(view.dynamic, key=lambda each: each.time_step)
-    limit, where = EVENT_STEPS * film.time_step, f"{where}, {film.name}"
+    stage = min(view.dynamic, key=lambda each: each.time_step)
+    limit, where = EVENT_STEPS * stage.time_step, f"{where}, {stage.name}"
     if value is None or value <= limit:
         return Number(name, formula, value, limit, False, where, note="10 dt")
     remedy = (

@@ -80,8 +80,8 @@ class CheckInput:
     def __init__(self, scene: Scene, joints: CheckJoints) -> None:
         """Sort the stages."""
         self.scene, self.joints = scene, joints
-        self.stages = [film for stage in scene.stage for film in flow_stages(scene, stage)]
-        self.dynamic = [film for film in self.stages if film.alpha_0 > 0.0]
+        self.stages = [each for stage in scene.stage for each in flow_stages(scene, stage)]
+        self.dynamic = [each for each in self.stages if each.alpha_0 > 0.0]
         self.flows = scene.has_flow and len(joints.length) > 0
         self.drops = joints.distance == 0.0
         self.weakens = (joints.drop > 0.0) & (joints.distance > 0.0) & np.isfinite(joints.distance)
@@ -104,4 +104,4 @@ class CheckInput:
 
     def unit(self, dimension: str) -> str:
         """The unit to write behind a number, with a blank before it."""
-        return f" {self.scene.unit_system.unit(dimension)}" if self.scene.units != "none" else ""
+        return self.scene.unit_system.behind(dimension)

@@ -220,10 +220,10 @@ def joint_step(view: CheckInput) -> Number:
     if method.stepper == "explicit" or method.contact == "redistributed":
         why = "explicit: joints are solved" if method.stepper == "explicit" else "walls carry no inertia"
         return Number(name, formula, note=why)
-    film = max(view.dynamic, key=lambda each: each.time_step)
-    value, _, where = view.worst(film.time_step * np.sqrt(joints.normal / joints.mass[:, None]))
-    where = f"{where}, {film.name}"
+    stage = max(view.dynamic, key=lambda each: each.time_step)
+    value, _, where = view.worst(stage.time_step * np.sqrt(joints.normal / joints.mass[:, None]))
+    where = f"{where}, {stage.name}"
     if value is None or value <= 1.0:
         return Number(name, formula, value, 1.0, False, where)
-    remedy = f"joints that open and close gain energy: time_step below {film.time_step / value:.3g}{view.unit(TIME)}"
-    return Number(name, formula, value, 1.0, True, where, f"{remedy} in {film.name}, or see that none opens")
+    remedy = f"joints that open and close gain energy: time_step below {stage.time_step / value:.3g}{view.unit(TIME)}"
+    return Number(name, formula, value, 1.0, True, where, f"{remedy} in {stage.name}, or see that none opens")

@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 from fracflow.integrators.explicit import Explicit
-from fracflow.integrators.first_order import BDF2, BackwardEuler, FilmRule, Rates, Trapezoid, first, storage_error
+from fracflow.integrators.first_order import BDF2, BackwardEuler, FlowRule, Rates, Trapezoid, first, storage_error
 from fracflow.integrators.generalised_alpha import GeneralisedAlpha
 from fracflow.integrators.hht import HHT
 from fracflow.integrators.implicit_euler import ImplicitEuler
@@ -46,7 +46,7 @@ def stepper_from(name: str, method: Any) -> Stepper:
 
 
 __all__ = [
-    "BDF2", "EXPLICIT", "HHT", "STEPPERS", "Alphas", "BackwardEuler", "Explicit", "FilmRule", "GeneralisedAlpha",
+    "BDF2", "EXPLICIT", "HHT", "STEPPERS", "Alphas", "BackwardEuler", "Explicit", "FlowRule", "GeneralisedAlpha",
     "HasMotion", "ImplicitEuler", "Newmark", "Rates", "Steady", "Stepper", "Trapezoid", "acceleration", "first",
     "first_rate", "flow_integrators", "keys_of", "stepper_from", "storage_error", "velocity", "with_inertia",
 ]  # fmt: skip

@@ -37,7 +37,7 @@ class Rates:
         return 2.0 / (dt + self.last) * (self.mean - self.mean_last)
 
 
-class FilmRule(Stepper, Protocol):
+class FlowRule(Stepper, Protocol):
     """A rule with storage and without inertia."""
 
     inertia: ClassVar[bool] = False
@@ -51,7 +51,7 @@ class FilmRule(Stepper, Protocol):
         ...
 
 
-def storage_error(rule: FilmRule, dt: float, rates: Rates) -> Any:
+def storage_error(rule: FlowRule, dt: float, rates: Rates) -> Any:
     """About the error in storage by one step of fracture flow, either sign, of its own order.
 
     With divided differences for the derivatives: backward Euler leaves dt^2/2 of the second one, the trapezoid dt^3/12
@@ -64,8 +64,8 @@ def storage_error(rule: FilmRule, dt: float, rates: Rates) -> Any:
 
 
 @dataclass(frozen=True)
-class BackwardEuler(FilmRule):
-    """Film storage without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
+class BackwardEuler(FlowRule):
+    """Storage in fractures without inertia: v_new = (d_new - d)/dt, monotone in pressure at any time step."""
 
     order: ClassVar[int] = 1
     balance: ClassVar[Balance] = "end"
@@ -80,7 +80,7 @@ class BackwardEuler(FilmRule):
 
 
 @dataclass(frozen=True)
-class Trapezoid(FilmRule):
+class Trapezoid(FlowRule):
     """(v_new + v)/2 = (d_new - d)/dt without inertia: the Newmark rule's for flow; rings for dt > 2 tau_d."""
 
     order: ClassVar[int] = 2
@@ -97,7 +97,7 @@ class Trapezoid(FilmRule):
 
 
 @dataclass(frozen=True)
-class BDF2(FilmRule):
+class BDF2(FlowRule):
     """Second order from three instants: v_new = ((1 + 2r) w_new - r w)/(1 + r).
 
     w_new = (d_new - d)/dt and w are the mean velocities of this step and the last, r is the ratio of their lengths.

@@ -18,7 +18,7 @@ from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.files.others import FORMATS
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
-from fracflow.mesh.plane.near import NearMiss, near_misses, told
+from fracflow.mesh.plane.near import NearMiss, lines_of, near_misses
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
@@ -142,7 +142,7 @@ def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: 
             " change geometry.size or size_at_fractures a little"
         )
     between = [each for each in around if each[0] != at_tips]
-    return replace(raw, notes=(*network.notes, *told(misses), *_told_small(between, misses, fine)))
+    return replace(raw, notes=(*network.notes, *lines_of(misses), *_small_cells(between, misses, fine)))
 
 
 def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMiss]]:
@@ -161,7 +161,7 @@ def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMi
     return network, snap, near_misses(network, [name for name, _ in traces], sides, snap)
 
 
-def _told_small(around: list[Source], misses: list[NearMiss], fine: float) -> list[str]:
+def _small_cells(around: list[Source], misses: list[NearMiss], fine: float) -> list[str]:
     """Say where cells are far smaller than the size at fractures, and by which near miss."""
     least, places = min(around, key=lambda each: each[0], default=(fine, np.zeros((0, 2))))
     if least >= SMALL * fine:

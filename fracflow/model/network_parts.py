@@ -232,12 +232,12 @@ def parts_with_wells(mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> l
     return found
 
 
-def told_apart(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
+def unconnected_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...]]) -> list[str]:
     """Lines about wells between which nothing can flow; none where all are in one part. On one process."""
     parts = parts_with_wells(mesh, wells)
     if len(parts) < 2:
         return []
-    unit = f" {scene.unit_system.unit(LENGTH)}" if scene.units != "none" else ""
+    unit = scene.unit_system.behind(LENGTH)
     nearest = min(parts, key=lambda part: part.apart)
     return [
         f"wells: they are in {len(parts)} parts of the network that never meet: no fluid flows from one to another",

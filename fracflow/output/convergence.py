@@ -235,8 +235,8 @@ def write(rows: Sequence[Row], folder: Path, order: int, levels: Sequence[Path],
     table.writerow(["kind", "name", "unit", "change", *steps, "order", "error", "error/change", "warning"])
     for row in rows:
         differences = row.differences or (np.nan,) * len(steps)
-        told = (row.order, row.error, row.relative, row.warning)
-        table.writerow([row.kind, row.name, row.unit, row.change, *differences, *told])
+        last = (row.order, row.error, row.relative, row.warning)
+        table.writerow([row.kind, row.name, row.unit, row.change, *differences, *last])
     write_atomic(folder / "converge.csv", text.getvalue())
     found = {
         "levels": [path.name for path in levels],

@@ -234,25 +234,25 @@ class Chatter:
 
     def __init__(self, fractures: Sequence[str]) -> None:
         self._fractures = list(fractures)
-        self._stage, self._told = -1, False
+        self._stage, self._is_reported = -1, False
         self._before: NDArray[np.bool_] | None = None
         self._changes: deque[NDArray[np.bool_]] = deque(maxlen=STEPS)
 
     def update(self, stage: int, is_open: NDArray[np.bool_]) -> str:
         """Count a step of a stage with the nodes (n,) that are open at its end; a line to report, mostly empty."""
         if stage != self._stage:
-            self._stage, self._told = stage, False
+            self._stage, self._is_reported = stage, False
             self._changes.clear()
         if self._before is not None:
             self._changes.append(is_open != self._before)
         self._before = is_open.copy()
-        if self._told or not len(is_open) or not self._changes:
+        if self._is_reported or not len(is_open) or not self._changes:
             return ""
         counts = np.sum(np.array(self._changes), axis=0)
         worst = int(np.argmax(counts))
         if counts[worst] < CHANGES:
             return ""
-        self._told = True
+        self._is_reported = True
         return (
             f"contact opened and closed {counts[worst]} times in {len(self._changes)} steps on {self._fractures[worst]}"
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -134,8 +134,8 @@ def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:
     widths = 2.0 + (_WIDEST - 2.0) * axis(slip[moved]) / top
     lines = coloured(axes, scaled(network.segments[moved], *scales), axis(slip[moved]), widths, "viridis_r", (0.0, top))
     label = axis.label(f"plastic slip at {run.at(fractures.time)}")
-    look = dict(location="bottom", shrink=0.7, aspect=40, pad=0.03, panchor=False)
-    bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)  # type: ignore[arg-type]
+    look: dict[str, Any] = dict(location="bottom", shrink=0.7, aspect=40, pad=0.03, panchor=False)
+    bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)
     plain_numbers(bar.ax, "x")
     return scales
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fracflow.storage.files import fresh, replacing
 
@@ -89,8 +89,8 @@ def draw_head(figure: Figure, title: str, below: str) -> None:
     from matplotlib.text import Annotation
 
     head = figure.suptitle(f"{plain(title)}\n", fontsize=13, fontweight="bold", x=0.01, ha="left")
-    place = dict(xy=(0.0, 0.0), xycoords=head, xytext=(0.0, 2.0), textcoords="offset points")
-    figure.add_artist(Annotation(plain(below), **place, fontsize=9, annotation_clip=False))  # type: ignore[arg-type]
+    place: dict[str, Any] = dict(xy=(0.0, 0.0), xycoords=head, xytext=(0.0, 2.0), textcoords="offset points")
+    figure.add_artist(Annotation(plain(below), **place, fontsize=9, annotation_clip=False))
 
 
 def save(figure: Figure, path: Path) -> Path:

@@ -248,60 +248,62 @@ class Snapshot:
         return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}
 
 
-def take(sampler: Sampler, state: State) -> Snapshot | None:
-    """Gather the values for probes and events; None off rank 0. Collective."""
-    blocks, at = sampler.operators.blocks, JointEnds(sampler, state)
-    table = sampler.columns.fill(at)
-    ends = blocks.gather(blocks.joints.ids, table[:, :, : sampler.always.width], blocks.sizes.joints)
-    here = (
-        blocks.joints.ids[sampler.probed],
-        table[sampler.probed],
-        blocks.solid.node_ids[sampler.nodes],
-        _motion(sampler, state, sampler.nodes),
-    )
-    least, wells = at.at_least(), _at_wells(sampler, state)
-    parts = blocks.comm.gather(here, root=0)
-    if parts is None or ends is None:
-        return None
-    joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
-    nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
-    return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least, wells)
+class Sample:
+    """A state to be put on record: what is computed at joint ends for one file serves the others. Calls are collective."""
 
+    def __init__(self, sampler: Sampler, state: State) -> None:
+        self.sampler, self.state, self.ends = sampler, state, JointEnds(sampler, state)
 
-def _at_wells(sampler: Sampler, state: State) -> dict[str, tuple[float, float]]:
-    """Mean pressure of each well, and what enters at its nodes. Collective."""
-    if not sampler.wells:
-        return {}
-    pressure, source = (vector.getArray(readonly=True) for vector in (state.pressure, state.forces.source))
-    here = np.array([[len(n), pressure[n].sum(), source[n].sum()] for n in sampler.wells.values()])
-    count, total, entering = sampler.operators.blocks.comm.allreduce(here, op=MPI.SUM).T
-    return dict(zip(sampler.wells, zip((total / count).tolist(), entering.tolist(), strict=True), strict=True))
+    def snapshot(self) -> Snapshot | None:
+        """Gather the values for probes and events; None off rank 0."""
+        sampler, blocks = self.sampler, self.sampler.operators.blocks
+        table = sampler.columns.fill(self.ends)
+        ends = blocks.gather(blocks.joints.ids, table[:, :, : sampler.always.width], blocks.sizes.joints)
+        here = (
+            blocks.joints.ids[sampler.probed],
+            table[sampler.probed],
+            blocks.solid.node_ids[sampler.nodes],
+            self._motion(sampler.nodes),
+        )
+        least, wells = self.ends.at_least(), self._at_wells()
+        parts = blocks.comm.gather(here, root=0)
+        if parts is None or ends is None:
+            return None
+        joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
+        nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
+        return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least, wells)
 
+    def _at_wells(self) -> dict[str, tuple[float, float]]:
+        """Mean pressure of each well, and what enters at its nodes."""
+        wells, state = self.sampler.wells, self.state
+        if not wells:
+            return {}
+        pressure, source = (vector.getArray(readonly=True) for vector in (state.pressure, state.forces.source))
+        here = np.array([[len(n), pressure[n].sum(), source[n].sum()] for n in wells.values()])
+        count, total, entering = self.sampler.operators.blocks.comm.allreduce(here, op=MPI.SUM).T
+        return dict(zip(wells, zip((total / count).tolist(), entering.tolist(), strict=True), strict=True))
 
-def all_ends(sampler: Sampler, state: State) -> Floats | None:
-    """The columns of the fields (joints, 2, width) at all joint ends on rank 0, original order. Collective."""
-    blocks = sampler.operators.blocks
-    table = sampler.fields.fill(JointEnds(sampler, state))
-    return blocks.gather(blocks.joints.ids, table, blocks.sizes.joints)
+    def fields(self) -> Floats | None:
+        """The columns of the fields (joints, 2, width) at all joint ends on rank 0, original order."""
+        blocks = self.sampler.operators.blocks
+        return blocks.gather(blocks.joints.ids, self.sampler.fields.fill(self.ends), blocks.sizes.joints)
 
+    def motion(self) -> Floats | None:
+        """Displacement, velocity and acceleration (n, 3, dim) of all split nodes on rank 0, original order."""
+        blocks = self.sampler.operators.blocks
+        local = self._motion(np.arange(blocks.solid.owned))
+        return blocks.gather(blocks.solid.node_ids[: blocks.solid.owned], local, blocks.sizes.nodes)
 
-def all_motion(sampler: Sampler, state: State) -> Floats | None:
-    """Displacement, velocity and acceleration (n, 3, dim) of all split nodes on rank 0, original order. Collective."""
-    blocks = sampler.operators.blocks
-    local = _motion(sampler, state, np.arange(blocks.solid.owned))
-    return blocks.gather(blocks.solid.node_ids[: blocks.solid.owned], local, blocks.sizes.nodes)
-
-
-def _motion(sampler: Sampler, state: State, rows: Ints) -> Floats:
-    """Displacement, velocity and acceleration (n, 3, dim) at owned nodes. Collective."""
-    operators, motion = sampler.operators, state.motion
-    values = []
-    for vector in (motion.displacement, motion.velocity, motion.acceleration):
-        nodal = operators.nodal(vector) if operators.expand is not None else vector
-        values.append(nodal.getArray(readonly=True).reshape(-1, operators.blocks.sizes.dim)[rows])
-        if nodal is not vector:
-            nodal.destroy()
-    return np.stack(values, axis=1)
+    def _motion(self, rows: Ints) -> Floats:
+        """Displacement, velocity and acceleration (n, 3, dim) at owned nodes."""
+        operators, motion = self.sampler.operators, self.state.motion
+        values = []
+        for vector in (motion.displacement, motion.velocity, motion.acceleration):
+            nodal = operators.nodal(vector) if operators.expand is not None else vector
+            values.append(nodal.getArray(readonly=True).reshape(-1, operators.blocks.sizes.dim)[rows])
+            if nodal is not vector:
+                nodal.destroy()
+        return np.stack(values, axis=1)
 
 
 def node_table(mesh: SplitMesh) -> tuple[Ints, Ints, Ints]:

@@ -17,7 +17,7 @@ import numpy as np
 from fracflow.mesh.data import SplitMesh
 
 MOST_NODES = 2  # of a fracture in its first slip: it has spread along no more of it
-MOST_TOLD = 8
+MOST_LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -70,14 +70,14 @@ def handed_on(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[Slip
     return sorted(found, key=lambda each: (-each.alone, each.start, each.fracture))
 
 
-def told_handed(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[str]:
+def lines_of(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[str]:
     """A line about fractures that begin to slip at crossings, none where there are none."""
     found = handed_on(events, mesh)
     if not found:
         return []
-    more = f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
+    more = f" and {len(found) - MOST_LISTED} more" if len(found) > MOST_LISTED else ""
     return [
-        f"slip that begins where another fracture slides: {', '.join(map(str, found[:MOST_TOLD]))}{more}: the"
+        f"slip that begins where another fracture slides: {', '.join(map(str, found[:MOST_LISTED]))}{more}: the"
         " sliding one hands its stress on, before the rest of the fracture comes to its strength. How much slips beside the"
         " crossing converges with the mesh; the time at which the crossing itself first slips need not"
     ]

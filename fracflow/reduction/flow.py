@@ -25,13 +25,13 @@ def flow_block(facts: ReductionInput) -> Iterator[Decision]:
     error = "none: without a fluid there is no pressure"
     if not scene.has_flow:
         saves = "the pressures, and their coupling with the rock"
-        told = "fluid table with viscosity and specific weight above zero"
-        yield Decision("flow", True, told, value, "> 0", error, saves)
+        criterion = "fluid table with viscosity and specific weight above zero"
+        yield Decision("flow", True, criterion, value, "> 0", error, saves)
         return
     at_rest = is_at_rest(facts)
-    told = "every pressure constant in time and space: only steady stages, wells that keep it, no flow rate"
+    criterion = "every pressure constant in time and space: only steady stages, wells that keep it, no flow rate"
     saves = _nothing(facts) if at_rest else "nothing: pressures change"
-    yield Decision("flow", False, told, "met" if at_rest else "not met", "met", "none", saves)
+    yield Decision("flow", False, criterion, "met" if at_rest else "not met", "met", "none", saves)
 
 
 def is_at_rest(facts: ReductionInput) -> bool:
@@ -59,8 +59,8 @@ def fracture_storage(facts: ReductionInput) -> Iterator[Decision]:
     if not facts.scene.has_flow or not slow or ringing is None or ringing.value is None:
         return
     value, error = 2.0 * ringing.value, "of pressures, relative: exp(-dt/tau_d) a step"
-    found, told = 1.0 / value if value else "unknown", "tau_d/dt, of the fracture that drains first"
-    yield Decision("fracture storage", False, told, found, 1.0 / 50.0, error, _nothing(facts))
+    found, criterion = 1.0 / value if value else "unknown", "tau_d/dt, of the fracture that drains first"
+    yield Decision("fracture storage", False, criterion, found, 1.0 / 50.0, error, _nothing(facts))
 
 
 def compressibility(facts: ReductionInput) -> Iterator[Decision]:

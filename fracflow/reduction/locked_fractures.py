@@ -212,8 +212,8 @@ def decide_locked(facts: ReductionInput) -> Iterator[Decision]:
     more = len(shut.names) - LISTED
     criterion = "E'/(k L); share of the strength used, under the loads of the scene; share of all jumps"
     if shut.names:
-        told = ", ".join(shut.names[:LISTED]) + (f" and {more} more" if more > 0 else "")
-        criterion = f"of {told}: {criterion}; no fluid, and nothing of the scene that names them"
+        names = ", ".join(shut.names[:LISTED]) + (f" and {more} more" if more > 0 else "")
+        criterion = f"of {names}: {criterion}; no fluid, and nothing of the scene that names them"
     saves = f"{shut.jumps} of the jumps of joints" if shut.names else f"nothing: {shut.why}"
     value = f"{shut.compliance:.2g}; {shut.use:.2g}, by {shut.stress:.3g} of stress; {shut.share:.2g}"
     found = value if not shut.why or shut.share else shut.why

@@ -117,7 +117,7 @@ class Need:
     size     the largest joint or cell that resolves it there [length]
     found    the one there [length]
     along    whether it is joints that must be so short, else cells
-    is_told  whether ``unresolved`` lists it: the pre-run checks list others, or no stated mesh need be like that
+    is_listed  whether ``unresolved`` lists it: the pre-run checks list others, or no stated mesh need be like that
     where    fracture or rock, and place
     """
 
@@ -125,7 +125,7 @@ class Need:
     size: float
     found: float
     along: bool
-    is_told: bool = True
+    is_listed: bool = True
     where: str = ""
 
 
@@ -137,7 +137,7 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...
     late = "how slip begins and how far it runs depends on the mesh in"
     lines = [f"mesh: {what} is not resolved: {late} {slip.of_fractures(names)}" for what, names in coarse.items()]
     for need in needs(view, mesh):
-        if need.is_told and SAME * need.found > need.size:
+        if need.is_listed and SAME * need.found > need.size:
             asked = f"{'joints' if need.along else 'cells'} of {need.size:.3g}{unit}"
             has = f"has {need.found:.3g}{unit}, {need.where}"
             lines.append(f"mesh: {need.what} is not resolved: it needs {asked}, and {has}")
@@ -155,14 +155,14 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
         return
     middle = mesh.points[mesh.joint_bottom].mean(axis=1)
 
-    def need(what: str, size: Floats, is_told: bool = True) -> Iterator[Need]:
+    def need(what: str, size: Floats, is_listed: bool = True) -> Iterator[Need]:
         worst = int(np.argmax(joints.length / size))
         if np.isfinite(size[worst]):
             where = f"{joints.names[joints.fracture[worst]]} at {_spot(middle[worst])}"
-            yield Need(what, float(size[worst]), float(joints.length[worst]), True, is_told, where)
+            yield Need(what, float(size[worst]), float(joints.length[worst]), True, is_listed, where)
 
     for what, size in slip.longest_joints(view).items():
-        yield from need(what, size, is_told=False)
+        yield from need(what, size, is_listed=False)
     each = np.bincount(joints.fracture, joints.length, len(joints.names))
     tipped = np.unique(joints.fracture[np.any(mesh.joint_bottom == mesh.joint_top, axis=1)])
     typical = np.where(np.isin(joints.fracture, tipped), typical_length(each[tipped]), np.inf)
@@ -185,14 +185,14 @@ def _in_rock(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
 
     speed = cell_rocks(view.scene, mesh)["shear_speed"]
     speed = np.where(np.isnan(speed), np.inf, speed)
-    for what, period, is_told in _periods(view, float(speed.min())):
+    for what, period, is_listed in _periods(view, float(speed.min())):
         wave = f"wave of {period:.3g}{view.unit(TIME)}, {what}, / {PER_WAVE}"
         size = period * speed / PER_WAVE
         worst = int(np.argmax(edges / size))
         if np.isfinite(size[worst]):
             rock, nodes = mesh.rocks[mesh.cell_rock[worst]], mesh.cells[worst]
             where = f"{rock} at {_spot(mesh.points[nodes[nodes >= 0]].mean(axis=0))}"
-            yield Need(wave, float(size[worst]), float(edges[worst]), False, is_told, where)
+            yield Need(wave, float(size[worst]), float(edges[worst]), False, is_listed, where)
 
 
 def _periods(view: CheckInput, speed: float) -> Iterator[tuple[str, float, bool]]:
@@ -246,7 +246,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
             return snap, [*why, f"geometry.growth = {USUAL:g}: {GENTLE:g} would take over {MOST_CELLS} cells; {LATE}"]
         return snap | {"growth": GENTLE}, [*why, f"geometry.growth = {GENTLE:g}: {LATE}"]
     size = float(np.ptp(domain, axis=0).min()) / ACROSS
-    width = Need(f"width of the domain / {ACROSS}", size, size, False, is_told=False)
+    width = Need(f"width of the domain / {ACROSS}", size, size, False, is_listed=False)
     fine = min(size, typical / FEWEST, mean_spacing(area, total) / PER_SPACING)
     at_tips, growth = typical / PER_TIP, _growth(scene, geometry)
     size, fine = _with_stated(geometry, size, fine)
@@ -278,7 +278,7 @@ def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]
         return {}, []
     traces = [(trace.name, np.array(trace.points, dtype=float)) for trace in geometry.fracture]
     snap, why = natural_snap(np.array(geometry.domain, dtype=float), traces)
-    unit = f" {scene.unit_system.unit(LENGTH)}" if scene.units != "none" else ""
+    unit = scene.unit_system.behind(LENGTH)
     return {"snap": snap}, [f"geometry.snap = {snap:g}{unit}: {why}"]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Ints, SplitMesh
-from fracflow.model.network_parts import told_apart
+from fracflow.model.network_parts import unconnected_wells
 from fracflow.model.setup import Model, naming, on_root, place, read_sized, set_up
 from fracflow.reduction.mesh_size import proposed, unresolved
 from fracflow.scene.scene import Scene
@@ -59,6 +59,6 @@ def _prepare(scene: Scene, comm: MPI.Comm, saved: SplitMesh | None, cell_rank: I
     assert placed is not None
     wells = placed.wells
     coarse = on_root(comm, lambda: unresolved(scene, mesh, wells) if mesh is not None and begins else []) or []
-    apart = on_root(comm, lambda: told_apart(scene, mesh, wells) if mesh is not None else []) or []
+    apart = on_root(comm, lambda: unconnected_wells(scene, mesh, wells) if mesh is not None else []) or []
     notes = (*scene.notes, *coarse, *apart, *placed.notes)
     return set_up(scene, comm, mesh, replace(placed, notes=notes, apart=tuple(apart)), cell_rank)

@@ -20,13 +20,13 @@ def condensed_rock(facts: ReductionInput) -> Iterator[Decision]:
     plan = condensing(scene, facts.unknowns, facts.jumps, facts.ranks, facts.damps)
     chosen = scene.method.coupling == "condensed" or is_chosen(scene, facts.unknowns, plan)
     steps = inf if plan.has_events else max(plan.steps.values(), default=0.0)
-    told = f"{steps:.0f} steps of one length" if isfinite(steps) else "as many steps as events take"
+    length = f"{steps:.0f} steps of one length" if isfinite(steps) else "as many steps as events take"
     saves = "a factorisation in every step"
     if not chosen:
         saves = "nothing: kept, condensing would not pay, or was not asked for"
     limit = f"{AT_LEAST * plan.pays:.0f}" if isfinite(plan.pays) else "never pays"
     criterion = "steps of one length, to pay twice over"
-    yield Decision("rock, condensed to its joints", chosen, criterion, told, limit, "none: exact", saves)
+    yield Decision("rock, condensed to its joints", chosen, criterion, length, limit, "none: exact", saves)
 
 
 def new_factors(facts: ReductionInput) -> Iterator[Decision]:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracflow.run_report.data import VOLUME, Chart, RunReport, Series, number
+from fracflow.run_report.data import Chart, RunReport, Series, number
 from fracflow.run_report.statistics import COVERED, FEWEST, front_diffusivity, gutenberg_richter, largest_moment
 from fracflow.run_report.words import event_table, safe, table
-from fracflow.scene.units import LENGTH, STRESS, VELOCITY
+from fracflow.scene.units import LENGTH, STRESS, VELOCITY, VOLUME
 
 Charts = dict[str, Chart]
 MOST_LISTED = 12  # events in the table

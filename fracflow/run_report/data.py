@@ -16,47 +16,21 @@ from numpy.typing import ArrayLike, NDArray
 from fracflow.errors import InputError
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.store import load_mesh
+from fracflow.output.drawing.axes import suited_unit
 from fracflow.output.events import read_events
 from fracflow.output.folder import MARKER, check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.reader import LARGEST
 from fracflow.output.status import Status, read_status
 from fracflow.scene.scene import Scene, load
-from fracflow.scene.units import (
-    DENSITY,
-    ENERGY,
-    FLOW_RATE,
-    LENGTH,
-    STIFFNESS,
-    STRESS,
-    TIME,
-    VELOCITY,
-    VISCOSITY,
-    unit_text,
-)
+from fracflow.scene.units import TIME
 from fracflow.storage.files import read_text, shown_plain
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
 
-VOLUME = "length**3"
 _COPY = "put back a copy of the file"
 MOST_POINTS = 500  # of a line: more are closer than its pixels
-_HOUR, _DAY, _YEAR = 3600.0, 86400.0, 31557600.0
-_UNITS: dict[str, tuple[tuple[float, float, str], ...]] = {
-    TIME: ((2 * _YEAR, _YEAR, "years"), (2 * _DAY, _DAY, "d"), (2 * _HOUR, _HOUR, "h"), (120.0, 60.0, "min"),
-           (0.5, 1.0, "s"), (5e-4, 1e-3, "ms"), (0.0, 1e-6, "µs")),
-    LENGTH: ((2e4, 1e3, "km"), (0.5, 1.0, "m"), (1e-4, 1e-3, "mm"), (1e-7, 1e-6, "µm"), (0.0, 1e-9, "nm")),
-    STRESS: ((1e9, 1e9, "GPa"), (1e5, 1e6, "MPa"), (1e2, 1e3, "kPa"), (0.0, 1.0, "Pa")),
-    ENERGY: ((1e9, 1e9, "GJ/m"), (1e6, 1e6, "MJ/m"), (1e3, 1e3, "kJ/m"), (0.0, 1.0, "J/m")),
-    FLOW_RATE: ((0.1, 1.0, "m³/s"), (1e-4, 1e-3, "L/s"), (1e-7, 1e-6, "mL/s"), (0.0, 1e-9, "µL/s")),
-    VOLUME: ((1.0, 1.0, "m³"), (1e-3, 1e-3, "L"), (0.0, 1e-6, "mL")),
-    DENSITY: ((0.0, 1.0, "kg/m³"),),
-    VISCOSITY: ((0.5, 1.0, "Pa s"), (0.0, 1e-3, "mPa s")),
-    STIFFNESS: ((1e8, 1e9, "GPa/m"), (1e5, 1e6, "MPa/m"), (0.0, 1.0, "N/m³")),
-    VELOCITY: ((0.1, 1.0, "m/s"), (1e-4, 1e-3, "mm/s"), (1e-7, 1e-6, "µm/s"), (0.0, 1e-9, "nm/s")),
-}  # fmt: skip
-"""Dimension -> for numbers from a size on, the size of the unit in SI and its name; the largest first."""
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -87,12 +61,7 @@ class Unit:
 
 def unit_for(dimension: str, units: Mapping[str, str], largest: float) -> Unit:
     """The unit that a person would choose for numbers up to a ``largest``; the run's own where it is not SI."""
-    is_si = (units.get("length"), units.get("force"), units.get("time")) == ("m", "N", "s")
-    if (is_si or (dimension == TIME and units.get("time") == "s")) and 0.0 < largest < math.inf:
-        for size, unit, name in _UNITS.get(dimension, ()):
-            if largest >= size:
-                return Unit(1.0 / unit, name)
-    return Unit(1.0, unit_text(dimension, units, is_printed=True))
+    return Unit(*suited_unit(dimension, largest, units))
 
 
 @dataclass(frozen=True)

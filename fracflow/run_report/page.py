@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fracflow._version import __version__
 from fracflow.output.folder import write_atomic
 from fracflow.run_report.catalogue import Charts, events_of, figure
-from fracflow.run_report.data import VOLUME, Chart, RunReport, Series, number, read_run
+from fracflow.run_report.data import Chart, RunReport, Series, number, read_run
 from fracflow.run_report.map import Frames, map_record, read_frames
 from fracflow.run_report.words import (
     LOST,
@@ -39,7 +39,7 @@ from fracflow.run_report.words import (
 )
 from fracflow.scene.quantities import QUANTITIES
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, TIME, VELOCITY
+from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, TIME, VELOCITY, VOLUME
 
 WORDS = {"pressure": "pressure", "aperture": "aperture", "plastic_slip": "plastic slip"}
 MOST_SHOWN = 9  # fractures whose fields are open at once, those that slip most

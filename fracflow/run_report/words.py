@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
-from fracflow.run_report.data import VOLUME, RunReport, number
+from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import DENSITY, ENERGY, FLOW_RATE, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY
+from fracflow.scene.units import DENSITY, ENERGY, FLOW_RATE, LENGTH, STIFFNESS, STRESS, TIME, VISCOSITY, VOLUME
 from fracflow.storage.files import shown_plain
 
 OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -158,7 +159,7 @@ def _bouncing(scene: Scene) -> Iterator[str]:
     for name, fracture in scene.fracture.items():
         if fracture.pressure is not None:
             given[f"fracture.{name}"] = fracture.pressure(np.array(fracture.pressure.along), 0.0).tolist()
-    unit = "" if scene.units == "none" else f" {scene.unit_system.unit(STRESS)}"
+    unit = scene.unit_system.behind(STRESS)
     for at, values in given.items():
         jump = max(values, key=lambda value: abs(value - start)) - start
         if abs(jump) > AT_ONCE * max(abs(start), abs(start + jump)):
@@ -220,9 +221,9 @@ def _transit(scene: Scene) -> float | None:
 
 
 def _unusual(scene: Scene) -> Iterator[str]:
-    tables = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
-    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]  # type: ignore[misc]
-    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []  # type: ignore[list-item]
+    tables: list[tuple[str, Any, str]] = [(f"rock.{name}", rock, "rock") for name, rock in scene.rock.items()]
+    tables += [(f"fracture.{name}", table, "fracture") for name, table in scene.fracture.items()]
+    tables += [("fluid", scene.fluid, "fluid")] if scene.fluid is not None else []
     for path, table, kind in tables:
         for key, (dimension, least, most) in USUAL[kind].items():
             value = getattr(table, key)

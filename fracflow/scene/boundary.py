@@ -138,9 +138,9 @@ class Well(Table):
         if self.pressure is not None:
             self._refuse("contradicts pressure; a limit belongs to a flow_rate", "maximum_pressure", "minimum_pressure")
             self._refuse("contradicts pressure; a control multiplies a flow_rate", "control")
-        if None not in (self.maximum_pressure, self.minimum_pressure):
-            if self.maximum_pressure <= self.minimum_pressure:  # type: ignore[operator]
-                raise fault(f"must be above minimum_pressure = {self.minimum_pressure:g}", key="maximum_pressure")
+        most, least = self.maximum_pressure, self.minimum_pressure
+        if most is not None and least is not None and most <= least:
+            raise fault(f"must be above minimum_pressure = {least:g}", key="maximum_pressure")
         return self
 
 

@@ -53,7 +53,10 @@ def law_fields() -> dict[str, Any]:
 
 def describe_laws() -> str:
     """A description of each law: the first line of its own documentation."""
-    return "; ".join(f"{name}: {(law.__doc__ or '').splitlines()[0].rstrip('.')}" for name, law in JOINT_LAWS.items())
+    own = {name: law.__doc__ or "" for name, law in JOINT_LAWS.items()}
+    # without docstrings, python -OO, a dataclass has its signature there
+    known = {name: doc for name, doc in own.items() if doc and not doc.startswith(f"{JOINT_LAWS[name].__name__}(")}
+    return "; ".join(f"{name}: {known[name].splitlines()[0].rstrip('.')}" if name in known else name for name in own)
 
 
 def foreign_keys(law: Any) -> set[str]:

@@ -17,8 +17,8 @@ Spot = tuple[tuple[float, float], str | None]
 
 def order_in_time(scene: Scene) -> int:
     """The least order of the rules that the stages step by; 2, the order of the mesh, where time has no part."""
-    waves, film = (scene.method.stepper,), (scene.method.flow_integrator,) if scene.has_flow else ()
-    names = {"dynamic": waves, "quasi-static": film, "auto": waves + film}
+    waves, flow = (scene.method.stepper,), (scene.method.flow_integrator,) if scene.has_flow else ()
+    names = {"dynamic": waves, "quasi-static": flow, "auto": waves + flow}
     rules = [stepper_from(name, scene.method) for stage in scene.stage for name in names.get(stage.kind, ())]
     return min([2, *(rule.order for rule in rules)])
 

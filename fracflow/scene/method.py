@@ -69,10 +69,12 @@ class Table(BaseModel):
 
 if TYPE_CHECKING:
     InertiaStepper: TypeAlias = str
-    FilmStepper: TypeAlias = str
+    FlowStepper: TypeAlias = str
+    Conductance: TypeAlias = str
     StepperKeys: Any = Table
 else:
-    InertiaStepper, FilmStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
+    InertiaStepper, FlowStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
+    Conductance = Literal[tuple(FLOW_LAWS)]
     StepperKeys = create_model(
         "StepperKeys",
         __base__=Table,
@@ -91,7 +93,7 @@ class Method(StepperKeys):
     storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = "lumped"
     """matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one for both;
     report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work"""
-    conductance: Literal[tuple(FLOW_LAWS)] = "exact"  # type: ignore[valid-type]
+    conductance: Conductance = "exact"
     """mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)"""
     mass: Literal["lumped", "consistent"] = "lumped"
     """mass matrix of the rock"""
@@ -100,7 +102,7 @@ class Method(StepperKeys):
     rock, so that walls do not bounce on joints, or by the walls; lumped is the default of scenes with a fluid, which
     damps them, of explicit steps, and of model = "report"
     """
-    flow_integrator: FilmStepper = "backward-euler"
+    flow_integrator: FlowStepper = "backward-euler"
     """time integrator of quasi-static stages: first order and monotone, or second order (bdf2), the default of scenes
     that state accuracy.tolerance; trapezoid rings for time steps above two drainage times; the first step of a stage is
     one of backward Euler"""

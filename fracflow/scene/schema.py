@@ -30,6 +30,16 @@ def rows(schema: Mapping[str, Any]) -> Iterator[Row]:
     yield from walk(schema, "")
 
 
+def note_on_meanings(schema: Mapping[str, Any]) -> str:
+    """A line where an installation has lost the docstrings that meanings are taken from; empty elsewhere."""
+    if __doc__ and "description" in schema["properties"]["title"]:
+        return ""
+    return (
+        "note: meanings of keys are missing, for they are docstrings in the sources: run Python without -OO, on an"
+        " installation with .py files, or read meshes/SCENE.md in the repository"
+    )
+
+
 HEAD = """# Keys of a scene
 
 Written by `fracflow schema --markdown`. A dimension in brackets asks for a number in the scene's units, or a string with a

@@ -104,6 +104,10 @@ class UnitSystem:
         names = {"length": self.length, "force": self.force, "time": self.time, "angle": "degree"}
         return re.sub("[a-z]+", lambda word: names[word.group()], dimension)
 
+    def behind(self, dimension: str) -> str:
+        """The unit of a dimension to write behind a number, with a blank before it; empty in a system without units."""
+        return f" {self.unit(dimension)}" if self.length else ""
+
     def to_si(self, dimension: str) -> float:
         """Factor that brings a number of this system to SI."""
         if self.name == "SI" and "angle" not in dimension:

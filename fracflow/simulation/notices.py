@@ -13,7 +13,7 @@ from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH, STRESS
+from fracflow.scene.units import LENGTH, STRESS, TIME
 from fracflow.simulation.totals import Totals
 
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
@@ -57,12 +57,12 @@ class Notices:
             after = "handed over to the monolithic solver, as are later steps like it"
             self._log(f"{stage}: {report.handed_over}; {after}")
         totals.handed_over += bool(report.handed_over)
-        last, factor = totals.told_factor, report.predicted
+        last, factor = totals.reported_factor, report.predicted
         if np.isnan(factor):
             return
         if np.isnan(last) or (max(factor, last) >= LEAST_FACTOR and not abs(factor - last) <= CHANGED * last):
-            totals.told_factor = factor
-            time = f"time {now:.6g} {scene.unit_system.time}".rstrip()
+            totals.reported_factor = factor
+            time = f"time {now:.6g}{scene.unit_system.behind(TIME)}"
             measured = (
                 f"the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"
                 if np.isfinite(report.measured)
@@ -141,8 +141,8 @@ def suction_line(model: Model, state: State) -> str:
     if not name:
         return ""
     system = scene.unit_system
-    pressures, lengths = (f" {system.unit(kind)}" if scene.units != "none" else "" for kind in (STRESS, LENGTH))
-    time = f"time {state.time:.6g} {system.time}".rstrip()
+    pressures, lengths = map(system.behind, (STRESS, LENGTH))
+    time = f"time {state.time:.6g}{system.behind(TIME)}"
     return (
         f"{time}: the pressure in {name} at ({x:.6g}, {y:.6g}){lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
         " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"

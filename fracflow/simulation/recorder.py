@@ -31,13 +31,12 @@ from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
 from fracflow.output.profiles import ProfileFile, Timetable, intervals
-from fracflow.output.slip_at_crossings import told_handed
+from fracflow.output.slip_at_crossings import lines_of
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
 from fracflow.scene.quantities import quantities
-from fracflow.scene.scene import Scene
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import read_bytes
@@ -46,11 +45,6 @@ from fracflow.storage.sealed import AGAIN, digest
 Notes = Mapping[str, Any] | None  # of a checkpoint; None for a new run
 UNSEALED = "an earlier version left no seals here: damage to its files would not have been seen; from now on it is"
 EDITED = "scene.toml is not as it was at the last checkpoint: the run goes on with the scene as it is now"
-
-
-def kind_of(step: Step, scene: Scene) -> int:
-    """The regime of a step as ``step/kind`` has it."""
-    return KINDS[step.regime or scene.stage[step.stage].kind]
 
 
 class Before:
@@ -86,7 +80,7 @@ class Recorder:
         """Open the files; those of an earlier run are cut back to where its checkpoint with ``notes`` stood. Collective."""
         self.model, self.comm = model, comm
         self.sampler = sampling.make_sampler(model.operators, model.scene, model.placed.probes, model.placed.wells)
-        self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
+        self.totals, self._goes_on = Totals.of(notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
         self._report_saved: Callable[[int], None] | None = None
@@ -124,25 +118,21 @@ class Recorder:
 
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
-        snapshot, self.totals.injected = sampling.take(self.sampler, step.state), step.state.injected
+        sample, scene = sampling.Sample(self.sampler, step.state), self.model.scene
+        snapshot, kind = sample.snapshot(), KINDS[step.regime or scene.stage[step.stage].kind]
+        if snapshot is not None:
+            self.totals.observe(step.state.time, snapshot.margin, *snapshot.least)
+        self.totals.injected = step.state.injected
         if self._goes_on:  # the first step may show that the history was made with another scene
-            on_root(self.comm, lambda: self._write(lambda files: self._append(files, step, snapshot)))
+            on_root(self.comm, lambda: self._write(lambda files: files.append(step, snapshot, kind)))
         else:
-            self._write(lambda files: self._append(files, step, snapshot))
+            self._write(lambda files: files.append(step, snapshot, kind))
         self._goes_on = False
         if self._wants_fields(self.totals.steps):
-            self._fields(step, self.totals.steps)
-        self._profile(step)
+            self._fields(sample, self.totals.steps)
+        self._profile(sample, kind)
         self.totals.add(step.report)
         self._notices.of(step)
-
-    def _append(self, files: Files, step: Step, snapshot: sampling.Snapshot | None) -> None:
-        assert snapshot is not None
-        if snapshot.margin < self.totals.narrowest:
-            self.totals.narrowest, self.totals.narrow_time = snapshot.margin, step.state.time
-        self.totals.least = max(self.totals.least, snapshot.least[0])
-        self.totals.least_flow = max(self.totals.least_flow, snapshot.least[1])
-        files.append(step, snapshot)
 
     def _remedy(self, number: int | None) -> str:
         if number in (errno.ENOENT, errno.ESTALE):
@@ -161,16 +151,15 @@ class Recorder:
         index = self.totals.steps - 1
         is_extra = not self._wants_fields(index)
         if is_extra:
-            self._fields(step, index, whole)
+            self._fields(sampling.Sample(self.sampler, step.state), index, whole)
         self._write(lambda files: files.drop_extra(index if is_extra else None))
 
-    def _profile(self, step: Step) -> None:
+    def _profile(self, sample: sampling.Sample, kind: int) -> None:
         """Write the profiles of a state where they are due. Collective."""
-        time, kind = step.state.time, kind_of(step, self.model.scene)
+        time = sample.state.time
         if not self.model.operators.blocks.sizes.joints or not self.profiles.is_due(time, kind, self._profiles):
             return
-        ends = sampling.all_ends(self.sampler, step.state)
-        if ends is not None:
+        if (ends := sample.fields()) is not None:
             values = fracture_fields(self.sampler.fields, ends)
             self._write(lambda files: files.profiles.append(time, self.totals.steps, values))
         self.profiles.add(time, kind)
@@ -180,12 +169,11 @@ class Recorder:
         every = self.model.scene.output.fields_every
         return index == 0 or bool(every and index % every == 0)
 
-    def _fields(self, step: Step, index: int, whole: bool = True) -> None:
-        ends = sampling.all_ends(self.sampler, step.state)
-        motion = sampling.all_motion(self.sampler, step.state) if whole else None
+    def _fields(self, sample: sampling.Sample, index: int, whole: bool = True) -> None:
+        ends, motion = sample.fields(), sample.motion() if whole else None
         if ends is not None:
             values = fracture_fields(self.sampler.fields, ends)
-            self._write(lambda files: files.fields(index, step.state, values, motion))
+            self._write(lambda files: files.fields(index, sample.state, values, motion))
 
     def save(self, step: Step, finished: bool = False) -> None:
         """Write the checkpoint, if the run can go on from this step. Collective."""
@@ -203,7 +191,7 @@ class Recorder:
 
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
-        found = on_root(self.comm, lambda: told_handed(files.events.rows, files.mesh) if (files := self.files) else [])
+        found = on_root(self.comm, lambda: lines_of(files.events.rows, files.mesh) if (files := self.files) else [])
         for line in found or ():
             self.log(line)
 
@@ -348,14 +336,15 @@ class Files:
         seals = {"seals": {"mesh": self.mesh_seal, "history": self.history.seal, "scene": self.scene_seal}}
         write_checkpoint(self.folder / "checkpoint.h5", arrays, {**notes, **here, **memory, **about, **seals})
 
-    def append(self, step: Step, snapshot: sampling.Snapshot) -> None:
-        """One row of history and the events up to it. Raises OSError."""
+    def append(self, step: Step, snapshot: sampling.Snapshot | None, kind: int) -> None:
+        """One row of history and the events up to it; ``kind`` is that of ``step/kind``. Raises OSError."""
+        assert snapshot is not None
         self.folder.check()
         state = step.state
         # a step that is cut where a status changes ends with the change; else the change is somewhere in the step
         began = state.time if self.time is None or step.report.located else self.time
         self.time = state.time
-        at = Recorded(step, snapshot, kind_of(step, self.scene))
+        at = Recorded(step, snapshot, kind)
         record = {row.name: row.formula(at) for row in quantities("run").values()}
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}

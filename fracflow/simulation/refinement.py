@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from fracflow._petsc import MPI
@@ -72,7 +73,7 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
         if number == 1:
             spots = comm.bcast(on_root(comm, lambda: _spots(scene, folder / "level-0")), root=0)
         finer = at_level(scene, number, spots)
-        found = comm.bcast(on_root(comm, lambda here=here, finer=finer: _found(finer, here)), root=0)  # type: ignore[misc]
+        found = comm.bcast(on_root(comm, partial(_found, finer, here)), root=0)
         yield Level(number, finer, here, found, comm)
 
 
@@ -139,6 +140,6 @@ def _spots(scene: Scene, folder: Path) -> dict[str, Spot]:
     return spots
 
 
-def _pair(point: object) -> tuple[float, float]:
-    x, y = (float(value) for value in point)  # type: ignore[attr-defined]
+def _pair(point: Iterable[float]) -> tuple[float, float]:
+    x, y = (float(value) for value in point)
     return x, y

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from fracflow.errors import SolveError
 from fracflow.model.state import StepReport
 
+EARLIER = {"told_factor": "reported_factor"}  # names in checkpoints of earlier versions
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
 
 
@@ -36,7 +37,7 @@ class Totals:
     spurious: float = 0.0
     spurious_time: float = np.nan
     handed_over: int = 0
-    told_factor: float = np.nan
+    reported_factor: float = np.nan
     injected: float = 0.0
     rejected: int = 0
     wasted: int = 0
@@ -47,6 +48,11 @@ class Totals:
     undone: dict[str, str] = field(default_factory=dict)
     profiles: dict[str, Any] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, saved: Mapping[str, Any]) -> Totals:
+        """Those that a checkpoint keeps, under names of earlier versions too. Raises TypeError for others."""
+        return cls(**{EARLIER.get(name, name): value for name, value in saved.items()})
+
     def add(self, report: StepReport) -> None:
         """Count a step."""
         self.steps += 1
@@ -54,6 +60,12 @@ class Totals:
         self.factorisations += report.factorisations
         self.rejected += report.rejected
         self.wasted += report.wasted
+
+    def observe(self, time: float, margin: float, least: int, least_flow: float) -> None:
+        """Keep the smallest margin of a status with its time, and the most that minimum apertures did; see ``Snapshot``."""
+        if margin < self.narrowest:
+            self.narrowest, self.narrow_time = margin, time
+        self.least, self.least_flow = max(self.least, least), max(self.least_flow, least_flow)
 
     def give_up(self, failure: SolveError) -> None:
         """Count the trials of a step that failed."""

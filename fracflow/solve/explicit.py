@@ -63,7 +63,7 @@ class ExplicitCoupling:
         self.inverse = inverse_mass(operators, self.held)
         made = {term.name: term.mean_damping() for term in operators.terms}
         self.damping = {name: damping for name, damping in made.items() if damping is not None}
-        self.notes = tuple(damping.told for damping in self.damping.values())
+        self.notes = tuple(damping.note for damping in self.damping.values())
         self.critical = longest_step(operators, scene, self.inverse, list(self.damping.values()))
         clusters = find_clusters(operators.joints, self.inverse, operators.layout.comm)
         self.sections = SectionSolver(scene, operators, clusters)
@@ -151,7 +151,7 @@ class ExplicitCoupling:
 
     def _flow_terms(self, problem: ExplicitProblem) -> tuple[PETSc.Vec, PETSc.Vec]:
         """K_F p, and Q with what prescribed pressures draw in."""
-        network, solver = self.operators.flow, self.sections.film
+        network, solver = self.operators.flow, self.sections.flow
         conduction, source = self.operators.layout.flow_vector(), problem.source.copy()
         if network is None or solver is None:
             return conduction, source

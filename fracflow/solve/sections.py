@@ -171,7 +171,7 @@ class SectionSolver:
     def __init__(self, scene: Scene, operators: Operators, clusters: Clusters, elastic: Floats | float = 0.0) -> None:
         """Keep what is constant; ``elastic`` are moduli (s, dim, dim) that the compliance has in it already. Collective."""
         self.scene, self.operators, self.clusters = scene, operators, clusters
-        self.film = self.flow_kind(operators, clusters) if operators.flow is not None else None
+        self.flow = self.flow_kind(operators, clusters) if operators.flow is not None else None
         self._sizes = [np.abs(batch.compliance) for batch in clusters.batches]
         self._weights = clusters.exchange.there(operators.joints.weights[:, None])[:, 0]
         count, dim = len(operators.joints.weights), operators.joints.dim
@@ -201,7 +201,7 @@ class SectionSolver:
         """
         total, change, comm = 0, np.zeros_like(free) if start is None else start, self.operators.layout.comm
         pulled = self.total_traction(problem.state.sections.traction, problem.state.pressure)
-        given = self.film.given(problem) if self.film is not None else None
+        given = self.flow.given(problem) if self.flow is not None else None
         try:
             for _ in range(self.most_changes):
                 change, report = self._with_statuses(problem, free, change, pulled, given, share, least - total)
@@ -229,14 +229,14 @@ class SectionSolver:
         least: int,
     ) -> tuple[Floats, SectionReport]:
         """The balance with the statuses of ``problem.trial_status``, beginning from ``change``. Collective."""
-        joints, film, comm = self.operators.joints, self.film, self.operators.layout.comm
+        joints, solver, comm = self.operators.joints, self.flow, self.operators.layout.comm
         before, weights, most = problem.state.sections, joints.weights[:, None], self.scene.accuracy.max_iterations
         for iteration in range(most + 1):
             answer = problem.evaluate_joints(before.strain + change)
             problem.sections = answer
             flow, slopes = 0.0, np.zeros((len(free), 2))
-            if film is not None and given is not None:
-                flow, slopes = film.balance(problem, change, given)
+            if solver is not None and given is not None:
+                flow, slopes = solver.balance(problem, change, given)
             pull, moduli = self.total_traction(answer.traction, problem.pressure), weights[:, :, None] * answer.tangent
             push = weights * (pull - pulled - np.einsum("sij,sj->si", self.elastic, change))
             known = np.einsum("sij,sj->si", np.abs(moduli), np.abs(answer.strain)) + weights * np.abs(answer.traction)
@@ -287,16 +287,16 @@ class SectionSolver:
             scaled = batch.compliance if share == 1.0 else share * batch.compliance
             compliance = scaled.reshape(clusters, members * dim, members, dim)
             right = rows.left[at].reshape(clusters, -1, 1)
-            if self.film is not None:
+            if self.flow is not None:
                 right = np.concatenate([right, compliance[..., -1] * self._weights[at][:, None]], axis=2)
             answer = self._answer(compliance, rows.moduli[at], right)
             alone[at] = answer[:, :, 0].reshape(clusters, members, dim)
             by_pressure.append(answer[:, :, 1:].reshape(clusters, members, dim, -1))
-        if self.film is None:
+        if self.flow is None:
             return exchange.back(alone)
         own = exchange.back(alone)[:, -1]
         opened = [each[:, :, -1] for each in by_pressure]
-        raised = self.film.solve(problem, opened, self._weights, rows.slopes, own, own_slopes)
+        raised = self.flow.solve(problem, opened, self._weights, rows.slopes, own, own_slopes)
         there = exchange.there(raised[:, None])[:, 0]
         for batch, answer in zip(self.clusters.batches, by_pressure, strict=True):
             alone[batch.sections] += np.einsum("cmip,cp->cmi", answer, there[batch.sections])
@@ -317,4 +317,4 @@ class SectionSolver:
 
     def destroy(self) -> None:
         """Free the flow's solver. Collective."""
-        destroy(self.film)
+        destroy(self.flow)

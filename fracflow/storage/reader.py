@@ -141,15 +141,15 @@ class Reader:
             raise _NotStarted(f"was not ready within {START:g} s, or ended before") from None
         return self._process
 
-    def _more(self, into: memoryview | None = None) -> bytes | int:
+    def _more(self, into: memoryview | None = None) -> Any:
         """Bytes that have come, or how many of them were put ``into`` a buffer."""
         assert self._process is not None and self._process.stdout is not None
-        pipe = self._process.stdout
+        pipe: Any = self._process.stdout
         waits = select.poll()
         waits.register(pipe, select.POLLIN)
         if not waits.poll(1e3 * max(0.0, self._end - time.monotonic())):
             raise _Broken("it takes longer to read than any whole file of its size")
-        got: Any = os.read(pipe.fileno(), 1 << 16) if into is None else pipe.readinto(into)  # type: ignore[attr-defined]
+        got = os.read(pipe.fileno(), 1 << 16) if into is None else pipe.readinto(into)
         if not got:
             code = self._process.wait()
             raise _Broken(f"the process that read it {f'was ended by signal {-code}' if code < 0 else 'has ended'}")
@@ -158,7 +158,7 @@ class Reader:
     def _line(self) -> dict[str, Any]:
         parts = [self._left]
         while b"\n" not in parts[-1]:
-            parts.append(self._more())  # type: ignore[arg-type]
+            parts.append(self._more())
         line, _, self._left = b"".join(parts).partition(b"\n")
         found: dict[str, Any] = json.loads(line)
         return found
@@ -167,7 +167,7 @@ class Reader:
         have = min(len(view), len(self._left))
         view[:have], self._left = self._left[:have], self._left[have:]
         while have < len(view):
-            have += self._more(view[have:])  # type: ignore[operator]
+            have += self._more(view[have:])
 
 
 _reader = Reader()

@@ -64,7 +64,7 @@ def test_an_interrupt_of_one_rank_before_the_first_step_ends_all():
     assert "fracflow: rank 0 alone: interrupted before the first step" in done.stderr
 
 
-@pytest.mark.parametrize("name", ["unresolved", "told_apart"])
+@pytest.mark.parametrize("name", ["unresolved", "unconnected_wells"])
 def test_an_error_in_what_one_rank_looks_at_alone_is_raised_on_all(name, monkeypatch):
     """Sizes of cells and wells apart are looked at where the mesh is; the others must not go on without it."""
 

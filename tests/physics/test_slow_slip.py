@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import equilibrium_state
-from fracflow.advance.regime import RADIATED, slipped, transit
+from fracflow.advance.regime import transit
+from fracflow.advance.slow_slip import RADIATED, slipped
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.cli.app import app
 from fracflow.cli.run import ProgressBar

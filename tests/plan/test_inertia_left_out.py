@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import PETSc
-from fracflow.advance.auto import swing
+from fracflow.advance.excitation import swing
 from fracflow.errors import Interrupted
 from fracflow.model.state import Motion
 from fracflow.output import read_history

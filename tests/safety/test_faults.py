@@ -393,7 +393,7 @@ PROGRAM = """
 import os, resource, sys
 from fracflow.cli import app as cli
 from fracflow._petsc import MPI
-from fracflow.simulation.run import SignalWatch
+from fracflow.simulation.signals import SignalWatch
 agreed, steps = SignalWatch.request, 0
 def request(self, *given, **named):
     global steps

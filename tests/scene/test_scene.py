@@ -1,6 +1,8 @@
 import json
 import math
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,7 @@ from hypothesis import strategies as st
 
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import Scene, load
-from fracflow.scene.schema import rows
+from fracflow.scene.schema import note_on_meanings, rows
 from fracflow.scene.toml import write_float, write_value
 from fracflow.scene.values import FractureEnd, TimeTable
 
@@ -214,3 +216,16 @@ def test_schema_as_a_table_has_every_key_once():
     assert found["initial.rock.NAME.velocity"][2]
     assert all(meaning for _, _, meaning in found.values())
     assert len(found) == len(list(rows(Scene.json_schema()))) > 120
+
+
+def test_where_docstrings_are_lost_the_schema_says_so_in_one_line():
+    """Under -OO, and of an installation without sources, where pydantic finds no meaning of a key."""
+    words = [sys.executable, "-OO", "-m", "fracflow", "schema", "--json"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stderr.count("\n") == 1 and done.stderr.startswith("note: meanings of keys are missing")
+    law = json.loads(done.stdout)["$defs"]["Fracture"]["properties"]["law"]["description"]
+    assert "linear" in law.split("; ") and "(" not in law
+    schema = Scene.json_schema()
+    assert note_on_meanings(schema) == ""
+    del schema["properties"]["title"]["description"]
+    assert note_on_meanings(schema) == done.stderr.strip()

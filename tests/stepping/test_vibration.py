@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from fracflow.advance.error_control import WATCHED, ErrorEstimator, Vibration, swing_of
+from fracflow.advance.error_control import WATCHED, ErrorEstimator
+from fracflow.advance.step_error import Vibration, swing_of
 from fracflow.errors import SolveError
 
 pytestmark = pytest.mark.serial

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fracflow.errors import MOST_TOLD, InputError
+from fracflow.errors import MOST_NAMED, InputError
 
 DEEPEST = 40  # Gmsh has room for 100
 REMEDY = "remove it, or give --trust (trust=True in Python) if you trust whoever wrote the file"
@@ -41,9 +41,9 @@ class Checked:
     def notes(self) -> tuple[str, ...]:
         """A line about options that were passed over, if there were any."""
         names = list(dict.fromkeys(self.passed))
-        more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
+        more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
         path = next(iter(self.sources.values()))
-        line = f"{path}: options of Gmsh's window are passed over: {', '.join(names[:MOST_TOLD])}{more}"
+        line = f"{path}: options of Gmsh's window are passed over: {', '.join(names[:MOST_NAMED])}{more}"
         return (line,) if names else ()
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow.errors import MOST_TOLD, InputError
+from fracflow.errors import MOST_NAMED, InputError
 from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
@@ -72,7 +72,7 @@ def open_checked(path: Path, checked: Checked) -> Elements:
     except Crashed as error:
         if error.signal != signal.SIGFPE or not checked.remainders:
             raise
-        where = ", ".join(checked.remainders[:MOST_TOLD])
+        where = ", ".join(checked.remainders[:MOST_NAMED])
         raise InputError(f"{where}: Gmsh crashed over a division by zero: after % stands 0; correct the file") from None
 
 
@@ -146,8 +146,8 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             (folder / each).write_bytes(text)
         if "link" in job:
             (folder / "mesh.msh").symlink_to(job["link"])
-        told = {**job, "seconds": allowed.seconds, "memory": allowed.memory, "parent": os.getpid()}
-        (folder / "job.json").write_text(json.dumps(told), encoding="utf-8")
+        given = {**job, "seconds": allowed.seconds, "memory": allowed.memory, "parent": os.getpid()}
+        (folder / "job.json").write_text(json.dumps(given), encoding="utf-8")
         code, said = _run(folder, allowed)
         if code is None or code == -signal.SIGXCPU:
             why = f"{allowed.seconds} s of CPU time" if code else f"{allowed.wall:.0f} s"

@@ -46,9 +46,9 @@ def _check(path: Path) -> int:
                 else:
                     count = _count(whole[at : at + LONGEST_LINE], version)
                 if count is None or count * LEAST > len(whole) - at:
-                    told = "no number of" if count is None else f"{count:.4g}"
+                    stated = "no number of" if count is None else f"{count:.4g}"
                     name = section[1].decode()
-                    why = f"${name} has {told} entries, more than there is room for"
+                    why = f"${name} has {stated} entries, more than there is room for"
                     raise InputError(f"{path}: cannot be read as a Gmsh mesh: {why}; {AGAIN}")
     return version
 

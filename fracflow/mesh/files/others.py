@@ -58,8 +58,8 @@ def read_other(path: Path) -> Found:
     except ImportError as error:
         raise ValueError(f"to read it the package {error.name} is needed") from None
     except (Exception, SystemExit) as error:  # meshio raises whatever its parser meets
-        told = " ".join(str(error).split())[:200] if isinstance(error, meshio.ReadError) else ""
-        raise ValueError(shown_plain(f"cannot be read as {form}: {told or 'it is cut off or damaged'}")) from error
+        reason = " ".join(str(error).split())[:200] if isinstance(error, meshio.ReadError) else ""
+        raise ValueError(shown_plain(f"cannot be read as {form}: {reason or 'it is cut off or damaged'}")) from error
     sets = [*_sets(mesh)] or [*_tagged(mesh)] or blocks
     if not sets:
         raise ValueError(NO_NAMES)
@@ -85,9 +85,9 @@ def _tagged(mesh: Any) -> Iterator[Set]:
         return
     key = next((each for each in PREFERRED if each in whole), next(iter(whole)))
     if len(whole) > 1 and key not in PREFERRED:
-        told = ", ".join(sorted(whole)[:5])
+        names = ", ".join(sorted(whole)[:5])
         raise ValueError(
-            shown_plain(f"its cells have several arrays of whole numbers ({told}): keep one, for their names")
+            shown_plain(f"its cells have several arrays of whole numbers ({names}): keep one, for their names")
         )
     named = {(int(tag), int(dim)): name for name, (tag, dim) in mesh.field_data.items()}
     words = key.split("-")  # meshio makes an array of sets under their names in a row, and -1 is none of them

@@ -122,7 +122,7 @@ def attach(lines: PlanarGraph, snap: float) -> PlanarGraph:
     rank[point[is_free & (lines.owner[edge] < 0)]] = ON_SIDE
     held = (point[~is_free], lines.owner[edge[~is_free]], distance[~is_free])
     bends = tuple(np.concatenate(both) for both in zip(lines.bends, held, strict=True))
-    return _cut(replace(lines, points=points, rank=rank, bends=bends), edge, along, point)  # type: ignore[arg-type]
+    return _cut(replace(lines, points=points, rank=rank, bends=bends), edge, along, point)
 
 
 def cross(lines: PlanarGraph, snap: float) -> PlanarGraph:

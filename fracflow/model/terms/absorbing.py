@@ -72,8 +72,8 @@ def _notes(blocks: Blocks, absorbing: Absorbing, facets: Facets) -> list[str]:
     ratios = np.round(facets.lam / (2.0 * (facets.lam + facets.shear)), 9)
     everywhere = np.unique(np.concatenate(blocks.comm.allgather(ratios)))
     for ratio in everywhere[[0, -1]] if len(everywhere) > 1 else everywhere:
-        for told in dashpot.reflections(float(ratio)):
-            lines.append(f"absorbing {', '.join(absorbing.on)}: of {told} (Poisson's ratio {ratio:.4g})")
+        for reflection in dashpot.reflections(float(ratio)):
+            lines.append(f"absorbing {', '.join(absorbing.on)}: of {reflection} (Poisson's ratio {ratio:.4g})")
     return lines
 
 

@@ -112,8 +112,8 @@ def damping_at_faults(operators: Operators, scene: Scene) -> MeanDamping | None:
     scale = np.ones(len(rates))
     for ratio in np.unique(ratios[chosen]).tolist():
         scale[ratios == ratio] = damped_rate(ratio)
-    told = f"cells at faults are damped, method.fault_damping = {largest:g}"
-    return MeanDamping(projected(matrix, operators.expand), scale, largest, told)
+    note = f"cells at faults are damped, method.fault_damping = {largest:g}"
+    return MeanDamping(projected(matrix, operators.expand), scale, largest, note)
 
 
 def can_slip(joints: Joints) -> Bools:

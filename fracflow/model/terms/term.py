@@ -19,13 +19,13 @@ class MeanDamping:
 
     scale  (m,) squared frequency of each local cell with its damping, over that without, as a step's stability sees them
     ratio  damping of a cell's fastest vibration over the critical one, the largest of all cells
-    told   what the log tells of it
+    note   a line for the log
     """
 
     matrix: PETSc.Mat
     scale: Floats
     ratio: float
-    told: str = ""
+    note: str = ""
 
     def force(self, increment: PETSc.Vec, dt: float) -> PETSc.Vec:
         """D times the mean velocity of a step, in a new vector. Collective."""

@@ -11,14 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.scene.units import (
     ACCELERATION,
+    DENSITY,
     ENERGY,
     ENERGY_DENSITY,
     FLOW_RATE,
     LENGTH,
+    STIFFNESS,
     STRESS,
     SURFACE_ENERGY,
     TIME,
     VELOCITY,
+    VISCOSITY,
+    VOLUME,
     unit_text,
 )
 
@@ -51,7 +55,10 @@ _SI: dict[str, Ladder] = {
     VELOCITY: _metric("m/s", "", "m", "µ", "n"),
     ACCELERATION: _metric("m/s²", "", "m", "µ"),
     FLOW_RATE: ((1.0, 1.0, "m³/s"), (1e-4, 1e-3, "L/s"), (1e-7, 1e-6, "mL/s"), (0.0, 1e-9, "µL/s")),
-    "length**3": ((1.0, 1.0, "m³"), (1e-3, 1e-3, "L"), (1e-6, 1e-6, "mL")),
+    VOLUME: ((1.0, 1.0, "m³"), (1e-3, 1e-3, "L"), (1e-6, 1e-6, "mL")),
+    DENSITY: ((0.0, 1.0, "kg/m³"),),
+    VISCOSITY: ((0.5, 1.0, "Pa s"), (0.0, 1e-3, "mPa s")),
+    STIFFNESS: ((1e8, 1e9, "GPa/m"), (1e5, 1e6, "MPa/m")),
 }
 """Dimension -> sizes in SI from which on a unit is used, its size and its name; the largest first."""
 
@@ -94,19 +101,23 @@ def unit_for(dimension: str, largest: float, units: Mapping[str, str]) -> tuple[
 
     units  names of length, force and time
     """
-    size = abs(largest) if np.isfinite(largest) and abs(largest) > _NONE else 0.0
-    own = unit_text(dimension, units, is_printed=True)
+    factor, name = suited_unit(dimension, largest, units)
+    size = factor * abs(largest) if np.isfinite(largest) and abs(largest) > _NONE else 0.0
+    return _in_thousands(factor, name, size) if size else (factor, name)
+
+
+def suited_unit(dimension: str, largest: float, units: Mapping[str, str]) -> tuple[float, str]:
+    """The same without a power of a thousand, for numbers that have one of their own."""
+    own, size = unit_text(dimension, units, is_printed=True), abs(largest)
     is_si = (units.get("length"), units.get("force"), units.get("time")) == ("m", "N", "s")
     ladder = _SI.get(dimension, ()) if is_si else ()
     if dimension == TIME and units.get("time") == "s":
         ladder = _TIMES
-    if not size:
+    if not _NONE < size < np.inf:
         return 1.0, own
-    for least, each, name in ladder:
-        if size >= least * (1.0 - 1e-12):
-            factor = 1.0 / each
-            return _in_thousands(factor, name, factor * size)
-    return _in_thousands(1.0, own, size)
+    base = next((name for _, each, name in ladder if each == 1.0), own)
+    fits = ((1.0 / each, name) for least, each, name in ladder if size >= least * (1.0 - 1e-12))
+    return next(fits, (1.0, base))
 
 
 def _in_thousands(factor: float, unit: str, size: float) -> tuple[float, str]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracflow.output.drawing.axes import Floats, axis_of
+from fracflow.output.drawing.axes import Axis, Floats, axis_of
 from fracflow.output.drawing.network_map import Network, coloured, draw_map, name_all, plain_numbers, scaled
 from fracflow.output.plot_style import PALE, draw_head
 from fracflow.scene.units import PLAIN, STRESS
@@ -29,25 +29,14 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     figure = Figure(figsize=(13, _height(network)), layout="constrained")
     draw_head(figure, title, below)
     left, right = figure.subplots(1, 2)
-    maps = [
-        (
-            left,
-            "Slip tendency before the run",
-            tendency,
-            PLAIN,
-            "|τ|/σₙ′, shear over effective normal traction",
-            "viridis_r",
-        ),
-        (
-            right,
-            "Pressure rise to slip",
-            rise,
-            STRESS,
-            "pressure above the initial one at which it slips or opens",
-            "viridis",
-        ),
+    share, more = (
+        "|τ|/σₙ′, shear over effective normal traction",
+        "pressure above the initial one at which it slips or opens",
+    )
+    drawn = [
+        (left, _draw(left, network, "Slip tendency before the run", tendency, PLAIN, share, "viridis_r")),
+        (right, _draw(right, network, "Pressure rise to slip", rise, STRESS, more, "viridis")),
     ]
-    drawn = [(axes, _draw(axes, network, *words)) for axes, *words in maps]  # type: ignore[arg-type]
     right.set_ylabel("")
     handles, labels = left.get_legend_handles_labels()
     if handles:
@@ -65,7 +54,9 @@ def _height(network: Network) -> float:
     return float(np.clip(5.8 * high / max(wide, 1e-300) + 2.3, 4.5, 9.0))
 
 
-def _draw(axes: Axes, network: Network, title: str, values: Floats, dimension: str, word: str, cmap: str):  # type: ignore[no-untyped-def]
+def _draw(
+    axes: Axes, network: Network, title: str, values: Floats, dimension: str, word: str, cmap: str
+) -> tuple[Axis, Axis]:
     """One map, its fractures coloured by values (m,); returns its scales."""
     axes.set_title(title)
     scales = draw_map(axes, network)
@@ -79,7 +70,7 @@ def _draw(axes: Axes, network: Network, title: str, values: Floats, dimension: s
         axes.set_title(f"{title}: {axis.text(float(values[known][0]))} everywhere")
         low, top = 0.0, top or 1.0
     lines = coloured(axes, scaled(network.segments[known], *scales), shown, _WIDTH, cmap, (low, top))
-    look = dict(location="bottom", shrink=0.8, aspect=40, pad=0.03, panchor=False)
-    bar = axes.figure.colorbar(lines, ax=axes, label=axis.label(word), **look)  # type: ignore[arg-type]
+    look: dict[str, Any] = dict(location="bottom", shrink=0.8, aspect=40, pad=0.03, panchor=False)
+    bar = axes.figure.colorbar(lines, ax=axes, label=axis.label(word), **look)
     plain_numbers(bar.ax, "x")
     return scales

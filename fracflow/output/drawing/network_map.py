@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,9 +103,8 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
             axes.plot(*at, marker, ms=size, mfc=colour, mec=INK, mew=0.9, ls="", zorder=6, label=kind)
     axes.autoscale_view()
     axes.margins(0.03)
-    for name, axis, scale in (("x", axes.xaxis, x), ("y", axes.yaxis, y)):
-        plain_numbers(axes, name)
-        axis.set_label_text(scale.label(name))
+    plain_numbers(axes)
+    axes.set(xlabel=x.label("x"), ylabel=y.label("y"))
     return x, y
 
 
@@ -127,10 +126,10 @@ def scaled(points: Floats, x: Axis, y: Axis) -> Floats:
     return np.stack([x(points[..., 0]), y(points[..., 1])], axis=-1)
 
 
-def plain_numbers(axes: Axes, which: str = "both", most: int = 6) -> None:
+def plain_numbers(axes: Axes, which: Literal["both", "x", "y"] = "both", most: int = 6) -> None:
     """Numbers as they are: neither offsets nor powers of ten."""
-    axes.ticklabel_format(axis=which, style="plain", useOffset=False)  # type: ignore[arg-type]
-    axes.locator_params(axis=which, nbins=most)  # type: ignore[arg-type]
+    axes.ticklabel_format(axis=which, style="plain", useOffset=False)
+    axes.locator_params(axis=which, nbins=most)
 
 
 def name_all(axes: Axes, network: Network, scales: tuple[Axis, Axis], width: float = 1.0) -> None:
@@ -143,7 +142,7 @@ def name_all(axes: Axes, network: Network, scales: tuple[Axis, Axis], width: flo
     pixels = axes.transData.transform
     lines = pixels(scaled(network.segments, *scales).reshape(-1, 2)).reshape(-1, 2, 2)
     lines = lines[np.all(np.isfinite(lines), axis=(1, 2))]
-    point = axes.figure.dpi / 72.0  # type: ignore[union-attr]
+    point = axes.figure.dpi / 72.0
     texts, labels, boxes = list[str](), list[Label](), list[Floats]()
     for at, names, radius in _at_marks(network):
         here = pixels(scaled(np.array(at), *scales))

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fracflow.errors import MOST_TOLD, NotConverged
+from fracflow.errors import MOST_NAMED, NotConverged
 from fracflow.model.network_parts import conducting, find_components
 from fracflow.scene.scene import Scene
 from fracflow.solve.fixed_point.contraction import Cycle, Prediction, limits_of_time_step, scaled
@@ -88,8 +88,8 @@ def _sealed(problem: StepProblem) -> str:
     parts = find_components(operators, conducting(operators, problem.conduction.conductance))
     shut = [part for part in parts if not np.isin(operators.layout.flow_numbers(part.nodes), held).any()]
     shut.sort(key=lambda part: -len(part.nodes))
-    more = f" and {len(shut) - MOST_TOLD} more parts" if len(shut) > MOST_TOLD else ""
-    return "; ".join(map(str, shut[:MOST_TOLD])) + more
+    more = f" and {len(shut) - MOST_NAMED} more parts" if len(shut) > MOST_NAMED else ""
+    return "; ".join(map(str, shut[:MOST_NAMED])) + more
 
 
 def _time_steps(problem: StepProblem, matrix: JoinedMatrix, factor: float, unit: str) -> str:
