@@ -1,6 +1,6 @@
 """The site: every page of the project, its reference and its sources as static HTML, which opens from a disk.
 
-    scripts/docs [-o DIR]    by default into runs/site; exit code 2 where a link is broken
+scripts/docs [-o DIR]    by default into runs/site; exit code 2 where a link is broken
 """
 
 from __future__ import annotations
@@ -12,14 +12,20 @@ import posixpath
 import shutil
 import sys
 from pathlib import Path
+from urllib.parse import quote
 
 from website.pages import ROOT, BrokenLink, Page, ordered, plain, url_of
 from website.reference import made_pages
 from website.render import Entry, Site, body_of, names_of, source_body
 
+from fracflow._version import __version__
+
 HERE = Path(__file__).parent
 REFERENCE = ("meshes/SCENE.md", "fracflow/COMMANDS.md")  # beside the pages made of docstrings
-ICON = "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'%3E%3Cg fill='none' stroke-width='2.4'%3E%3Cpath d='M1 13 8 5l7 2' stroke='%230072b2'/%3E%3Cpath d='m5 1 7 14' stroke='%23d55e00'/%3E%3C/g%3E%3C/svg%3E"
+ICON = "data:image/svg+xml," + quote(
+    "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16' fill='none' stroke-width='2.4'>"
+    "<path d='M1 13 8 5l7 2' stroke='#0072b2'/><path d='m5 1 7 14' stroke='#d55e00'/></svg>"
+)
 
 
 def build(out: Path, root: Path = ROOT, made: dict[str, Page] | None = None) -> list[str]:
@@ -70,7 +76,7 @@ def whole(page: Page, body: str, groups: list[list[Page]]) -> str:
         f'<title>{html.escape(head)}</title><link rel="icon" href="{ICON}">',
         f'<link rel="stylesheet" href="{up}site.css"><script defer src="{up}site.js"></script></head><body>',
         f"<nav>{_navigation(page, groups, up)}</nav>",
-        f"<main>{body}<footer>Written from {html.escape(page.path)} by scripts/docs.</footer></main>",
+        f"<main>{body}<footer>fracflow {__version__}; written from {html.escape(page.source or page.path)} by scripts/docs.</footer></main>",
         "</body></html>", "",
     ])  # fmt: skip
 
@@ -86,14 +92,16 @@ def _navigation(page: Page, groups: list[list[Page]], up: str) -> str:
     return (
         f'<div class="top"><a class="brand" href="{up}{front.url}">{html.escape(front.title)}</a>{search}</div>'
         '<div id="found" hidden></div>'
-        f'<details open><summary>Contents</summary><ol>{"".join(parts)}</ol></details>'
+        f"<details open><summary>Contents</summary><ol>{''.join(parts)}</ol></details>"
     )
 
 
 def _entry(page: Page, each: Page, up: str) -> str:
     if each.path != page.path:
         return f'<a href="{up}{each.url}" title="{html.escape(each.title)}">{html.escape(each.short)}</a>'
-    heads = [(page.tokens[at + 1], token) for at, token in enumerate(page.tokens) if token.tag == "h2" and token.nesting == 1]
+    heads = [
+        (page.tokens[at + 1], token) for at, token in enumerate(page.tokens) if token.tag == "h2" and token.nesting == 1
+    ]
     inside = "".join(f'<li><a href="#{token.attrs["id"]}">{html.escape(plain(text))}</a></li>' for text, token in heads)
     return f'<a class="here" href="#" aria-current="page">{html.escape(each.short)}</a><ul class="inside">{inside}</ul>'
 
@@ -117,7 +125,7 @@ def main() -> None:
     out = reader.parse_args().output
     try:
         pages = build(out)
-    except BrokenLink as error:
+    except (BrokenLink, OSError) as error:
         print(f"scripts/docs: {error}", file=sys.stderr)
         sys.exit(2)
     print(f"{len(pages)} pages: {out / url_of('README.md')}")

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, count
+from math import inf
 from pathlib import Path
 
 from markdown_it import MarkdownIt
@@ -14,7 +16,6 @@ from markdown_it.token import Token
 from write_pages import BEGIN, END
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = (".github", "fracflow", "meshes", "scripts", "tests")
 MARKDOWN = MarkdownIt("commonmark").enable("table")
 NAMED = {"key", "equation"}  # heads of first columns whose rows have anchors of their own
 
@@ -23,9 +24,10 @@ class BrokenLink(Exception):
     """A link that leads nowhere: one line with page and target."""
 
 
-def markdown_files(root: Path = ROOT) -> list[Path]:
-    """All pages in Markdown of the project."""
-    return [*sorted(root.glob("*.md")), *(page for name in FOLDERS for page in sorted((root / name).rglob("*.md")))]
+def readmes(root: Path) -> list[str]:
+    """Paths of the README.md files, in folders and in folders of these, but for runs and for hidden folders."""
+    found = (path.relative_to(root) for deep in ("", "*/", "*/*/") for path in sorted(root.glob(f"{deep}README.md")))
+    return [path.as_posix() for path in found if not re.match(r"\.|runs/|build/", path.as_posix())]
 
 
 def slug(text: str) -> str:
@@ -41,15 +43,21 @@ def row_name(text: str) -> str:
 def plain(inline: Token) -> str:
     """The words of a line without marks."""
     breaks = ("softbreak", "hardbreak")
-    return "".join(" " if each.type in breaks else each.content for each in inline.children or () if each.type != "image")
+    return "".join(
+        " " if each.type in breaks else each.content for each in inline.children or () if each.type != "image"
+    )
 
 
 @dataclass(frozen=True)
 class Page:
-    """A page in Markdown by its path from the root; the path of a page that is made of docstrings has no file."""
+    """A page in Markdown by its path from the root.
+
+    source  its origin in words where the path has no file
+    """
 
     path: str
     text: str
+    source: str = ""
 
     @cached_property
     def tokens(self) -> list[Token]:
@@ -75,7 +83,9 @@ class Page:
     @cached_property
     def title(self) -> str:
         """The first heading; empty for a page without one."""
-        heads = (self.tokens[at + 1] for at, token in enumerate(self.tokens) if token.tag == "h1" and token.nesting == 1)
+        heads = (
+            self.tokens[at + 1] for at, token in enumerate(self.tokens) if token.tag == "h1" and token.nesting == 1
+        )
         return next(map(plain, heads), "")
 
     @property
@@ -102,7 +112,7 @@ class Page:
 
 def _free(name: str, taken: set[str]) -> str:
     """A name that is not taken, and from now on is."""
-    found = next(each for each in (name, *(f"{name}-{count}" for count in range(1, 10_000))) if each not in taken)
+    found = next(each for each in chain([name], (f"{name}-{at}" for at in count(1))) if each not in taken)
     taken.add(found)
     return found
 
@@ -140,9 +150,8 @@ def ordered(root: Path, made: dict[str, Page]) -> list[list[Page]]:
             if not is_outside(target) and there.endswith(".md"):
                 read(there)
 
-    for path in ("README.md", *(page.relative_to(root).as_posix() for page in markdown_files(root))):
-        if path.endswith("README.md"):
-            read(path)
+    for path in readmes(root):
+        read(path)
     front = found.pop("README.md")
     by_front = places(_linked(front), last=True)
     groups: dict[str, list[Page]] = {}
@@ -151,10 +160,11 @@ def ordered(root: Path, made: dict[str, Page]) -> list[list[Page]]:
     for name, group in groups.items():
         head = next((page for page in group if page.path == f"{name}/README.md"), group[0])
         by_head = places(_linked(head), last=False)
-        far = len(by_head) + 1
-        group.sort(key=lambda page: (page is not head, by_head.get(page.path, far), by_front.get(page.path, 0), page.path))
+        group.sort(
+            key=lambda page: (page is not head, by_head.get(page.path, inf), by_front.get(page.path, inf), page.path)
+        )
         group[1:1] = [page for path, page in made.items() if path.partition("/")[0] == name]
-    first = {name: min(by_front.get(page.path, 10_000) for page in group) for name, group in groups.items()}
+    first = {name: min(by_front.get(page.path, inf) for page in group) for name, group in groups.items()}
     return [[front], *(groups[name] for name in sorted(groups, key=lambda name: (first[name], name)))]
 
 

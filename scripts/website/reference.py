@@ -14,7 +14,9 @@ import write_pages
 from website.pages import ROOT, Page
 
 PACKAGES = ("laws", "integrators", "elements")  # importable parts that laws and rules of one's own are made with
-ENTRY = re.compile(r"(\S+(?:, \S+)*(?: ->? \S+)?) {2,}(\S.*)")  # a line of a table in a docstring: a name, and its meaning
+ENTRY = re.compile(
+    r"(\S+(?:, \S+)*(?: ->? \S+)?) {2,}(\S.*)"
+)  # a line of a table in a docstring: a name, and its meaning
 LONGEST = 88  # letters of a signature on one line
 NEW = "\n"
 
@@ -26,7 +28,8 @@ def made_pages() -> dict[str, Page]:
     texts["equations"] = equations()
     for name in PACKAGES:
         texts[name] = package_page(f"fracflow.{name}")
-    return {f"fracflow/{name}.md": Page(f"fracflow/{name}.md", text) for name, text in texts.items()}
+    paths = {name: f"fracflow/{name}.md" for name in texts}
+    return {paths[name]: Page(paths[name], text, "docstrings") for name, text in texts.items()}
 
 
 def equations() -> str:
@@ -59,7 +62,9 @@ def _page(title: str, module: ModuleType, names: list[str]) -> str:
     members = [(name, getattr(module, name)) for name in names if not name.startswith("__")]
     parts = [f"# {title}", described(module)]
     for name, each in sorted((one for one in members if not isinstance(one[1], dict)), key=_place):
-        parts += _name(each, f"fracflow.{name}" if inspect.isfunction(each) and module.__name__ == "fracflow" else name, "##")
+        parts += _name(
+            each, f"fracflow.{name}" if inspect.isfunction(each) and module.__name__ == "fracflow" else name, "##"
+        )
     for name, each in (one for one in members if isinstance(one[1], dict)):
         entries = "\n".join(f'    "{key}": {value.__name__},' for key, value in each.items())
         parts += [f"## {name}", f"```python signature\n{name} = {{{f'{NEW}{entries}{NEW}' if entries else ''}}}\n```"]
@@ -88,7 +93,9 @@ def _name(each: Any, name: str, head: str) -> Iterator[str]:
         yield f"Source: [{escaped(path)}]({path}#{each.__qualname__})"
     if inspect.isclass(each):
         for key, member in vars(each).items():
-            inner = getattr(member, "fget", None) or getattr(member, "func", None) or getattr(member, "__func__", member)
+            inner = (
+                getattr(member, "fget", None) or getattr(member, "func", None) or getattr(member, "__func__", member)
+            )
             if key.startswith("_") or not inspect.isfunction(inner) or not inner.__doc__:
                 continue
             yield f"{head}# {name}.{key}"

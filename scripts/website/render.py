@@ -172,7 +172,7 @@ def _inline(site: Site, page: Page, children: list[Token]) -> Iterator[Token]:
 
 
 def _figures(tokens: list[Token]) -> Iterator[Token]:
-    """A paragraph that is a picture becomes a figure, and one in italics after it its caption."""
+    """A paragraph that is a picture becomes a figure, and one after it that begins in italics its caption."""
     at = 0
     while at < len(tokens):
         children = [each for each in tokens[at + 1].children or ()] if tokens[at].type == "paragraph_open" else []
@@ -184,8 +184,7 @@ def _figures(tokens: list[Token]) -> Iterator[Token]:
         caption: list[Token] = []
         if at + 5 < len(tokens) and tokens[at + 3].type == "paragraph_open":
             inner = tokens[at + 4].children or []
-            marks = [each.type for each in inner if each.type.startswith("em_")]
-            if inner and (inner[0].type, inner[-1].type) == ("em_open", "em_close") or marks == ["em_open", "em_close"]:
+            if inner and inner[0].type == "em_open":
                 caption = [_raw("<figcaption>"), tokens[at + 4], _raw("</figcaption>")]
         line = tokens[at + 1]
         yield from (_raw(f'<figure><a href="{picture}">'), line, _raw("</a>"), *caption, _raw("</figure>\n"))
