@@ -70,13 +70,14 @@ def whole(page: Page, body: str, groups: list[list[Page]]) -> str:
     front = groups[0][0].title
     title = page.title or page.path
     head = title if title == front else f"{title} · {front}"
+    foot = f"fracflow {__version__}; written from {page.source or page.path} by scripts/docs."
     return "\n".join([
         "<!DOCTYPE html>", f'<html lang="en" data-up="{up}"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f'<title>{html.escape(head)}</title><link rel="icon" href="{ICON}">',
         f'<link rel="stylesheet" href="{up}site.css"><script defer src="{up}site.js"></script></head><body>',
         f"<nav>{_navigation(page, groups, up)}</nav>",
-        f"<main>{body}<footer>fracflow {__version__}; written from {html.escape(page.source or page.path)} by scripts/docs.</footer></main>",
+        f"<main>{body}<footer>{html.escape(foot)}</footer></main>",
         "</body></html>", "",
     ])  # fmt: skip
 
