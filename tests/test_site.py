@@ -150,7 +150,7 @@ def test_pages_that_are_added_appear_with_their_titles_in_the_order_of_links(tmp
     )
 
 
-@pytest.mark.parametrize("target", ["../c.md", "nothing.py", "../README.md#nowhere", "../../outside.txt"])
+@pytest.mark.parametrize("target", ["../c.md", "nothing.py", "../README.md#nowhere", "../../outside.txt", "none.png"])
 def test_a_broken_link_is_named_and_nothing_is_written(tmp_path, target):
     (tmp_path / "outside.txt").write_text("")
     root = small(tmp_path / "in", a=f"# A\n\n[x]({target})\n", b="# B")

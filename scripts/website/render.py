@@ -6,6 +6,7 @@ import ast
 import html
 import posixpath
 import re
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
@@ -19,7 +20,7 @@ from pygments.lexers.special import TextLexer
 from pygments.util import ClassNotFound
 from website.pages import MARKDOWN, BrokenLink, Page, is_outside, plain, url_of
 
-PICTURES = (".png", ".svg", ".jpg")
+PICTURES = ".png"  # the only kind that the project has
 LONG_CELL = 34  # letters from which on a phone shows a table's rows below each other
 
 Entry = tuple[str, str, str, str]  # page, heading, address, text
@@ -30,7 +31,7 @@ class Site:
     """The pages with the names that code in lines may have, and the files that links have asked for so far.
 
     names     text of code -> path#anchor: keys of a scene, commands, names for Python
-    pictures  paths of pictures
+    pictures  paths of pictures, all PNG
     sources   paths of other files, which are shown as pages
     """
 
@@ -154,21 +155,35 @@ def source_body(path: str, text: str) -> str:
 
 
 def _inline(site: Site, page: Page, children: list[Token]) -> Iterator[Token]:
-    """A line's tokens, with addresses in the site; code that names a key, a command or a file leads there."""
+    """A line's tokens, with addresses in the site, and titles in place of names of pages.
+
+    Code that names a key, a command or a file leads there.
+    """
     depth = 0
-    for each in children:
+    for at, each in enumerate(children):
         depth += {"link_open": 1, "link_close": -1}.get(each.type, 0)
         if each.type == "link_open":
+            there = site.pages.get(page.resolved(str(each.attrs["href"]))[0])
+            if there and children[at + 1].content.endswith(".md"):
+                children[at + 1].content = there.short
             each.attrs["href"] = site.link(page, str(each.attrs["href"]))
         elif each.type == "image":
-            each.attrs["src"] = site.link(page, str(each.attrs["src"]))
-            each.attrs["loading"] = "lazy"
+            source = str(each.attrs["src"])
+            each.attrs |= {"src": site.link(page, source), "loading": "lazy"}
+            each.attrs["width"], each.attrs["height"] = size_of(site.root / page.resolved(source)[0])
         to = site.named(page, each.content) if each.type == "code_inline" and not depth else ""
         if to:
             yield _raw(f'<a href="{html.escape(to)}">')
         yield each
         if to:
             yield _raw("</a>")
+
+
+def size_of(picture: Path) -> tuple[int, int]:
+    """Width and height of a PNG, so that a page keeps its place while pictures load."""
+    with picture.open("rb") as file:
+        width, height = struct.unpack(">16xII", file.read(24))
+    return width, height
 
 
 def _figures(tokens: list[Token]) -> Iterator[Token]:
