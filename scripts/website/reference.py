@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 from collections.abc import Iterator
 from importlib import import_module
+from itertools import pairwise
 from pkgutil import iter_modules
 from types import ModuleType
 from typing import Any
@@ -67,8 +69,20 @@ def _page(title: str, module: ModuleType, names: list[str]) -> str:
         )
     for name, each in (one for one in members if isinstance(one[1], dict)):
         entries = "\n".join(f'    "{key}": {value.__name__},' for key, value in each.items())
-        parts += [f"## {name}", f"```python signature\n{name} = {{{f'{NEW}{entries}{NEW}' if entries else ''}}}\n```"]
+        parts += [
+            f"## {name}",
+            escaped(_below(module, name)),
+            f"```python signature\n{name} = {{{f'{NEW}{entries}{NEW}' if entries else ''}}}\n```",
+        ]
     return "\n\n".join(parts)
+
+
+def _below(module: ModuleType, name: str) -> str:
+    """The string below the line that gives a name of a module its value; empty where none stands there."""
+    for line, text in pairwise(ast.parse(inspect.getsource(module)).body):
+        if isinstance(line, ast.AnnAssign) and ast.unparse(line.target) == name and isinstance(text, ast.Expr):
+            return " ".join(str(ast.literal_eval(text.value)).split())
+    return ""
 
 
 def _place(one: tuple[str, Any]) -> tuple[bool, str, int]:
