@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import sys
 import time
 from html.parser import HTMLParser
 from urllib.parse import unquote
@@ -10,6 +11,7 @@ from urllib.parse import unquote
 import pytest
 from chromium import Chromium
 from pages import PAGES, ROOT, anchors
+from website import __main__ as driver
 from website.__main__ import build
 from website.pages import BrokenLink, Page, ordered, url_of
 from website.reference import described, escaped, made_pages
@@ -157,6 +159,15 @@ def test_a_broken_link_is_named_and_nothing_is_written(tmp_path, target):
     with pytest.raises(BrokenLink, match=r"^a/README.md: \S+: no such (file|heading)$"):
         build(tmp_path / "out", root, {})
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(sys, "argv", ["docs", "-o", str(tmp_path / "file")])
+    monkeypatch.setattr(driver, "build", lambda out: build(out, small(tmp_path / "in", a="# A", b="# B"), {}))
+    with pytest.raises(SystemExit, match="2"):
+        driver.main()
+    assert capsys.readouterr().err == f"scripts/docs: {tmp_path / 'file'}: File exists; name another folder with -o\n"
 
 
 def test_docstrings_are_shown_as_they_are():

@@ -89,7 +89,7 @@ def _navigation(page: Page, groups: list[list[Page]], up: str) -> str:
     for head, *others in groups[1:]:
         items = "".join(f"<li>{_entry(page, each, up)}</li>" for each in others)
         parts.append(f"<li>{_entry(page, head, up)}{f'<ul>{items}</ul>' if items else ''}</li>")
-    search = '<input type="search" id="search" placeholder="Search  /" aria-label="Search" autocomplete="off">'
+    search = '<input type="search" id="search" placeholder="Search" aria-label="Search" autocomplete="off">'
     return (
         f'<div class="top"><a class="brand" href="{up}{front.url}">{html.escape(front.title)}</a>{search}</div>'
         '<div id="found" hidden></div>'
@@ -119,6 +119,12 @@ def _around(page: Page, before: Page | None, after: Page | None) -> str:
     return f'<div class="around">{"".join(parts)}</div>'
 
 
+def refused(line: str) -> int:
+    """Print why there is no site, and give the exit code."""
+    print(f"scripts/docs: {line}", file=sys.stderr)
+    return 2
+
+
 def main() -> None:
     """Write the site into a folder, and name its first page."""
     reader = argparse.ArgumentParser(prog="scripts/docs", description="Write the pages of the project as a site.")
@@ -126,9 +132,10 @@ def main() -> None:
     out = reader.parse_args().output
     try:
         pages = build(out)
-    except (BrokenLink, OSError) as error:
-        print(f"scripts/docs: {error}", file=sys.stderr)
-        sys.exit(2)
+    except BrokenLink as error:
+        sys.exit(refused(str(error)))
+    except OSError as error:
+        sys.exit(refused(f"{error.filename}: {error.strerror}; name another folder with -o"))
     print(f"{len(pages)} pages: {out / url_of('README.md')}")
 
 

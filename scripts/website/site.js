@@ -5,7 +5,7 @@ const up = document.documentElement.dataset.up, field = document.getElementById(
 const details = document.querySelector("nav details");
 if (matchMedia("(max-width: 760px)").matches) details.open = false;
 document.querySelector("nav .here")?.scrollIntoView({ block: "nearest" });
-scrollTo(scrollX, scrollY);
+if (matchMedia("(hover: hover)").matches) field.placeholder = "Search  /";
 
 function score(entry, words) {
   const [page, head, , text] = entry.map(each => each.toLowerCase());
