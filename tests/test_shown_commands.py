@@ -1,6 +1,6 @@
 """The commands that pages show, run in turn: those of fracflow as they stand, in a folder that sees the scenes.
 
-Tutorials are run with the output that they show; scripts, ranks and whole applications where the table says.
+Scripts, ranks, whole applications and tutorials are run where the tables say.
 """
 
 from __future__ import annotations
@@ -36,17 +36,18 @@ ELSEWHERE = {  # lines as patterns -> why they are not run here as they stand
     "python scripts/write_pages.py": "would write into the checkout: tests/test_paper.py compares",
     "python tests/test_docstrings.py": "tests/test_docstrings.py counts the same",
 }
+PAGES_ELSEWHERE = {
+    "meshes/*/README.md": "tutorials are run with the output that they show",
+    "fracflow/COMMANDS.md": "written from the commands; tests of the command line run the examples of its helps",
+}
 SHORT = ("--set", "stage.failure.steps=3", "--set", "output.pictures=false")  # of runs: tests/report has whole ones
 ANY_SCENE = "meshes/report_5_3/scene.toml"
 
 
-def is_tutorial(page):
-    return page.match("meshes/*/README.md") and page.parent.name != "failures"
-
-
 def shown():
-    """The lines of blocks in ``sh`` of all pages but tutorials, without comments, each once."""
-    texts = [block.text for page in PAGES if not is_tutorial(page) for block in blocks(page) if block.language == "sh"]
+    """The lines of blocks in ``sh`` of pages that are run here, without comments, each once."""
+    pages = [page for page in PAGES if not any(page.match(pattern) for pattern in PAGES_ELSEWHERE)]
+    texts = [block.text for page in pages for block in blocks(page) if block.language == "sh"]
     lines = [shlex.join(shlex.split(line, comments=True)) for text in texts for line in text.splitlines()]
     return list(filter(None, dict.fromkeys(lines)))
 
