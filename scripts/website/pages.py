@@ -134,7 +134,7 @@ def ordered(root: Path, made: dict[str, Page]) -> list[list[Page]]:
     ``made``  pages without a file, by path: they follow the first page of their group
 
     A page belongs to the site if it is a README.md or if a page of the site links to it. Groups stand as the table at the
-    end of the front page has them, pages of a group as its first page links to them.
+    end of the front page has them, pages of a group as its first page links to them, and then as the others do.
     """
     found: dict[str, Page] = {}
 
@@ -160,9 +160,7 @@ def ordered(root: Path, made: dict[str, Page]) -> list[list[Page]]:
     for name, group in groups.items():
         head = next((page for page in group if page.path == f"{name}/README.md"), group[0])
         by_head = places(_linked(head), last=False)
-        group.sort(
-            key=lambda page: (page is not head, by_head.get(page.path, inf), by_front.get(page.path, inf), page.path)
-        )
+        group.sort(key=lambda page: (page is not head, by_head.get(page.path, inf), by_front.get(page.path, inf)))
         group[1:1] = [page for path, page in made.items() if path.partition("/")[0] == name]
     first = {name: min(by_front.get(page.path, inf) for page in group) for name, group in groups.items()}
     return [[front], *(groups[name] for name in sorted(groups, key=lambda name: (first[name], name)))]

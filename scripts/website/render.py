@@ -21,7 +21,10 @@ from pygments.util import ClassNotFound
 from website.pages import MARKDOWN, BrokenLink, Page, is_outside, plain, url_of
 
 PICTURES = ".png"  # the only kind that the project has
-LONG_CELL = 34  # letters from which on a phone shows a table's rows below each other
+LONG_CELL, SHORT_CELL = (
+    34,
+    12,
+)  # letters: a phone shows the cells of rows below each other if one is long and none is a short name
 
 Entry = tuple[str, str, str, str]  # page, heading, address, text
 
@@ -141,7 +144,7 @@ def coloured(code: str, info: str) -> str:
         lexer = get_lexer_by_name({"sh": "bash", "": "text"}.get(language, language))
     except ClassNotFound:
         lexer = TextLexer()
-    return f'<div class="code {words}">{highlight(code, lexer, HtmlFormatter())}</div>\n'
+    return f'<div class="code {language} {words}">{highlight(code, lexer, HtmlFormatter())}</div>\n'
 
 
 def source_body(path: str, text: str) -> str:
@@ -222,7 +225,10 @@ def _tables(tokens: Iterator[Token]) -> Iterator[Token]:
 def _table(table: list[Token]) -> Iterator[Token]:
     cells = [at + 1 for at, token in enumerate(table) if token.type == "td_open"]
     heads = [plain(table[at + 1]) for at, token in enumerate(table) if token.type == "th_open"]
-    is_long = any(len(plain(table[at])) > LONG_CELL for at in cells)
+    longest = [
+        max((len(plain(table[at])) for at in cells[column :: len(heads)]), default=0) for column in range(len(heads))
+    ]
+    is_long = max(longest) > LONG_CELL and (len(heads) > 2 or longest[0] > SHORT_CELL)
     for count, at in enumerate(cells):
         table[at - 1].attrSet("data-head", heads[count % len(heads)])
     yield _raw(f'<div class="rows {"wide" if is_long else "small"}">')
