@@ -151,11 +151,11 @@ def written(annotation: Any) -> str:
 
 
 def described(each: Any) -> str:
-    """A docstring in Markdown: its tables as tables, its errors in a paragraph of their own."""
+    """A docstring in Markdown: its tables as tables, its errors at the end."""
     parts = []
     for paragraph in re.split(r"\n\s*\n", inspect.getdoc(each) or ""):
         parts += _paragraph(paragraph)
-    return "\n\n".join(parts)
+    return "\n\n".join(sorted(parts, key=lambda part: part.startswith("**Raises**")))
 
 
 def _paragraph(paragraph: str) -> Iterator[str]:
