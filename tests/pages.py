@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import NamedTuple
 
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
+from website.pages import slug
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = (".github", "fracflow", "meshes", "scripts", "tests")
@@ -61,8 +61,3 @@ def anchors(page: Path) -> frozenset[str]:
     heads = [parsed[at + 1] for at, token in enumerate(parsed) if token.type == "heading_open"]
     texts = ["".join(each.content for each in head.children or () if each.type != "image") for head in heads]
     return frozenset(slug(text) for text in texts)
-
-
-def slug(text: str) -> str:
-    """A heading as an anchor: lower case, punctuation gone, hyphens for spaces."""
-    return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")

@@ -176,7 +176,7 @@ def test_python_runs(page: Path, block: Code, tmp_path):
 def command_lines(page: Path) -> list[str]:
     """Lines of ``sh`` blocks, and code in lines that is a command."""
     lines = [line for block in blocks(page) if block.language == "sh" for line in block.text.splitlines()]
-    starts = re.compile(r"(mpirun|fracflow|scripts/(run|test|bench|figures)|pytest|python) ")
+    starts = re.compile(r"(mpirun|fracflow|scripts/(run|test|docs|bench|figures)|pytest|python) ")
     return lines + [span for span in spans(page) if starts.match(span)]
 
 
@@ -199,7 +199,7 @@ def fault_of(words: list[str]) -> str:
         return fault_of_fracflow(rest)
     if name in ("scripts/bench", "scripts/figures"):
         return fault_of_script(name, rest)
-    if name in ("scripts/run", "scripts/test", "pytest", "python"):
+    if name in ("scripts/run", "scripts/test", "scripts/docs", "pytest", "python"):
         paths = [word for word in rest if "/" in word and not word.startswith("-")]
         missing = [path for path in paths if not is_there(path)]
         return f"{', '.join(missing)}: no such file or test" if missing else ""
