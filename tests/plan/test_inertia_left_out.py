@@ -152,7 +152,8 @@ def same_as(done, full, ranks):
 
 def test_violated_decision_is_undone_and_the_run_is_that_with_inertia(block, comm, blind):
     """A ramp of half a period: the first step swings. So after a resume."""
-    given, enough = (0.02, 5e-4, 640), stop_after(0.08)  # four ramps; of so many steps fewer without inertia were worth it
+    given = (0.02, 5e-4, 640)  # of so many steps fewer without inertia would be worth it
+    enough = stop_after(0.08)
     full = Done(block(*given, "full", progress=enough), comm)
     whole = Done(block(*given, progress=enough), comm)
     folder = block(*given, progress=stop_after(0.01), change=("every = 0", "every = 7"))
