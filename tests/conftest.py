@@ -24,6 +24,13 @@ APPLICATIONS = {"bench", "failures", "reference", "report", "resume", "stability
 """Folders of whole runs: on one and two ranks; tests/parallel and tests/resume compare some of them on three."""
 EVERY_CASE = {"resume"}  # of them, each of whose cases is another kind of state to take apart and put together
 
+TWO_SAY_ALL = {
+    "test_inertia_left_out", "test_kept_factors", "test_mesh_sizes",  # decisions on loads in time, and on the work
+    "test_agreement", "test_fixed_point", "test_newton_methods", "test_true_residual",  # norms are sums over all ranks
+    "test_history_beside", "test_quantities", "test_suction", "test_faults", "test_api", "test_memory",  # rank 0 writes
+}  # fmt: skip
+"""Files on one and two ranks only: a third is one more of the other ranks to them, and no neighbour on two sides."""
+
 MESHES_ANEW = {"mesh", "safety"}
 """Folders of tests of Gmsh itself, its process and its limits: there each mesh is made anew."""
 
@@ -76,7 +83,7 @@ def pytest_collection_modifyitems(config, items):
     def runs_elsewhere(number, item):
         group = item.path.relative_to(tests).parts[0]
         # three ranks on two cores are slow
-        is_spared = group in APPLICATIONS or (group == "physics" and number % 4 != 0)
+        is_spared = group in APPLICATIONS or item.path.stem in TWO_SAY_ALL or (group == "physics" and number % 4 != 0)
         is_inner = item.nodeid in inner and group not in EVERY_CASE
         return item.get_closest_marker("serial") is not None or is_inner or (SIZE > 2 and is_spared)
 
@@ -123,7 +130,8 @@ def pytest_runtest_setup(item):
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item):
-    gc.collect()
+    if SIZE > 1:  # ranks free what is left of their common objects together
+        gc.collect()
 
 
 def pytest_sessionfinish(session, exitstatus):

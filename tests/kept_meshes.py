@@ -32,11 +32,12 @@ def use(kept: bool) -> None:
 def find(job, what, texts, sources):
     """What Gmsh made of the same job, beside the same texts, within the same limits; made now where none is kept.
 
-    Only a job that holds all of its input is looked up: a file that Gmsh reads itself may have changed. No error is kept.
+    Only a job whose input is known is looked up: the same bytes, in a .msh of whatever name. No error is kept.
     """
-    if "link" in job or "meshio" in job or ("file" in job and job["file"] not in texts):
+    if "meshio" in job or ("file" in job and "link" not in job and job["file"] not in texts):
         return make(job, what, texts, sources)
-    whole = repr((sorted(job.items()), sorted(texts.items()), gmsh.limits(job.get("bytes"))))
+    read = hashlib.sha256(Path(job["link"]).read_bytes()).hexdigest() if "link" in job else None
+    whole = repr((sorted({**job, "link": read}.items()), sorted(texts.items()), gmsh.limits(job.get("bytes"))))
     file = Path(os.environ[FOLDER]) / hashlib.sha256(whole.encode()).hexdigest()
     if not file.exists():
         new = file.with_suffix(f".{os.getpid()}")

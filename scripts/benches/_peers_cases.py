@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from _peers_grids import Grid, grid
@@ -85,6 +86,7 @@ def h1(cells: int, kind: str) -> Problem:
     return Problem("h1", made, values, errors, ("south", "north", "west", "east"))
 
 
+@cache
 def similarity(first: float) -> Callable[[Floats], Floats]:
     """w(xi) of (w^3 w')' + 2 xi w' = 0, w(0) = ``first``, w(inf) = 1, by shooting; aperture over d0, xi = x/sqrt(4 D0 t)."""
 

@@ -30,26 +30,48 @@ KEPT = (
 )  # fmt: skip
 
 
-def _run(scene, ranks, folder):
-    """Alone in this process, else in ranks of their own."""
-    file = f"meshes/{scene}/scene.toml"
-    settings = ["output.pictures=false"]
-    settings += [f"stage.failure.steps={SHORTER[scene]}"] if scene in SHORTER else []
-    if ranks == 1:
-        run(load(file, settings), folder)
-    else:
-        command = [sys.executable, "-m", "fracflow", "run", file, "-o", str(folder)]
-        command += [word for setting in settings for word in ("--set", setting)]
-        clean = {k: v for k, v in os.environ.items() if k in KEPT}  # MPI, initialised here, has put more there
+SETTINGS = {name: ["output.pictures=false"] for name in SCENES}
+for _name, _steps in SHORTER.items():
+    SETTINGS[_name].append(f"stage.failure.steps={_steps}")
+PROGRAM = """
+import sys
+from pathlib import Path
+from fracflow.scene.scene import load
+from fracflow.simulation.run import run
+for name, settings in {settings!r}.items():
+    try:
+        run(load(f"meshes/{{name}}/scene.toml", settings), Path(sys.argv[1]) / name)
+    except Exception as error:  # the same on every rank, which go on with the next scene
+        print(f"{{name}}: {{error!r}}", file=sys.stderr)
+"""
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """Ranks -> folder of the runs of all scenes, on one rank in this process, else in ranks of their own; and their errors."""
+    folders, said = {ranks: tmp_path_factory.mktemp(f"ranks{ranks}-") for ranks in (1, 2, 3)}, {1: ""}
+    for name, settings in SETTINGS.items():
+        run(load(f"meshes/{name}/scene.toml", settings), folders[1] / name)
+    clean = {k: v for k, v in os.environ.items() if k in KEPT}  # MPI, initialised here, has put more there
+    for ranks in (2, 3):
+        words = [sys.executable, "-c", PROGRAM.format(settings=SETTINGS), str(folders[ranks])]
         done = subprocess.run(
-            ["mpirun", "-n", str(ranks), *command],
+            ["mpirun", "-n", str(ranks), *words],
             capture_output=True,
             text=True,
             env=clean,
-            timeout=300,
+            timeout=600,
             stdin=subprocess.DEVNULL,
         )
         assert done.returncode == 0, done.stderr
+        said[ranks] = done.stderr
+    return folders, said
+
+
+def _read(ran, scene, ranks):
+    folders, said = ran
+    assert f"{scene}: " not in said[ranks], said[ranks]
+    folder = folders[ranks] / scene
     return read_history(folder / "history.h5"), read_events(folder / "events.csv")
 
 
@@ -67,12 +89,12 @@ def _settled(history):
 @pytest.mark.serial
 @pytest.mark.starts_ranks
 @pytest.mark.parametrize("scene", SCENES)
-def test_ranks_agree(scene, tmp_path):
+def test_ranks_agree(scene, ran):
     length, stress = SCENES[scene]
-    one, events = _run(scene, 1, tmp_path / "1")
+    one, events = _read(ran, scene, 1)
     assert events, "the scene slips"
     for ranks in (2, 3):
-        many, same = _run(scene, ranks, tmp_path / str(ranks))
+        many, same = _read(ran, scene, ranks)
         rows = min(_settled(one), _settled(many))
         assert rows > 0.5 * len(one["time"]), f"the first {rows} rows alone are settled"
         until = one["time"][rows - 1]

@@ -8,6 +8,7 @@ Of the work of an injection at constant pressure the springs keep 1 - 1/sqrt(2),
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import winkler
@@ -27,6 +28,7 @@ CUBIC = LINEAR.replace("viscosity = 1", f"viscosity = {1 / 12!r}").replace(
 FAR = 8.0
 
 
+@cache
 def similarity(start: float) -> tuple[Callable[[Floats], Floats], float]:
     """(w, F0) of (w^3 w')' + 2 xi w' = 0, w(0) = start, w(inf) = 1, F0 = -w^3 w'(0), by shooting.
 
