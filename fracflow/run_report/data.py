@@ -32,6 +32,7 @@ from fracflow.scene.units import (
     TIME,
     VELOCITY,
     VISCOSITY,
+    stated_time,
     unit_text,
 )
 from fracflow.storage.files import read_text, shown_plain
@@ -44,7 +45,7 @@ _COPY = "put back a copy of the file"
 MOST_POINTS = 500  # of a line: more are closer than its pixels
 _HOUR, _DAY, _YEAR = 3600.0, 86400.0, 31557600.0
 _UNITS: dict[str, tuple[tuple[float, float, str], ...]] = {
-    TIME: ((2 * _YEAR, _YEAR, "years"), (2 * _DAY, _DAY, "d"), (2 * _HOUR, _HOUR, "h"), (120.0, 60.0, "min"),
+    TIME: ((2 * _YEAR, _YEAR, "years"), (2 * _DAY, _DAY, "days"), (2 * _HOUR, _HOUR, "h"), (120.0, 60.0, "min"),
            (0.5, 1.0, "s"), (5e-4, 1e-3, "ms"), (0.0, 1e-6, "µs")),
     LENGTH: ((2e4, 1e3, "km"), (0.5, 1.0, "m"), (1e-4, 1e-3, "mm"), (1e-7, 1e-6, "µm"), (0.0, 1e-9, "nm")),
     STRESS: ((1e9, 1e9, "GPa"), (1e5, 1e6, "MPa"), (1e2, 1e3, "kPa"), (0.0, 1.0, "Pa")),
@@ -86,7 +87,12 @@ class Unit:
 
 
 def unit_for(dimension: str, units: Mapping[str, str], largest: float) -> Unit:
-    """The unit that a person would choose for numbers up to a ``largest``; the run's own where it is not SI."""
+    """The unit that a person would choose for numbers up to a ``largest``; the run's own where it is not SI.
+
+    The author's own unit of time goes before all.
+    """
+    if dimension == TIME and (stated := stated_time(units.get("shown_time"), largest)):
+        return Unit(*stated)
     is_si = (units.get("length"), units.get("force"), units.get("time")) == ("m", "N", "s")
     if (is_si or (dimension == TIME and units.get("time") == "s")) and 0.0 < largest < math.inf:
         for size, unit, name in _UNITS.get(dimension, ()):

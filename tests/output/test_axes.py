@@ -11,6 +11,7 @@ pytestmark = pytest.mark.serial
 SI = {"length": "m", "force": "N", "time": "s"}
 FEET = {"length": "ft", "force": "lbf", "time": "s"}
 DAYS = {"length": "m", "force": "N", "time": "day"}
+HOURS = SI | {"shown_time": "h"}  # the unit of the author
 
 
 @pytest.mark.parametrize(
@@ -23,6 +24,9 @@ DAYS = {"length": "m", "force": "N", "time": "day"}
         (TIME, 432000.0, SI, "5 days"),
         (TIME, 3.15576e8, SI, "10 years"),
         (TIME, 30.0, DAYS, "30 day"),
+        (TIME, 259200.0, HOURS, "72 h"),
+        (TIME, 1800.0, HOURS, "0.5 h"),
+        (TIME, 12e-3, HOURS, "12 ms"),
         (STRESS, -2.5e7, SI, "-25 MPa"),
         (STRESS, 5e10, SI, "50 GPa"),
         (LENGTH, 1.5e-3, SI, "1.5 mm"),

@@ -98,7 +98,7 @@ def test_a_stop_leaves_its_last_state_and_going_on_takes_it_away(tmp_path, scene
         ):
             assert mine.name == other.name and mine.read_bytes() == other.read_bytes()
     assert fracflow.open(tmp_path / "out").status == "ended"
-    assert load_run_data(tmp_path / "out").account == "Ended at 2.5 days"
+    assert load_run_data(tmp_path / "out").account == "Ended at 60 h"
 
 
 def test_a_checkpoint_leaves_fields_of_the_fractures_until_the_next(tmp_path, scene):
@@ -153,4 +153,4 @@ def test_an_event_starts_as_the_step_begins_in_which_it_slips(tmp_path, scene):
 def test_a_folder_of_an_earlier_version_tells_its_times(tmp_path, scene):
     run(scene(), tmp_path / "out")
     (tmp_path / "out/status.json").unlink()
-    assert load_run_data(tmp_path / "out").account == "Histories to 2.5 days"
+    assert load_run_data(tmp_path / "out").account == "Histories to 60 h"

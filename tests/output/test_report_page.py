@@ -126,12 +126,12 @@ def test_every_plot_is_there_and_the_slider_moves_the_map(tmp_path, browser):
         browser.press(key)
         profile = browser.value("document.querySelector('#profile path').getAttribute('d')")
         seen[browser.value("document.querySelector('#now').textContent")] = (pixels(browser), profile)
-    assert list(seen) == ["0 d", "0.769231 d", "30 d"]
+    assert list(seen) == ["0 days", "0.769231 days", "30 days"]
     assert len({picture for picture, _ in seen.values()}) == len({line for _, line in seen.values()}) == 3
     browser.value(
         "const q = document.querySelector('#quantity'); q.value = 'pressure'; q.dispatchEvent(new Event('input'))"
     )
-    assert pixels(browser) != seen["30 d"][0] and "pressure [MPa]" in browser.value("document.body.innerText")
+    assert pixels(browser) != seen["30 days"][0] and "pressure [MPa]" in browser.value("document.body.innerText")
     assert browser.value("document.title").startswith("Made up </script>")  # as text, which does not run
     assert not browser.value("document.querySelectorAll('img').length")
     assert browser.faults == []
@@ -361,7 +361,7 @@ def test_units_and_numbers_are_those_a_person_would_choose():
     shown = [(unit.name, round(unit.factor * size, 9)) for dimension, size in (
         ("time", 30 * DAYS), ("time", 3 * 3600.0), ("force/length**2", 17.3e6), ("length", 0.087), ("length", 2000.0),
         ("length**3/time", 1e-4)) for unit in [unit_for(dimension, SI, size)]]  # fmt: skip
-    assert shown == [("d", 30.0), ("h", 3.0), ("MPa", 17.3), ("mm", 87.0), ("m", 2000.0), ("L/s", 0.1)]
+    assert shown == [("days", 30.0), ("h", 3.0), ("MPa", 17.3), ("mm", 87.0), ("m", 2000.0), ("L/s", 0.1)]
     assert unit_for("length", {"length": "ft", "force": "lbf", "time": "s"}, 0.087).name == "ft"
     texts = [number(value) for value in (1764.0, 0.25, -1.5, 1.2345678e-6, 2e10, 0.0, 99999.0)]
     assert texts == ["1764", "0.25", "−1.5", "1.235×10⁻⁶", "2×10¹⁰", "0", "1×10⁵"]

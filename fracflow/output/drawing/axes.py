@@ -19,6 +19,7 @@ from fracflow.scene.units import (
     SURFACE_ENERGY,
     TIME,
     VELOCITY,
+    stated_time,
     unit_text,
 )
 
@@ -90,9 +91,9 @@ def unit_for(dimension: str, largest: float, units: Mapping[str, str]) -> tuple[
     """Factor and name of the unit that suits values up to ``largest``, which are in ``units``.
 
     Times of seconds, and all quantities of SI, have units of their own; others keep that of the scene. Where no unit suits,
-    the name begins with a power of a thousand.
+    the name begins with a power of a thousand. The author's own unit of time goes before all.
 
-    units  names of length, force and time
+    units  names of length, force and time, and as "shown_time" that of the author
     """
     size = abs(largest) if np.isfinite(largest) and abs(largest) > _NONE else 0.0
     own = unit_text(dimension, units, is_printed=True)
@@ -102,6 +103,8 @@ def unit_for(dimension: str, largest: float, units: Mapping[str, str]) -> tuple[
         ladder = _TIMES
     if not size:
         return 1.0, own
+    if dimension == TIME and (stated := stated_time(units.get("shown_time"), size)):
+        return stated
     for least, each, name in ladder:
         if size >= least * (1.0 - 1e-12):
             factor = 1.0 / each
