@@ -30,7 +30,7 @@ def use(kept: bool) -> None:
 
 
 def find(job, what, texts, sources):
-    """What Gmsh made of the same job, beside the same texts, within the same limits; made now where none is kept.
+    """The mesh that Gmsh made of the same job, beside the same texts, within the same limits; now where none is kept.
 
     Only a job that holds all of its input is looked up: a file that Gmsh reads itself may have changed. No error is kept.
     """

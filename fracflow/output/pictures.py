@@ -105,7 +105,7 @@ def _height(run: RunData) -> float:
 
 
 def _network(run: RunData) -> Network:
-    """What the map of a run shows."""
+    """Rock, fractures, wells, probes and first slips of a run, for its map."""
     found = run.fractures
     first = run.first_events()
     marks = {"well": run.wells, "probe": run.probes}

@@ -111,7 +111,7 @@ def _tagged(mesh: Any) -> Iterator[Set]:
 
 
 def _read_abaqus(path: Path) -> Any:
-    """The mesh of meshio without sets of elements: it gives some to a wrong block, and takes one alone of sets in a set."""
+    """The mesh without its sets of elements. Meshio gives some to a wrong block, and takes one of several sets in a set."""
     import meshio
 
     vars(vars(meshio.abaqus).get("_abaqus", meshio)).get("abaqus_to_meshio_type", {}).update(PLANE)
