@@ -1,6 +1,6 @@
 """Meshes of other programs, read by meshio in the worker: Abaqus, VTU, Exodus, and XDMF with its HDF5 file.
 
-Sets of cells name rocks, fractures and sides, sets of one node places; so do blocks and side sets of Exodus, and sets of sets
+Sets of cells name rocks, fractures and sides, sets of one node places. So do blocks and side sets of Exodus, and sets of sets
 of Abaqus. In a format without sets whole numbers on the cells do: tags, whose names the file may have, or else the numbers
 are the names.
 """
