@@ -203,7 +203,8 @@ class Recorder:
 
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
-        found = on_root(self.comm, lambda: told_handed(files.events.rows, files.mesh) if (files := self.files) else [])
+        units = self.model.scene.unit_names
+        found = on_root(self.comm, lambda: told_handed(f.events.rows, f.mesh, units) if (f := self.files) else [])
         for line in found or ():
             self.log(line)
 
