@@ -56,7 +56,7 @@ def test_slip_beside_a_crossing_is_stress_that_converges_and_its_first_time_is_n
 def test_where_slip_begins_by_a_neighbour_is_told_and_logged(runs):
     for run in runs.values():
         start = min(e["start"] for e in slips(run) if e["fracture"] == "B")
-        line = f"slip that begins where another fracture slides: B beside A at (0, 0) from {start:g}: the sliding one"
+        line = f"slip that begins where another fracture slides: B beside A at (0, 0) from {start:g} s: the sliding one"
         assert any(each.startswith(line) for each in (run.folder / "log.txt").read_text().splitlines())
 
 
