@@ -158,7 +158,7 @@ class Run:
 
     @property
     def units(self) -> dict[str, str]:
-        """Names of the units of length, force and time; empty strings for a scene without units."""
+        """Names of the units of length, force and time, empty for a scene without; "shown_time" that of its stages."""
         return read_units(self.folder / "history.h5")
 
     @property

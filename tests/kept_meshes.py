@@ -30,7 +30,7 @@ def use(kept: bool) -> None:
 
 
 def find(job, what, texts, sources):
-    """What Gmsh made of the same job, beside the same texts, within the same limits; made now where none is kept.
+    """The mesh that Gmsh made of the same job, beside the same texts, within the same limits; now where none is kept.
 
     Only a job whose input is known is looked up: the same bytes, in a .msh of whatever name. No error is kept.
     """

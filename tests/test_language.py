@@ -147,6 +147,20 @@ def test_language_of_the_package():
     )
 
 
+@pytest.mark.parametrize("folder", ["fracflow", "scripts", "tests"])
+def test_no_docstring_begins_with_what(folder):
+    trees = {path: ast.parse(path.read_text()) for path in sorted((ROOT / folder).rglob("*.py"))}
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    docs = {
+        (path, node): ast.get_docstring(node)
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, kinds)
+    }
+    found = [f"{path}: {text}" for (path, _), text in docs.items() if re.match(r"\W*What\b", text or "")]
+    assert len(docs) > 100 and not found, "begin with the subject:\n" + "\n".join(found)
+
+
 def main() -> None:
     """Write the counts that are left."""
     lines = ["# sentences and words that are left, by package: see test_language.py"]

@@ -68,8 +68,7 @@ def _of_pieces(at_ends: Floats) -> Floats:
 
 
 def _network(scene: Scene, mesh: SplitMesh, marks: dict[str, Places]) -> Network:
-    units = scene.unit_system
-    names = {"length": plain(units.length), "force": plain(units.force), "time": plain(units.time)}
+    names = {part: plain(unit) for part, unit in scene.unit_names.items()}
     rock = [mesh.points[cell[cell >= 0]] for cell in mesh.cells]
     sides = {}
     for kind, tables in (("support", scene.support), ("absorbing side", scene.absorbing)):

@@ -22,7 +22,7 @@ from fracflow.output.fracture_table import COLUMNS, fracture_table
 from fracflow.output.history import read_attributes, read_history, read_units
 from fracflow.output.slip_at_crossings import lines_of as crossings
 from fracflow.scene.quantities import quantities
-from fracflow.scene.units import LENGTH, TIME, VOLUME, unit_text
+from fracflow.scene.units import LENGTH, TIME, VOLUME
 from fracflow.storage.files import shown_plain
 
 BOOKS = (
@@ -81,20 +81,24 @@ def _report_wells(history: Mapping[str, Any], units: Mapping[str, str], console:
     """Print the wells at the end, and the volumes of the network; nothing for a run without their histories."""
     if "volume/injected" not in history:
         return
-    rows = quantities("well").values()
-    texts = [(row.name.removeprefix("well/"), shown_plain(unit_text(row.dimension, units))) for row in rows]
-    heads = [f"{word} [{unit}]" if unit else word for word, unit in texts]
-    table = Table("well", *map(escape, heads), title="Wells at the end", title_style="bold")
     names = dict.fromkeys(key.removeprefix("well/").rpartition("/")[0] for key in history if key.startswith("well/"))
-    for name in names:
-        values = (history[f"well/{name}/{key}"][-1] for key, _ in texts)
-        table.add_row(escape(name), *(f"{value: .4e}" if np.isfinite(value) else "-" for value in values))
+    table = Table("well", title="Wells at the end", title_style="bold")
+    columns = []
+    for row in quantities("well").values():
+        word = row.name.removeprefix("well/")
+        values = np.array([history[f"well/{name}/{word}"][-1] for name in names], dtype=float)
+        factor, unit = unit_for(row.dimension, _largest(values), units)
+        table.add_column(escape(f"{word} [{shown_plain(unit)}]" if unit else word), justify="right")
+        columns.append([f"{factor * value:.5g}" if np.isfinite(value) else "-" for value in values])
+    for name, *cells in zip(names, *columns, strict=True):
+        table.add_row(escape(name), *cells)
     console.print(table)
-    unit = f" {shown_plain(unit_text(VOLUME, units))}".rstrip()
     parts = [key.removeprefix("volume/") for key in history if key.startswith("volume/")]
-    lines = [f"{part.replace('_', ' ')} {history[f'volume/{part}'][-1]:.4e}{unit}" for part in parts]
-    shown = [line for line, part in zip(lines, parts, strict=True) if history[f"volume/{part}"].any()]
-    console.print(f"fluid since the start: {', '.join(shown) or 'none moved'}", soft_wrap=True, markup=False)
+    ends = {part.replace("_", " "): float(history[f"volume/{part}"][-1]) for part in parts}
+    factor, unit = unit_for(VOLUME, _largest(np.array([*ends.values()])), units)
+    moved = [part.replace("_", " ") for part in parts if history[f"volume/{part}"].any()]
+    lines = ", ".join(f"{part} {factor * ends[part]:.5g} {shown_plain(unit)}".rstrip() for part in moved)
+    console.print(f"fluid since the start: {lines or 'none moved'}", soft_wrap=True, markup=False)
 
 
 def report(folder: Path, console: Console, failed: bool = False) -> None:
@@ -128,7 +132,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
         console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
         return
     _report_events([event for event in events if event["kind"] == "event"], console, units)
-    for line in crossings(events, load_mesh(folder / "mesh.h5")):
+    for line in crossings(events, load_mesh(folder / "mesh.h5"), units):
         console.print(line, soft_wrap=True, markup=False)
 
 
@@ -161,7 +165,7 @@ def _report_fractures(folder: Path, console: Console, units: Mapping[str, str]) 
 
 
 def _largest(values: NDArray[np.float64]) -> float:
-    return float(np.abs(values[np.isfinite(values)]).max())
+    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
 
 def _report_events(events: Sequence[Mapping[str, Any]], console: Console, units: Mapping[str, str]) -> None:

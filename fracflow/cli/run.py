@@ -105,13 +105,13 @@ class ProgressBar:
     def trial(self, time: float, length: float, why: str) -> None:
         """A step of a length was tried from a time, and rejected."""
         self.since += 1
-        at = f"{time:.6g} {self.scene.unit_system.time}".rstrip()
-        self.update(f"{self.name}, {self.rejected + self.since} trials rejected, the last of {length:.3g} at {at}", 0)
+        at, last = self.scene.time_text(time), self.scene.time_text(length, 3)
+        self.update(f"{self.name}, {self.rejected + self.since} trials rejected, the last of {last} at {at}", 0)
 
 
 def regime_of(scene: Scene, step: Step) -> str:
     """Of a stage that chooses its regime the one it is in, and the time."""
-    return f", {step.regime} at {step.state.time:.6g} {scene.unit_system.time}".rstrip() if step.regime else ""
+    return f", {step.regime} at {scene.time_text(step.state.time)}" if step.regime else ""
 
 
 def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:

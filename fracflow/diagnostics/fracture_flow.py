@@ -108,7 +108,7 @@ def transient(view: CheckInput) -> Number:
         remedy += ' with a pressure, or set method.fixed_point = "added-storage" or method.coupling = "monolithic"'
         return Number(name, formula, value, limit, True, where, remedy)
     remedy = "the fixed point (4.5) may diverge, and smaller steps make it worse: take time_step above"
-    remedy += f' {stage.time_step * value / limit:.2g}{view.unit(TIME)} there, or set method.coupling = "monolithic"'
+    remedy += f' {view.scene.time_text(stage.time_step * value / limit, 2)} there, or set method.coupling = "monolithic"'
     return Number(name, formula, value, limit, True, where, remedy)
 
 
@@ -165,7 +165,9 @@ def ringing(view: CheckInput) -> Number:
         return Number(name, formula, value, None, False, where, note="no trapezoid")
     if value <= 1.0:
         return Number(name, formula, value, 1.0, False, where)
-    remedy = f"pressures change sign from step to step: time_step below {stage.time_step / value:.3g}{view.unit(TIME)}"
+    remedy = (
+        f"pressures change sign from step to step: time_step below {view.scene.time_text(stage.time_step / value, 3)}"
+    )
     remedy += f" in {stage.name}" + ("" if stage.alpha_0 else ', or method.flow_integrator = "backward-euler"')
     return Number(name, formula, value, 1.0, True, where, remedy)
 

@@ -11,7 +11,7 @@ from fracflow.diagnostics.number import CheckInput, Number
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH, STIFFNESS, TIME
+from fracflow.scene.units import LENGTH, STIFFNESS
 
 RESOLVED = 0.25  # h over the length E'/k_s that a joint gives to the edge of slip
 RESOLVES = 0.99  # a size over the one asked for: cells differ a little from the size given to Gmsh
@@ -225,5 +225,7 @@ def joint_step(view: CheckInput) -> Number:
     where = f"{where}, {stage.name}"
     if value is None or value <= 1.0:
         return Number(name, formula, value, 1.0, False, where)
-    remedy = f"joints that open and close gain energy: time_step below {stage.time_step / value:.3g}{view.unit(TIME)}"
+    remedy = (
+        f"joints that open and close gain energy: time_step below {view.scene.time_text(stage.time_step / value, 3)}"
+    )
     return Number(name, formula, value, 1.0, True, where, f"{remedy} in {stage.name}, or see that none opens")

@@ -105,7 +105,7 @@ def _height(run: RunData) -> float:
 
 
 def _network(run: RunData) -> Network:
-    """What the map of a run shows."""
+    """Rock, fractures, wells, probes and first slips of a run, for its map."""
     found = run.fractures
     first = run.first_events()
     marks = {"well": run.wells, "probe": run.probes}
@@ -195,19 +195,20 @@ def _name_ends(axes: Axes, ends: list[tuple[str, float]], unit: str | None = Non
             groups[-1].append(i)
         else:
             groups.append([i])
-    gap = min(0.12, 1.0 / max(1, len(groups)))
+    count = np.array([(len(group) + 1) // 2 for group in groups])  # lines of each text, of two names at most
+    gaps = min(0.12, 1.0 / max(1, count.sum())) * 0.5 * (count[1:] + count[:-1])
     spread = np.array([heights[group[0]] for group in groups])
     for i in range(1, len(spread)):
-        spread[i] = max(spread[i], spread[i - 1] + gap)
+        spread[i] = max(spread[i], spread[i - 1] + gaps[i - 1])
     spread -= max(0.0, spread[-1] - 1.0)
     for i in range(len(spread) - 2, -1, -1):
-        spread[i] = min(spread[i], spread[i + 1] - gap)
+        spread[i] = min(spread[i], spread[i + 1] - gaps[i])
     for group, y in zip(groups, spread, strict=True):
         colour = COLOURS[group[0]] if len(group) == 1 else INK
         names = [plain(ends[i][0]) for i in sorted(group)]
         said = "" if unit is None else f": {ends[group[0]][1]:.5g} {unit}".rstrip()
         text = ",\n".join(", ".join(names[k : k + 2]) for k in range(0, len(names), 2))
-        line = dict(arrowstyle="-", color=colour, lw=0.7, shrinkA=0, shrinkB=0)
+        line = dict(arrowstyle="-", color=colour, lw=0.7, shrinkA=0, shrinkB=0, relpos=(0.0, 0.5))
         axes.annotate(
             text + said, (1.0, heights[group[0]]), (1.03, y),
             "axes fraction", "axes fraction", arrowprops=line, color=colour, fontsize=8, va="center", annotation_clip=False,

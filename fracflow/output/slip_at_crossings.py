@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from fracflow.mesh.data import SplitMesh
+from fracflow.output.drawing.axes import shown
+from fracflow.scene.units import TIME
 
 MOST_NODES = 2  # of a fracture in its first slip: it has spread along no more of it
 MOST_LISTED = 8
@@ -38,8 +40,10 @@ class SlipAtCrossing:
     start: float
     alone: float
 
-    def __str__(self) -> str:
-        return f"{self.fracture} beside {self.beside} at ({self.x:.6g}, {self.y:.6g}) from {self.start:.6g}"
+    def text(self, units: Mapping[str, str]) -> str:
+        """In words; ``units`` as for ``shown``."""
+        start = shown(TIME, self.start, units, 6)
+        return f"{self.fracture} beside {self.beside} at ({self.x:.6g}, {self.y:.6g}) from {start}"
 
 
 def handed_on(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[SlipAtCrossing]:
@@ -70,14 +74,18 @@ def handed_on(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[Slip
     return sorted(found, key=lambda each: (-each.alone, each.start, each.fracture))
 
 
-def lines_of(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[str]:
-    """A line about fractures that begin to slip at crossings, none where there are none."""
+def lines_of(events: Sequence[Mapping[str, Any]], mesh: SplitMesh, units: Mapping[str, str]) -> list[str]:
+    """A line about fractures that begin to slip at crossings, none where there are none.
+
+    units  names of length, force and time, as for ``shown``
+    """
     found = handed_on(events, mesh)
     if not found:
         return []
     more = f" and {len(found) - MOST_LISTED} more" if len(found) > MOST_LISTED else ""
+    places = ", ".join(each.text(units) for each in found[:MOST_LISTED])
     return [
-        f"slip that begins where another fracture slides: {', '.join(map(str, found[:MOST_LISTED]))}{more}: the"
+        f"slip that begins where another fracture slides: {places}{more}: the"
         " sliding one hands its stress on, before the rest of the fracture comes to its strength. How much slips beside the"
         " crossing converges with the mesh; the time at which the crossing itself first slips need not"
     ]

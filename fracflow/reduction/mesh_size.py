@@ -20,7 +20,7 @@ from fracflow.scene.advice import GENTLE
 from fracflow.scene.method import Geometry
 from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import LENGTH, TIME
+from fracflow.scene.units import LENGTH
 
 PER_LENGTH = 16  # joints along a fracture that ends in the rock
 PER_SPACING = 4  # joints, in the mean distance of fractures
@@ -176,7 +176,7 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
         time = min(each for each in lasts if each > 0.0)
         held = view.scene.fluid.compressibility * np.nan_to_num(joints.aperture)
         reach = front_length(joints.conducting, joints.normal, held, time).min(axis=1)
-        what = f"reach of a pressure in {time:.3g}{view.unit(TIME)} / {PER_FRONT}"
+        what = f"reach of a pressure in {view.scene.time_text(time, 3)} / {PER_FRONT}"
         yield from need(what, np.where(np.isnan(reach), np.inf, reach) / PER_FRONT)
 
 
@@ -186,7 +186,7 @@ def _in_rock(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     speed = cell_rocks(view.scene, mesh)["shear_speed"]
     speed = np.where(np.isnan(speed), np.inf, speed)
     for what, period, is_listed in _periods(view, float(speed.min())):
-        wave = f"wave of {period:.3g}{view.unit(TIME)}, {what}, / {PER_WAVE}"
+        wave = f"wave of {view.scene.time_text(period, 3)}, {what}, / {PER_WAVE}"
         size = period * speed / PER_WAVE
         worst = int(np.argmax(edges / size))
         if np.isfinite(size[worst]):

@@ -22,9 +22,11 @@ OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the 
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
 _ROUTINE = re.compile(
-    r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.snap)"
+    r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.(snap|size))"
+    r"|^geometry\.growth = \S+: rock far"
     r"|^(incipient failure|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
 )
+MOST_SEEN = 12  # rows of a long table that are seen at once
 
 
 def safe(text: object) -> str:
@@ -280,10 +282,10 @@ def mesh_line(run: RunReport) -> str:
 
 
 def fracture_table(run: RunReport, frames: Frames | None) -> str:
-    """A row for each fracture: its size, and the most that it reached."""
+    """A row for each fracture: its size, and the most that it reached; those of most slip first, then the longest."""
     if frames is None:
         return ""
-    rows, heads = [], ["fracture", "length", "direction", "joints"]
+    rows, heads, order = [], ["fracture", "length", "direction", "joints"], []
     words = {
         "pressure": ("highest pressure", STRESS),
         "aperture": ("widest aperture", LENGTH),
@@ -303,7 +305,13 @@ def fracture_table(run: RunReport, frames: Frames | None) -> str:
             values = frames.fields[key][:, part]
             cells.append(run.shown(float(np.nanmax(values)) if np.isfinite(values).any() else None, dimension, 3))
         rows.append(cells)
-    return table([*heads, *(word for word, _ in shown.values())], rows, "long")
+        slip = frames.fields["plastic_slip"][:, part] if "plastic_slip" in frames.fields else np.zeros(0)
+        order.append((-float(np.nan_to_num(slip).max(initial=0.0)), -float(frames.along[part][-1])))
+    rows = [rows[i] for i in sorted(range(len(rows)), key=order.__getitem__)]
+    note = (
+        f"<p>{len(rows)} fractures, those of most slip first; the table scrolls.</p>" if len(rows) > MOST_SEEN else ""
+    )
+    return note + table([*heads, *(word for word, _ in shown.values())], rows, "long")
 
 
 def plan_table(run: RunReport) -> str:

@@ -41,6 +41,8 @@ def contradictions(scene: Tables) -> Iterator[Fault]:
         for name in getattr(scene, key):
             if not re.fullmatch(PLAIN_TEXT, name) or len(name) > LONGEST_NAME:
                 yield (key, name), f"must be one line without control characters, of at most {LONGEST_NAME} letters"
+    if scene.output.time_unit and scene.unit_system.time != "s":
+        yield ("output", "time_unit"), f'needs units with seconds, not units = "{scene.units}"; leave it out'
     for option, value in scene.petsc.items():
         if why := refusal(option, value):
             yield ("petsc", option), why

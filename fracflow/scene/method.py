@@ -19,7 +19,7 @@ from pydantic import (
 from fracflow.integrators import flow_integrators, keys_of, with_inertia
 from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
-from fracflow.scene.units import LENGTH, LINE_FORCE, STRESS, Quantity, fault
+from fracflow.scene.units import LENGTH, LINE_FORCE, STRESS, Quantity, UnitSystem, fault, time_unit
 from fracflow.scene.values import Domain, Polyline
 from fracflow.storage.files import PLAIN_TEXT
 
@@ -177,6 +177,9 @@ class Output(Table):
     """save the state when so many seconds of wall clock have passed [s]"""
     event_length: Size | None = None
     """width of events of a stage auto across the plane, for magnitudes [length]"""
+    time_unit: Literal["years", "days", "h", "min", "s", "ms", "µs"] | None = None
+    """unit of times in pictures, tables and messages; by default that of the last end, or else time_step, which the
+    stages give with a unit"""
     pictures: StrictBool = True
     """draw pictures for the report page"""
     vtkhdf: StrictBool = True
@@ -238,6 +241,20 @@ def with_preset(data: dict[str, Any]) -> dict[str, Any]:
     if isinstance(accuracy, dict) and {"tolerance", "step_error"} & accuracy.keys() and data.get("model") != "report":
         preset = {**preset, "flow_integrator": "bdf2"}  # overshoots less than errors may be
     return {**data, "method": {**preset, **method}}
+
+
+def with_time_unit(data: dict[str, Any]) -> dict[str, Any]:
+    """Set ``output.time_unit``, where it is open, to the unit of the last end, or else time_step, written with one."""
+    output, stages = data.get("output", {}), data.get("stage", ())
+    if not isinstance(output, dict) or "time_unit" in output or not isinstance(stages, list | tuple):
+        return data
+    try:
+        has_seconds = UnitSystem.parse(data.get("units", "SI")).time == "s"
+    except ValueError:
+        return data
+    written = [stage.get(key) for key in ("end", "time_step") for stage in reversed(stages) if isinstance(stage, dict)]
+    unit = time_unit(next((text for text in written if isinstance(text, str)), ""))
+    return {**data, "output": {**output, "time_unit": unit}} if unit and has_seconds else data
 
 
 ALTERNATIVES = tuple(OTHERWISE.items())

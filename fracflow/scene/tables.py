@@ -25,11 +25,12 @@ from fracflow.scene.method import (
     Output,
     with_default_fracture,
     with_preset,
+    with_time_unit,
 )
 from fracflow.scene.site import Site
 from fracflow.scene.terms import Absorbing, TablesOfLaws, TermTable
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import UnitSystem
+from fracflow.scene.units import UnitSystem, stated_time
 
 
 class Tables(TablesOfLaws):
@@ -94,7 +95,7 @@ class Tables(TablesOfLaws):
     @model_validator(mode="before")
     @classmethod
     def _resolve_method(cls, data: Any) -> Any:
-        return with_default_fracture(with_preset(data)) if isinstance(data, dict) else data
+        return with_default_fracture(with_preset(with_time_unit(data))) if isinstance(data, dict) else data
 
     @property
     def source(self) -> str:
@@ -151,6 +152,17 @@ class Tables(TablesOfLaws):
     def unit_system(self) -> UnitSystem:
         """The units of all numbers of the scene."""
         return UnitSystem.parse(self.units)
+
+    @property
+    def unit_names(self) -> dict[str, str]:
+        """Names of the units of length, force and time, and as "shown_time" that of the author for times."""
+        names = {part: str(getattr(self.unit_system, part)) for part in ("length", "force", "time")}
+        return names | ({"shown_time": self.output.time_unit} if self.output.time_unit else {})
+
+    def time_text(self, time: float, digits: int = 6) -> str:
+        """A time [time] with the unit that the author uses, or else that of the scene."""
+        factor, unit = stated_time(self.output.time_unit, time) or (1.0, self.unit_system.time)
+        return f"{factor * time:.{digits}g} {unit}".rstrip()
 
     @property
     def has_flow(self) -> bool:

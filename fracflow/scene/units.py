@@ -54,6 +54,10 @@ EXAMPLES = {
     TIME: "10 ms",
     ANGLE: "30 deg",
 }
+TIME_UNITS = {
+    "years": 31557600.0, "days": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "µs": 1e-6,
+}  # fmt: skip
+"""Names of units of time -> their seconds."""
 HUGE = 1e100  # beyond it the square of a number may be none; no quantity of the field comes near
 LONGEST = 100  # of a number and its unit, as text
 _UNIT = re.compile(
@@ -131,6 +135,22 @@ class UnitSystem:
             raise ValueError(f'"{unit}" is not a unit of {dimension}; must be {fits}') from None
         except LookupError:
             raise ValueError(f'unknown unit "{unit}"; must be {fits}') from None
+
+
+def time_unit(text: str) -> str | None:
+    """The name of the unit that a time such as "36 h" is written in; None of plain numbers and of units without a name."""
+    match = _NUMBER_AND_UNIT.fullmatch(text) if len(text) <= LONGEST else None
+    try:
+        seconds = _factor(match[2], "s") if match and match[2] else 0.0
+    except (LookupError, TypeError):
+        return None
+    return next((name for name, each in TIME_UNITS.items() if math.isclose(seconds, each)), None)
+
+
+def stated_time(unit: str | None, seconds: float) -> tuple[float, str] | None:
+    """Factor from seconds and name of a unit that the author has chosen, where it suits times of that size."""
+    each = TIME_UNITS.get(unit or "")
+    return (1.0 / each, str(unit)) if each and 0.1 <= (1.0 + 1e-9) * abs(seconds) / each < 1e4 else None
 
 
 def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False) -> str:

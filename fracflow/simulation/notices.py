@@ -62,7 +62,7 @@ class Notices:
             return
         if np.isnan(last) or (max(factor, last) >= LEAST_FACTOR and not abs(factor - last) <= CHANGED * last):
             totals.reported_factor = factor
-            time = f"time {now:.6g}{scene.unit_system.behind(TIME)}"
+            time = f"time {scene.time_text(now)}"
             measured = (
                 f"the last cycle, {scene.method.fixed_point}, by {report.measured:.3g} (measured)"
                 if np.isfinite(report.measured)

@@ -191,7 +191,8 @@ class Recorder:
 
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
-        found = on_root(self.comm, lambda: lines_of(files.events.rows, files.mesh) if (files := self.files) else [])
+        units = self.model.scene.unit_names
+        found = on_root(self.comm, lambda: lines_of(f.events.rows, f.mesh, units) if (f := self.files) else [])
         for line in found or ():
             self.log(line)
 
@@ -256,10 +257,9 @@ class Files:
             self.folder.log("\n".join((*as_lines(self.card), *plan_lines(self.decisions))))
         else:
             self.folder.cut_back(notes["totals"]["steps"], notes["log_bytes"], model.scene.output.fields_every)
-        system = model.scene.unit_system
         probes = {name: list(map(float, p.point)) for name, p in model.placed.probes.items()}
         wells = {name: self.mesh.points[self.mesh.flow_origin[n[0]]].tolist() for name, n in model.placed.wells.items()}
-        units = {part: str(getattr(system, part)) for part in ("length", "force", "time")}
+        units = model.scene.unit_names
         noise = model.operators.scales.energy_noise(int(model.operators.layout.solid_starts[-1]))
         about: dict[str, Any] = {"title": model.scene.title, "units": units, "probes": probes, "wells": wells}
         about |= {"fracflow": __version__, "energy_noise": noise}

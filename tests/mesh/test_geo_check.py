@@ -136,6 +136,7 @@ ORDINARY = {
         SetFactory("OpenCASCADE"); Box(2) = {0, 0, 0, 1, 1, 1}; Sphere(3) = {0, 0, 0, 1}; Cylinder(4) = {0, 0, 0, 0, 0, 1, 1};
         Cone(5) = {0, 0, 0, 1, 0, 0, 1, 0}; Wedge(6) = {0, 0, 0, 1, 1, 1}; Torus(7) = {0, 0, 0, 2, 1};
         Wire(1) = {1}; ThruSections(9) = {1:3}; Fillet{1}{2}{0.1} Extrude { Surface{1}; } Using Wire {1}""",
+    "loops of no rounds": "For i In {1e7:1}\nx = i;\nEndFor\nFor (0:3e6:-1)\nEndFor\nFor i In {3e6:0:1}\nEndFor\n",
     "a number called inf": "inf = 2;\nFor i In {0:inf}\nEndFor\n",
     "windows": "x = 1;\r\n// one\r\nFor i In {0:1}\r\n  x += i;\r\nEndFor\r\n",
     "boundary layer": SQUARE

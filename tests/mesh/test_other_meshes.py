@@ -68,6 +68,37 @@ def write(folder, name):
     return folder / name
 
 
+def sides_of_cells(lines, numbers):
+    """Element and side (f, 2), from one, of lines of the network, in an Exodus file whose sides have these numbers."""
+    _, triangles, _ = network()
+    edge = {
+        (cell[i], cell[(i + 1) % 3]): (n + 1, numbers[i]) for n, cell in enumerate(triangles.tolist()) for i in range(3)
+    }
+    return np.array([edge.get((a, b)) or edge[b, a] for a, b in lines])
+
+
+def side_sets(path, space, first):
+    """The network as an Exodus file of cells alone; its lines are side sets, the first of them by its number only."""
+    points, triangles, lines = network()
+    meshio.write(path, meshio.Mesh(points, [("triangle", triangles[:6]), ("triangle", triangles[6:])]))
+    with netCDF4.Dataset(path, "a") as file:
+        if space == 2:
+            file.renameDimension("num_dim", "of_coord")
+            file.createDimension("num_dim", 2)
+        blocks, names = (file.createVariable(name, "S1", (file.createDimension(f"n_{name}", size).name, "len_string"))
+                         for name, size in (("eb_names", 2), ("ss_names", 5)))  # fmt: skip
+        for k in range(2):
+            blocks[k, :4] = list("rock")
+        for k, (name, rows) in enumerate(lines.items()):
+            names[k, : len(name)] = list(name) if name != "Anna" else [""] * 4
+            count = file.createDimension(f"num_side_ss{k + 1}", len(rows)).name
+            for key, values in zip(
+                ("elem", "side"), sides_of_cells(rows, [first, first + 1, first + 2]).T, strict=True
+            ):
+                file.createVariable(f"{key}_ss{k + 1}", "i4", (count,))[:] = values
+    return path
+
+
 RUN = (
     SCENE[: SCENE.index("geometry =")]
     + """
@@ -91,6 +122,44 @@ def test_each_format_gives_the_same_mesh(name, tmp_path):
     for k, side in enumerate(raw.sides):
         assert np.array_equal(np.sort(raw.side_facets[raw.side_of == k]), np.sort(lines[side]))
     assert raw.named_points == ({"well": 12} if name == "m.inp" else {})
+
+
+@pytest.mark.parametrize(("space", "first"), [(2, 1), (3, 3)])
+def test_side_sets_name_fractures_and_sides(tmp_path, space, first):
+    """Faces of cells come before their edges in space, and a set without a name is called by its number."""
+    raw = read_mesh(side_sets(tmp_path / "m.e", space, first), ["1"])
+    points, triangles, lines = network()
+    assert np.array_equal(raw.points, points[:, :2]) and np.array_equal(raw.cells, triangles)
+    assert raw.fractures == ("1",) and raw.rocks == ("rock",) and sorted(raw.sides) == sorted(SIDES)
+    assert np.array_equal(np.sort(raw.fracture_facets), lines["Anna"])
+    for k, side in enumerate(raw.sides):
+        assert np.array_equal(np.sort(raw.side_facets[raw.side_of == k]), np.sort(lines[side]))
+    with pytest.raises(ValueError, match='the side set "west" has a side that no triangle or quadrilateral has'):
+        read_other(side_sets(tmp_path / "n.e", space, first + 1))
+
+
+def test_sets_of_sets_of_abaqus(tmp_path):
+    """Stated with elements, as ranges, as sets of other sets; elements of plane strain; names in any letters."""
+    points, triangles, lines = network()
+    rows = ["*NODE", *(f"{k}, {x}, {y}" for k, (x, y, _) in enumerate(points.tolist(), 1)), "*ELEMENT, TYPE=CPE3"]
+    rows += [f"{k}, {a + 1}, {b + 1}, {c + 1}" for k, (a, b, c) in enumerate(triangles.tolist(), 1)]
+    last = len(triangles)
+    for part, (a, b) in zip(("lower", "upper"), lines["Anna"], strict=True):
+        last += 1
+        rows += [f"*ELEMENT, TYPE=T3D2, ELSET={part}", f"{last}, {a + 1}, {b + 1}"]
+    rows += [f"*ELSET, ELSET=rock, GENERATE\n1, 16\n17, {len(triangles)}, 1", "*ELSET, ELSET=Anna", "Upper, lower"]
+    rows += ["*ELSET, ELSET=top\nUPPER", "*ELSET, ELSET=top", f"{last - 1}", "** the end"]
+    (tmp_path / "m.inp").write_text("\n".join(rows) + "\n")
+    raw = read_mesh(tmp_path / "m.inp", ["Anna", "top"])
+    assert raw.fractures == ("Anna", "top") and raw.rocks == ("rock",) and np.array_equal(raw.cells, triangles)
+    for k in range(2):
+        assert np.array_equal(raw.fracture_facets[raw.fracture_of == k], lines["Anna"])
+    (tmp_path / "m.inp").write_text("\n".join(rows).replace("Upper, lower", "upper, middle"))
+    with pytest.raises(ValueError, match='the set "Anna" has "middle", which stands nowhere before it'):
+        read_other(tmp_path / "m.inp")
+    (tmp_path / "m.inp").write_text("\n".join(rows).replace(f"{last}, 13", "1, 13"))
+    with pytest.raises(ValueError, match="has two elements 1: give the whole mesh in one part"):
+        read_other(tmp_path / "m.inp")
 
 
 def test_each_format_gives_the_same_run_to_the_last_bit(tmp_path):

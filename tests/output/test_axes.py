@@ -11,6 +11,7 @@ pytestmark = pytest.mark.serial
 SI = {"length": "m", "force": "N", "time": "s"}
 FEET = {"length": "ft", "force": "lbf", "time": "s"}
 DAYS = {"length": "m", "force": "N", "time": "day"}
+HOURS = SI | {"shown_time": "h"}  # the unit of the author
 
 
 @pytest.mark.parametrize(
@@ -23,8 +24,12 @@ DAYS = {"length": "m", "force": "N", "time": "day"}
         (TIME, 432000.0, SI, "5 days"),
         (TIME, 3.15576e8, SI, "10 years"),
         (TIME, 30.0, DAYS, "30 day"),
+        (TIME, 259200.0, HOURS, "72 h"),
+        (TIME, 1800.0, HOURS, "0.5 h"),
+        (TIME, 12e-3, HOURS, "12 ms"),
         (STRESS, -2.5e7, SI, "-25 MPa"),
         (STRESS, 5e10, SI, "50 GPa"),
+        (STRESS, 0.25, SI, "0.25 Pa"),
         (LENGTH, 1.5e-3, SI, "1.5 mm"),
         (LENGTH, 2e-4, SI, "200 µm"),
         (LENGTH, 0.25, SI, "25 cm"),
@@ -33,9 +38,11 @@ DAYS = {"length": "m", "force": "N", "time": "day"}
         (FLOW_RATE, 5e-3, SI, "5 L/s"),
         (VELOCITY, 3e-6, SI, "3 µm/s"),
         (ENERGY, 1.4e6, SI, "1.4 MJ/m"),
-        (STRESS, 3e4, FEET, "30 10³ lbf/ft²"),
+        (STRESS, 3e4, FEET, "30000 lbf/ft²"),
         (LENGTH, 0.1, FEET, "0.1 ft"),
-        (LENGTH, 5e-6, {}, "5 10⁻⁶"),
+        (LENGTH, 0.01, FEET, "0.01 ft"),
+        (STRESS, 3e7, FEET, "30×10⁶ lbf/ft²"),
+        (LENGTH, 5e-6, {}, "5×10⁻⁶"),
         (PLAIN, 0.5, SI, "0.5"),
     ],
 )
@@ -68,5 +75,6 @@ def test_a_line_that_varies_by_round_off_is_constant():
 
 
 def test_values_below_the_noise_are_none():
-    assert axis_of(LENGTH, [[1e-14, -3e-14]], SI, noise=1e-12).is_constant
+    axis = axis_of(LENGTH, [[1e-14, -3e-14]], SI, noise=1e-12)
+    assert axis.is_constant and not axis([1e-14, -3e-14]).any()
     assert not axis_of(LENGTH, [[1e-14, -3e-14]], SI).is_constant

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+from stopped_run import SCENE as COARSE
 
 import fracflow
 from fracflow.errors import Interrupted, SolveError
@@ -18,22 +19,8 @@ from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 
 pytestmark = pytest.mark.serial
-SCENE = """
-rock.rock = {youngs_modulus = "50 GPa", poissons_ratio = 0.25, density = "2700 kg/m^3"}
-fluid = {viscosity = "1e-3 Pa s", specific_weight = "9.81 kN/m^3", initial_pressure = "5 MPa", flow_depth = "100 m"}
-initial_stress = {xx = "-13 MPa", yy = "-25 MPa", zz = "-15 MPa"}
-support = [{on = ["west", "east", "south", "north"]}]
-stage = [{kind = "quasi-static", time_step = "6 h", end = "60 h"}]
-probe = [{name = "middle", at = [500, 400], on = "Bruno"}]
-geometry = {domain = [0, 0, 1000, 800], size = 200, size_at_fractures = 130, fracture = [
-  {name = "Bruno", points = [[400, 600], [600, 200]]}]}
-[fracture.default]
-normal_stiffness = "50 GPa/m"
-shear_stiffness = "20 GPa/m"
-aperture = "0.2 mm"
-friction_coefficient = 0.6
-pressure = [[0, "5 MPa"], ["60 h", "12 MPa"]]
-"""
+SCENE = COARSE.replace("size = 400, size_at_fractures = 200", "size = 200, size_at_fractures = 130")
+SCENE = SCENE.replace("output = {fields_every = 2, checkpoint_every = 3, pictures = false}\n", "")
 LAST, SLIPS = 10, 4  # the last state, and the first in which the fracture slips
 
 
@@ -98,7 +85,7 @@ def test_a_stop_leaves_its_last_state_and_going_on_takes_it_away(tmp_path, scene
         ):
             assert mine.name == other.name and mine.read_bytes() == other.read_bytes()
     assert fracflow.open(tmp_path / "out").status == "ended"
-    assert load_run_data(tmp_path / "out").account == "Ended at 2.5 days"
+    assert load_run_data(tmp_path / "out").account == "Ended at 60 h"
 
 
 def test_a_checkpoint_leaves_fields_of_the_fractures_until_the_next(tmp_path, scene):
@@ -153,4 +140,4 @@ def test_an_event_starts_as_the_step_begins_in_which_it_slips(tmp_path, scene):
 def test_a_folder_of_an_earlier_version_tells_its_times(tmp_path, scene):
     run(scene(), tmp_path / "out")
     (tmp_path / "out/status.json").unlink()
-    assert load_run_data(tmp_path / "out").account == "Histories to 2.5 days"
+    assert load_run_data(tmp_path / "out").account == "Histories to 60 h"

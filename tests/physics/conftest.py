@@ -24,6 +24,22 @@ shear_stiffness = "20 GPa/m"
 aperture = "1 mm"
 friction_angle_deg = 30
 """
+HELD = (
+    ROCK
+    + """
+rigid = true
+[fluid]
+viscosity = 1e-3
+[[support]]
+on = "rock"
+components = ["x", "y", "rotation"]
+[[stage]]
+kind = "steady"
+time_step = 1
+steps = 1
+"""
+)
+"""A rigid rock that does not move, and fluid whose flow is steady."""
 
 
 class Ran:

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from .conftest import ROCK
+from .conftest import HELD, ROCK
 
-RIGID = """
-[output]
-pictures = false
-[rock.rock]
-rigid = true
+RIGID = (
+    HELD.replace("steps = 1", "steps = 2")
+    + """
 [geometry]
 domain = [0, 0, 3, 2]
 size = 0.5
@@ -22,22 +20,14 @@ shear_stiffness = 1e12
 aperture = {along = [0, 3], value = ["1 mm", "0.25 mm"]}
 friction_angle_deg = 30
 cohesion = 1e9
-[fluid]
-viscosity = 1e-3
 [initial_stress]
 yy = -1e6
-[[support]]
-on = "rock"
-components = ["x", "y", "rotation"]
 [[probe]]
 name = "quarter"
 at = [0.75, 1]
 on = "slot"
-[[stage]]
-kind = "steady"
-time_step = 1
-steps = 2
 """
+)
 ENDS = """
 [[well]]
 name = "in"

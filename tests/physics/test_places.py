@@ -9,26 +9,16 @@ from fracflow.mesh.store import load_mesh
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 
-from .conftest import JOINT, ROCK
+from .conftest import HELD, JOINT
 from .test_books import CRACK, QUASI
 
 SHARES = (0.137, 0.5, 0.861803)
 START, END = np.array([0.0, 1.0]), np.array([3.0, 1.3])
 CORNERS = np.array([[0, 0], [3, 0], [3, 2], [0, 2]])
 RIGID = (
-    ROCK
-    + "rigid = true\n"
+    HELD
     + JOINT
     + """
-[fluid]
-viscosity = 1e-3
-[[support]]
-on = "rock"
-components = ["x", "y", "rotation"]
-[[stage]]
-kind = "steady"
-time_step = 1
-steps = 1
 [[well]]
 name = "in"
 at = {fracture = "slot", end = "start"}

@@ -5,13 +5,12 @@ import pytest
 
 from fracflow.errors import InputError
 
-from .conftest import ROCK
+from .conftest import HELD
 from .test_books import CRACK, QUASI
 
 APERTURES = {"low": 0.5e-3, "mid": 1e-3, "high": 0.8e-3}
 PARALLEL = (
-    ROCK
-    + "rigid = true\n"
+    HELD.replace("steps = 1", "steps = 2").replace("1e-3", "1e-3\nflow_depth = 5")
     + """
 [geometry]
 domain = [0, 0, 4, 4]
@@ -21,16 +20,6 @@ fracture = [
   {name = "mid", points = [[0, 2], [4, 2]]},
   {name = "high", points = [[0, 3], [4, 3.5]]},
 ]
-[fluid]
-viscosity = 1e-3
-flow_depth = 5
-[[support]]
-on = "rock"
-components = ["x", "y", "rotation"]
-[[stage]]
-kind = "steady"
-time_step = 1
-steps = 2
 [[well]]
 name = "west"
 on = "west"

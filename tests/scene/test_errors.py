@@ -25,6 +25,7 @@ CASES = {
     "title=3": "title = 3: must be a string",
     "units=cm-g-s": 'units = "cm-g-s": "g" is not a unit of force; use "SI", "none" or LENGTH-FORCE-TIME',
     "units=imperial": "units",
+    "output.time_unit=fortnights": 'output.time_unit = "fortnights": unknown; allowed: "years", "days"',
     "units=none": "takes no unit; must be a plain number",
     "model=reprot": 'model = "reprot": unknown; allowed: "default", "report", "full"; did you mean "report"?',
     "method.quadrature=gauss": 'did you mean "gauss2"?',

@@ -41,6 +41,20 @@ def test_foot_pound_second(make):
     assert scene.fracture["fault"].aperture == pytest.approx(1e-3 / 0.3048, rel=1e-12)
 
 
+def test_times_are_shown_in_the_unit_of_the_author(make, tmp_path):
+    """That of the last end, or of the time steps; where none has a unit of its own, none is chosen."""
+    last = "stage.1.end"
+    for setting, unit, hours in (("72 h", "h", "72 h"), ("3 d", "days", "3 days"), ("1 week", None, "259200 s")):
+        scene = make(f"{last}={setting}")
+        assert (scene.output.time_unit, scene.time_text(259200.0)) == (unit, hours)
+        (tmp_path / "scene.toml").write_text(scene.dump_toml())
+        assert load(tmp_path / "scene.toml", [f"{last}=90"]).time_text(259200.0) == hours
+    plain = (f"{last}=72", "stage.1.time_step=1")
+    assert make(*plain).unit_names == {"length": "m", "force": "N", "time": "s"}
+    assert make(f"{last}=72 h", "output.time_unit=min").unit_names["shown_time"] == "min"
+    assert make(f"{last}=72 h", "units=m-N-h").output.time_unit is None
+
+
 def test_table_interpolates_and_takes_the_mean_at_jumps():
     linear = TimeTable((0.0, 1.0, 1.0, 2.0), (0.0, 1.0, 3.0, 4.0))
     assert [linear(t) for t in (-1, 0, 0.5, 1, 1 + 5e-13, 1.5, 2, 9)] == [0, 0, 0.5, 2, 2, 3.5, 4, 4]

@@ -122,8 +122,8 @@ class _File:
             low, high, *steps = (float(text) for text in texts)
         except ValueError:
             return  # expressions: Gmsh's time is limited
-        step = abs(steps[0]) if steps else 1.0
-        if not abs(high - low) <= MOST_ROUNDS * step:
+        step = steps[0] if steps else 1.0
+        if not ((high - low) * step < 0.0 or abs(high - low) <= MOST_ROUNDS * abs(step)):  # it has none the wrong way
             raise self._refusal(first, after, f"a loop of more than {MOST_ROUNDS} rounds; give closer bounds")
 
     def _nest(self, kind: str, first: int) -> None:

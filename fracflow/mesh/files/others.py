@@ -1,12 +1,15 @@
 """Meshes of other programs, read by meshio in the worker: Abaqus, VTU, Exodus, and XDMF with its HDF5 file.
 
-Sets of cells name rocks, fractures and sides, sets of one node places. In a format without sets whole numbers on the cells
-do: tags, whose names the file may have, or else the numbers are the names.
+Sets of cells name rocks, fractures and sides, sets of one node places. So do blocks and side sets of Exodus, and sets of sets
+of Abaqus. In a format without sets whole numbers on the cells do: tags, whose names the file may have, or else the numbers
+are the names.
 """
 
 from __future__ import annotations
 
 import os
+import re
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,6 +31,7 @@ NO_NAMES = (
     "its cells have no names: give rocks, fractures and sides sets of cells, or one array of whole numbers on them"
 )
 
+PLANE = {"CPE3": "triangle", "CPE3H": "triangle", "CPE4": "quad", "CPE4H": "quad", "CPE4R": "quad", "CPE4I": "quad"}
 Set = tuple[str, int, NDArray[Any]]  # name, block, rows of its cells
 Rows = NDArray[np.int64]
 Found = tuple[NDArray[Any], dict[str, list[Rows]], dict[str, list[Rows]], list[str], list[tuple[int, int, str]]]
@@ -51,8 +55,11 @@ def read_other(path: Path) -> Found:
     import meshio  # imports much
 
     try:
-        mesh = meshio.read(path, form)
-        blocks = _exodus_blocks(path, mesh) if form == "exodus" else []
+        mesh = _read_abaqus(path) if form == "abaqus" else meshio.read(path, form)
+        own = {"exodus": _exodus_sets, "abaqus": _abaqus_sets}.get(form)
+        sets = own(path, mesh) if own else []
+    except _Fault:
+        raise
     except MemoryError:
         raise
     except ImportError as error:
@@ -60,10 +67,14 @@ def read_other(path: Path) -> Found:
     except (Exception, SystemExit) as error:  # meshio raises whatever its parser meets
         reason = " ".join(str(error).split())[:200] if isinstance(error, meshio.ReadError) else ""
         raise ValueError(shown_plain(f"cannot be read as {form}: {reason or 'it is cut off or damaged'}")) from error
-    sets = [*_sets(mesh)] or [*_tagged(mesh)] or blocks
+    sets = sets or [*_sets(mesh)] or [*_tagged(mesh)]
     if not sets:
         raise ValueError(NO_NAMES)
     return _elements(mesh, sets)
+
+
+class _Fault(ValueError):
+    """A fault of a file, in a line of our own."""
 
 
 def _sets(mesh: Any) -> Iterator[Set]:
@@ -99,20 +110,109 @@ def _tagged(mesh: Any) -> Iterator[Set]:
             yield name, block, np.flatnonzero(tags == tag)
 
 
-def _exodus_blocks(path: Path, mesh: Any) -> list[Set]:
-    """Blocks of cells by their names, or their numbers."""
+def _read_abaqus(path: Path) -> Any:
+    """The mesh without its sets of elements. Meshio gives some to a wrong block, and takes one of several sets in a set."""
+    import meshio
+
+    vars(vars(meshio.abaqus).get("_abaqus", meshio)).get("abaqus_to_meshio_type", {}).update(PLANE)
+    parts = re.split(r"^(?=\*[^*])", path.read_text(encoding="utf-8", errors="replace"), flags=re.MULTILINE)
+    with tempfile.TemporaryDirectory(prefix="fracflow-abaqus-") as folder:
+        copy = Path(folder) / "mesh.inp"
+        copy.write_text("".join(part for part in parts if not re.match(r"\*\s*ELSET\b", part, re.IGNORECASE)), "utf-8")
+        return meshio.read(copy, "abaqus")
+
+
+def _abaqus_sets(path: Path, mesh: Any) -> list[Set]:
+    """Sets of elements in the file's own lines: of numbers, of ranges, of other sets, and those stated with elements."""
+    place: dict[str, tuple[int, int]] = {}
+    named: dict[str, tuple[str, dict[tuple[int, int], None]]] = {}
+    block = -1
+    for keyword, options, lines in _abaqus_parts(path):
+        name = options.get("ELSET", "").strip('"')
+        _, members = named.setdefault(name.upper(), (name, {}))
+        if keyword == "ELEMENT":
+            block += 1
+            count = len(mesh.cells[block].data)
+            numbers = [word for line in lines for word in line]
+            for row, number in enumerate(numbers[:: len(numbers) // max(count, 1) or 1]):
+                if number in place:
+                    raise _Fault(shown_plain(f"has two elements {number[:50]}: give the whole mesh in one part"))
+                place[number] = (block, row)
+            members |= dict.fromkeys((block, row) for row in range(count))
+        elif "GENERATE" in options:
+            for first, last, *step in lines:
+                each = range(int(first), int(last) + 1, int(step[0]) if step else 1)
+                members |= dict.fromkeys(place[str(number)] for number in each if str(number) in place)
+        else:
+            for word in (word for line in lines for word in line):
+                if word not in place and word.upper() not in named:
+                    raise _Fault(shown_plain(f'the set "{name}" has "{word[:50]}", which stands nowhere before it'))
+                members |= {place[word]: None} if word in place else named[word.upper()][1]
+    return [
+        (name, block, np.unique([row for of, row in members if of == block]))
+        for name, members in named.values()
+        for block in sorted({of for of, _ in members} if name else ())
+    ]
+
+
+def _abaqus_parts(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]:
+    """Keyword, options and lines of words of each *ELEMENT and *ELSET, the elements first."""
+    parts: list[tuple[str, dict[str, str], list[list[str]]]] = [("", {}, [])]
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        words = [word.strip() for word in line.split(",")]
+        if line.startswith("*") and not line.startswith("**"):
+            pairs = (word.partition("=") for word in words[1:])
+            options = {key.strip().upper(): value.strip() for key, _, value in pairs}
+            parts.append((words[0][1:].strip().upper(), options, []))
+        elif not line.startswith("**") and parts[-1][0] in ("ELEMENT", "ELSET"):
+            parts[-1][2].append([word for word in words if word])
+    yield from (part for part in parts if part[0] == "ELEMENT")
+    yield from ((key, options, [*filter(None, lines)]) for key, options, lines in parts if key == "ELSET")
+
+
+def _exodus_sets(path: Path, mesh: Any) -> list[Set]:
+    """Blocks of cells and side sets by their names, or their numbers; edges of side sets join the mesh as a block each."""
+    import meshio
     import netCDF4
 
     with netCDF4.Dataset(path) as file:
         file.set_auto_mask(False)
-        numbers = [int(key[7:] or 1) for key in file.variables if key.startswith("connect")]
-        names = [b"".join(row).decode("utf-8", "replace").strip("\0 ") for row in file.variables.get("eb_names", [])]
-        marks = [str(each) for each in file.variables.get("eb_prop1", [])]
-    found = [
+        keys = [key for key in file.variables if key.startswith("connect")]
+        numbers = [int(key[7:] or 1) for key in keys]
+        found = [
+            (name, block, np.arange(len(mesh.cells[block].data)))
+            for block, name in enumerate(_exodus_names(file, "eb", numbers))
+        ]
+        kinds = [str(getattr(file.variables[key], "elem_type", "")).upper() for key in keys]
+        is_space = "num_dim" in file.dimensions and len(file.dimensions["num_dim"]) == 3
+        faces = [2 if kind.startswith("SHELL") or (is_space and kind.startswith("TRI")) else 0 for kind in kinds]
+        order = sorted(range(len(numbers)), key=numbers.__getitem__)  # elements are numbered through the blocks
+        ends = np.cumsum([len(mesh.cells[block].data) for block in order])
+        sides = sorted(int(key[7:]) for key in file.variables if key.startswith("elem_ss"))
+        for name, side in zip(_exodus_names(file, "ss", sides), sides, strict=True):
+            element, edge = (file.variables[f"{key}_ss{side}"][:].astype(np.int64) - 1 for key in ("elem", "side"))
+            edges = []
+            for at, number, length in zip(np.searchsorted(ends, element, "right"), element, edge, strict=True):
+                cells = mesh.cells[order[at]].data if number >= 0 and at < len(order) else np.zeros((0, 2))
+                start, corners = length - faces[order[at]] if len(cells) else -1, cells.shape[1]
+                if not 0 <= start < corners or corners not in (3, 4):
+                    raise _Fault(shown_plain(f'the side set "{name}" has a side that no triangle or quadrilateral has'))
+                cell = cells[number - ends[at]]  # from the end of its block
+                edges.append((cell[start], cell[(start + 1) % corners]))
+            if edges:
+                mesh.cells.append(meshio.CellBlock("line", np.array(edges)))
+                found.append((name, len(mesh.cells) - 1, np.arange(len(edges))))
+    return found
+
+
+def _exodus_names(file: Any, kind: str, numbers: list[int]) -> list[str]:
+    """Names of the blocks ("eb") or side sets ("ss") of these places in the file, or else their numbers."""
+    names = [b"".join(row).decode("utf-8", "replace").strip("\0 ") for row in file.variables.get(f"{kind}_names", [])]
+    marks = [str(each) for each in file.variables.get(f"{kind}_prop1", [])]
+    return [
         next((each[number - 1] for each in (names, marks) if number <= len(each) and each[number - 1]), str(number))
         for number in numbers
     ]
-    return [(name, block, np.arange(len(mesh.cells[block].data))) for block, name in enumerate(found)]
 
 
 def _elements(mesh: Any, sets: list[Set]) -> Found:

@@ -23,13 +23,14 @@ from fracflow.scene.units import (
     VELOCITY,
     VISCOSITY,
     VOLUME,
+    stated_time,
     unit_text,
 )
 
 Floats = NDArray[np.float64]
 Ladder = tuple[tuple[float, float, str], ...]
 
-ROUND_OFF = 1e-9  # of the largest value: a line that varies less is constant
+ROUND_OFF = 1e-8  # of the largest value: a line that varies less is constant
 NARROW = 1e-2  # of the largest value: lines that span less are drawn as differences from a round number
 _LEAST, _MOST = 5e-2, 1e4  # numbers that need no power of ten
 _NONE = 1e-250  # smaller numbers are zero in a picture
@@ -48,7 +49,7 @@ def _metric(unit: str, *prefixes: str) -> Ladder:
 
 _SI: dict[str, Ladder] = {
     LENGTH: ((1e4, 1e3, "km"), *_metric("m", "", "c", "m", "µ", "n", "p")),
-    STRESS: _metric("Pa", "G", "M", "k", ""),
+    STRESS: (*_metric("Pa", "G", "M", "k"), (0.0, 1.0, "Pa")),
     ENERGY: _metric("J/m", "T", "G", "M", "k", "", "m"),
     SURFACE_ENERGY: _metric("J/m²", "G", "M", "k", "", "m"),
     ENERGY_DENSITY: _metric("J/m³", "G", "M", "k", "", "m"),
@@ -69,6 +70,7 @@ class Axis:
 
     base         the reference with a unit, as the label has it; empty for none
     is_constant  whether no line varies by more than round-off
+    noise        of a constant line: no value of it is larger than round-off, so that all are zero
     """
 
     factor: float = 1.0
@@ -76,10 +78,12 @@ class Axis:
     reference: float = 0.0
     base: str = ""
     is_constant: bool = False
+    noise: float = 0.0
 
     def __call__(self, values: ArrayLike) -> Floats:
         """Values as they are drawn; a constant line at its median."""
         drawn = self.factor * (np.asarray(values, dtype=float) - self.reference)
+        drawn = np.where(np.abs(drawn) <= self.noise, 0.0, drawn) if self.noise else drawn
         known = drawn[np.isfinite(drawn)]
         return np.where(np.isfinite(drawn), np.median(known), drawn) if self.is_constant and known.size else drawn
 
@@ -97,9 +101,9 @@ def unit_for(dimension: str, largest: float, units: Mapping[str, str]) -> tuple[
     """Factor and name of the unit that suits values up to ``largest``, which are in ``units``.
 
     Times of seconds, and all quantities of SI, have units of their own; others keep that of the scene. Where no unit suits,
-    the name begins with a power of a thousand.
+    the name begins with a power of a thousand. The author's own unit of time goes before all.
 
-    units  names of length, force and time
+    units  names of length, force and time, and as "shown_time" that of the author
     """
     factor, name = suited_unit(dimension, largest, units)
     size = factor * abs(largest) if np.isfinite(largest) and abs(largest) > _NONE else 0.0
@@ -115,6 +119,8 @@ def suited_unit(dimension: str, largest: float, units: Mapping[str, str]) -> tup
         ladder = _TIMES
     if not _NONE < size < np.inf:
         return 1.0, own
+    if dimension == TIME and (stated := stated_time(units.get("shown_time"), size)):
+        return stated
     base = next((name for _, each, name in ladder if each == 1.0), own)
     fits = ((1.0 / each, name) for least, each, name in ladder if size >= least * (1.0 - 1e-12))
     return next(fits, (1.0, base))
@@ -140,7 +146,7 @@ def axis_of(dimension: str, lines: Sequence[ArrayLike], units: Mapping[str, str]
     known = [array for array in known if array.size]
     largest = max((float(np.abs(array).max()) for array in known), default=0.0)
     if largest <= max(noise, _NONE):
-        return Axis(1.0, unit_for(dimension, 0.0, units)[1], is_constant=True)
+        return Axis(1.0, unit_for(dimension, 0.0, units)[1], is_constant=True, noise=noise)
     if all(float(np.ptp(array)) <= max(ROUND_OFF * largest, noise) for array in known):
         return Axis(*unit_for(dimension, largest, units), is_constant=True)
     low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
@@ -154,6 +160,9 @@ def axis_of(dimension: str, lines: Sequence[ArrayLike], units: Mapping[str, str]
 def shown(dimension: str, value: float, units: Mapping[str, str], digits: int = 10) -> str:
     """A value in the unit that suits it: 0.24 s, 5.17 days."""
     factor, unit = unit_for(dimension, value, units)
+    if unit.startswith("10"):  # a number alone may do without a power of ten
+        plain = f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e6 else f"{factor * value:.{digits}g}×{unit.split()[0]}"
+        return f"{plain} {unit_text(dimension, units, is_printed=True)}".rstrip()
     return f"{factor * value:.{digits}g} {unit}".rstrip()
 
 

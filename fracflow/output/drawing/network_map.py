@@ -140,7 +140,8 @@ def name_all(axes: Axes, network: Network, scales: tuple[Axis, Axis], width: flo
     width  that fractures are drawn with at most [points]
     """
     pixels = axes.transData.transform
-    lines = pixels(scaled(network.segments, *scales).reshape(-1, 2)).reshape(-1, 2, 2)
+    drawn = np.concatenate([network.segments, *network.sides.values()])
+    lines = pixels(scaled(drawn, *scales).reshape(-1, 2)).reshape(-1, 2, 2)
     lines = lines[np.all(np.isfinite(lines), axis=(1, 2))]
     point = axes.figure.dpi / 72.0
     texts, labels, boxes = list[str](), list[Label](), list[Floats]()
