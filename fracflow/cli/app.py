@@ -254,18 +254,21 @@ def export(
 
 @app.command()
 def schema(
-    as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="as JSON Schema (draft 7), by which editors complete and check scenes")
+    ] = False,
     as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
 ) -> None:
     """Every key of a scene: its values or dimension, its default, its meaning."""
     from rich.markup import escape
     from rich.table import Table
 
+    from fracflow.scene.editor import editor_schema
     from fracflow.scene.scene import Scene
     from fracflow.scene.schema import markdown, rows
 
     if as_json:
-        typer.echo(json.dumps(Scene.json_schema(), indent=1))
+        typer.echo(json.dumps(editor_schema(Scene.json_schema()), indent=1))
         return
     if as_markdown:
         typer.echo(markdown(Scene.json_schema()), nl=False)
