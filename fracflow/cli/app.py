@@ -1,4 +1,4 @@
-"""The command line: fracflow run, resume, check, mesh, picture, report, export, schema, help."""
+"""The command line: fracflow new, check, mesh, picture, run, resume, report, export, schema, help."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import typer
 from rich.console import Console
 
 from fracflow.cli.exit import abort, stop
+from fracflow.cli.reference import EXAMPLES, markdown
 from fracflow.cli.run import Terminal, run_levels, run_with_progress
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
@@ -26,8 +27,11 @@ while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's num
 os.close(_free)
 sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
 WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
+BEGIN = "Begin with: fracflow new first"
 USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__, epilog=BEGIN
+)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="path.to.key=value; arrays by the name of their entry")
@@ -113,6 +117,27 @@ def resume_command(
     run_with_progress(
         load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust)
     )
+
+
+@app.command("new")
+def new_command(
+    where: Annotated[
+        Path, typer.Argument(metavar="FOLDER|FILE.toml", help="a folder for scene.toml, or the scene's file")
+    ],
+    traces: Annotated[
+        Path | None,
+        typer.Option("--traces", metavar="FILE.csv", help="of the traces of your own table: name,x,y in metres"),
+    ] = None,
+    mesh: Annotated[
+        Path | None, typer.Option("--mesh", metavar="FILE", help="of your own mesh or geometry; it names what is in it")
+    ] = None,
+    trust: Trust = False,
+) -> None:
+    """Write a scene with comments that runs as it is, of three fractures or of your own; nothing is written over."""
+    from fracflow.cli.new import write_scene
+
+    path = write_scene(where, traces, mesh, trust)
+    typer.echo(f"{path}; try: fracflow check {path}")
 
 
 @app.command()
@@ -237,7 +262,9 @@ def export(
     ] = None,
     quakeml: Annotated[
         Path | None,
-        typer.Option("--quakeml", metavar="FILE", help="the events as QuakeML 1.2, placed by [site] of the scene"),
+        typer.Option(
+            "--quakeml", metavar="FILE", help="the events as QuakeML 1.2, placed by the table site of the scene"
+        ),
     ] = None,
 ) -> None:
     """Write a run for other programs: steps, energies and each probe as CSV, the catalogue of events as QuakeML."""
@@ -285,12 +312,15 @@ def help_command(
     as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
 ) -> None:
     """Every command; with --markdown its arguments and options too."""
-    from fracflow.cli.reference import markdown
-
     if as_markdown:
         typer.echo(markdown(commands()), nl=False)
     elif context.parent is not None:
         typer.echo(context.parent.get_help(), nl=False)
+
+
+for _command in app.registered_commands:
+    assert _command.callback is not None
+    _command.epilog = f"Example: {EXAMPLES[_command.name or _command.callback.__name__]}"
 
 
 def commands() -> dict[str, Any]:
@@ -305,8 +335,13 @@ def petsc_options(petsc: object, words: list[str]) -> None:
     while words:
         key = words.pop(0)
         if not re.fullmatch("-[A-Za-z].*", key):
+            from fracflow.scene.messages import nearest
+
+            near = nearest(key, [word for one in commands()["run"].params for word in one.opts])
+            meant = f"; {near}" if near.startswith("did you mean") else ""
             raise InputError(
-                f"command line: {key}: neither an option of fracflow (see --help) nor one of PETSc, such as -solid_pc_type lu"
+                f"command line: {key}: neither an option of fracflow (see --help) nor one of PETSc, such as"
+                f" -solid_pc_type lu{meant}"
             )
         is_value = bool(words) and (not words[0].startswith("-") or words[0][1:2].isdigit())
         database.setValue(key.lstrip("-"), words.pop(0) if is_value else "")
@@ -322,6 +357,20 @@ def with_levels(words: list[str]) -> list[str]:
     return words if is_given else [*words[:at], "3", *words[at:]]
 
 
+def wrong_words(message: str) -> str:
+    """The fault of the words of a command, and a remedy."""
+    if not message:
+        return f"no command; see fracflow --help. {BEGIN}"
+    if (found := re.match("No such command '(.*?)'", message)) is None:
+        return f"{message.rstrip('.')}; see fracflow --help"
+    if found[1].endswith(".toml"):
+        return f"{found[0]}. Did you mean: fracflow run {found[1]}? Or see fracflow --help"
+    from fracflow.scene.messages import nearest
+
+    near = nearest(found[1], commands())
+    return f"{found[0]}. {near[0].upper()}{near[1:]}{'' if near.endswith('?') else '.'} Or see fracflow --help"
+
+
 def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
     warnings.formatwarning = lambda message, *_: f"note: {message}\n"
@@ -331,8 +380,7 @@ def main() -> None:
             raise KeyboardInterrupt
         sys.exit(code)
     except USAGE as error:
-        message = error.format_message() or "no command"  # type: ignore[attr-defined]
-        stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
+        stop(f"command line: {wrong_words(error.format_message())}", 2)  # type: ignore[attr-defined]
     except typer.Abort:
         stop("interrupted", 130)
     except InputError as error:
