@@ -89,6 +89,7 @@ class Recorder:
         self.totals, self._goes_on = Totals(**notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
+        self.changed: tuple[int, int] | None = None  # joint ends that slide and that are open, on rank 0
         self._report_saved: Callable[[int], None] | None = None
         self.profiles = Timetable(**self.totals.profiles)
         self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
@@ -130,6 +131,8 @@ class Recorder:
         else:
             self._write(lambda files: self._append(files, step, snapshot))
         self._goes_on = False
+        if snapshot is not None:
+            self.changed = int(snapshot.column("sliding").sum()), int(snapshot.column("open").sum())
         if self._wants_fields(self.totals.steps):
             self._fields(step, self.totals.steps)
         self._profile(step)
