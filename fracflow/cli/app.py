@@ -26,7 +26,7 @@ while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's num
     pass
 os.close(_free)
 sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
-WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
+WIDTH = None if sys.stdout.isatty() else 100  # columns of tables in a file
 BEGIN = "Begin with: fracflow new first"
 USAGE: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
 app = typer.Typer(
@@ -300,7 +300,9 @@ def schema(
     if as_markdown:
         typer.echo(markdown(Scene.json_schema()), nl=False)
         return
-    table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
+    for head, share in (("key", 7), ("values", 6), ("default", 3), ("meaning", 10)):
+        table.add_column(head, ratio=share, overflow="fold")
     for row in rows(Scene.json_schema()):
         table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
     Console(highlight=False, width=WIDTH).print(table)
