@@ -188,6 +188,7 @@ def test_commands_exist(page):
 
 def fault_of(words: list[str]) -> str:
     """Why a command could not run; nothing where it could."""
+    words = words[: words.index(">")] if words[-2:-1] == [">"] else words  # to a file
     if words[:1] == ["mpirun"]:
         words = words[3:]
     if words[:2] == ["python", "-m"] or words[:3] == ["python", "-X", "importtime"]:

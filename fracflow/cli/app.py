@@ -1,4 +1,4 @@
-"""The command line: fracflow run, resume, check, mesh, picture, report, export, schema, help."""
+"""The command line: fracflow new, check, mesh, picture, run, resume, report, export, schema, help."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import typer
 from rich.console import Console
 
 from fracflow.cli.exit import abort, stop
+from fracflow.cli.reference import EXAMPLES, markdown
 from fracflow.cli.run import Terminal, run_levels, run_with_progress
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
@@ -25,9 +26,12 @@ while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's num
     pass
 os.close(_free)
 sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
-WIDTH = None if sys.stdout.isatty() else 200  # of what is printed to a file
+WIDTH = None if sys.stdout.isatty() else 100  # columns of tables in a file
+BEGIN = "Begin with: fracflow new first"
 USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__, epilog=BEGIN
+)
 SceneFile = Annotated[Path, typer.Argument(help="the scene, a TOML file")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="path.to.key=value; arrays by the name of their entry")
@@ -113,6 +117,27 @@ def resume_command(
     run_with_progress(
         load(folder / "scene.toml"), folder, console, comm, lambda tick: resume(folder, comm, tick, trust)
     )
+
+
+@app.command("new")
+def new_command(
+    where: Annotated[
+        Path, typer.Argument(metavar="FOLDER|FILE.toml", help="a folder for scene.toml, or the scene's file")
+    ],
+    traces: Annotated[
+        Path | None,
+        typer.Option("--traces", metavar="FILE.csv", help="of the traces of your own table: name,x,y in metres"),
+    ] = None,
+    mesh: Annotated[
+        Path | None, typer.Option("--mesh", metavar="FILE", help="of your own mesh or geometry; it names what is in it")
+    ] = None,
+    trust: Trust = False,
+) -> None:
+    """Write a scene with comments that runs as it is, of three fractures or of your own; nothing is written over."""
+    from fracflow.cli.new import write_scene
+
+    path = write_scene(where, traces, mesh, trust)
+    typer.echo(f"{path}; try: fracflow check {path}")
 
 
 @app.command()
@@ -237,7 +262,9 @@ def export(
     ] = None,
     quakeml: Annotated[
         Path | None,
-        typer.Option("--quakeml", metavar="FILE", help="the events as QuakeML 1.2, placed by [site] of the scene"),
+        typer.Option(
+            "--quakeml", metavar="FILE", help="the events as QuakeML 1.2, placed by the table site of the scene"
+        ),
     ] = None,
 ) -> None:
     """Write a run for other programs: steps, energies and each probe as CSV, the catalogue of events as QuakeML."""
@@ -254,13 +281,16 @@ def export(
 
 @app.command()
 def schema(
-    as_json: Annotated[bool, typer.Option("--json", help="as JSON schema")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="as JSON Schema (draft 7), by which editors complete and check scenes")
+    ] = False,
     as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
 ) -> None:
     """Every key of a scene: its values or dimension, its default, its meaning."""
     from rich.markup import escape
     from rich.table import Table
 
+    from fracflow.scene.editor import editor_schema
     from fracflow.scene.scene import Scene
     from fracflow.scene.schema import markdown, note_on_meanings, rows
 
@@ -268,12 +298,14 @@ def schema(
     if note := note_on_meanings(keys):
         typer.echo(note, err=True)
     if as_json:
-        typer.echo(json.dumps(keys, indent=1))
+        typer.echo(json.dumps(editor_schema(keys), indent=1))
         return
     if as_markdown:
         typer.echo(markdown(keys), nl=False)
         return
-    table = Table("key", "values", "default", "meaning", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
+    for head, share in (("key", 7), ("values", 6), ("default", 3), ("meaning", 10)):
+        table.add_column(head, ratio=share, overflow="fold")
     for row in rows(keys):
         table.add_row(*map(escape, row), style="bold" if row[0].startswith("[") else "")
     Console(highlight=False, width=WIDTH).print(table)
@@ -285,12 +317,15 @@ def help_command(
     as_markdown: Annotated[bool, typer.Option("--markdown", help="as a page in Markdown")] = False,
 ) -> None:
     """Every command; with --markdown its arguments and options too."""
-    from fracflow.cli.reference import markdown
-
     if as_markdown:
         typer.echo(markdown(commands()), nl=False)
     elif context.parent is not None:
         typer.echo(context.parent.get_help(), nl=False)
+
+
+for _command in app.registered_commands:
+    assert _command.callback is not None
+    _command.epilog = f"Example: {EXAMPLES[_command.name or _command.callback.__name__]}"
 
 
 def commands() -> dict[str, Any]:
@@ -307,8 +342,13 @@ def petsc_options(petsc: Any, words: list[str]) -> None:
     while words:
         key = words.pop(0)
         if not re.fullmatch("-[A-Za-z].*", key):
+            from fracflow.scene.messages import nearest
+
+            near = nearest(key, [word for one in commands()["run"].params for word in one.opts])
+            meant = f"; {near}" if near.startswith("did you mean") else ""
             raise InputError(
-                f"command line: {key}: neither an option of fracflow (see --help) nor one of PETSc, such as -solid_pc_type lu"
+                f"command line: {key}: neither an option of fracflow (see --help) nor one of PETSc, such as"
+                f" -solid_pc_type lu{meant}"
             )
         is_value = bool(words) and (not words[0].startswith("-") or words[0][1:2].isdigit())
         database.setValue(key.lstrip("-"), words.pop(0) if is_value else "")
@@ -324,6 +364,20 @@ def with_levels(words: list[str]) -> list[str]:
     return words if is_given else [*words[:at], "3", *words[at:]]
 
 
+def wrong_words(message: str) -> str:
+    """The fault of the words of a command, and a remedy."""
+    if not message:
+        return f"no command; see fracflow --help. {BEGIN}"
+    if (found := re.match("No such command '(.*?)'", message)) is None:
+        return f"{message.rstrip('.')}; see fracflow --help"
+    if found[1].endswith(".toml"):
+        return f"{found[0]}. Did you mean: fracflow run {found[1]}? Or see fracflow --help"
+    from fracflow.scene.messages import nearest
+
+    near = nearest(found[1], commands())
+    return f"{found[0]}. {near[0].upper()}{near[1:]}{'' if near.endswith('?') else '.'} Or see fracflow --help"
+
+
 def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
     warnings.formatwarning = lambda message, *_: f"note: {message}\n"
@@ -333,8 +387,7 @@ def main() -> None:
             raise KeyboardInterrupt
         sys.exit(code)
     except USAGE as error:
-        message = error.format_message() or "no command"
-        stop(f"command line: {message.rstrip('.')}; see fracflow --help", 2)
+        stop(f"command line: {wrong_words(error.format_message())}", 2)
     except typer.Abort:
         stop("interrupted", 130)
     except InputError as error:

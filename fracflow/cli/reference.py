@@ -7,7 +7,8 @@ from typing import Any
 
 HEAD = """# Commands
 
-Written by `fracflow help --markdown`. `fracflow COMMAND --help` prints the same in a terminal.
+Written by `fracflow help --markdown`. `fracflow COMMAND --help` prints the same in a terminal. `fracflow new first` writes the
+scene that the examples are of.
 
 | exit code | meaning |
 |---|---|
@@ -16,6 +17,21 @@ Written by `fracflow help --markdown`. `fracflow COMMAND --help` prints the same
 | 3 | the solve or the disk failed; the last good state is saved, and its pictures are drawn |
 | 130 | interrupted; the state is saved |
 """
+
+
+EXAMPLES = {
+    "new": "fracflow new first",
+    "check": "fracflow check first/scene.toml",
+    "mesh": "fracflow mesh first/scene.toml",
+    "picture": "fracflow picture first/scene.toml",
+    "run": "fracflow run first/scene.toml -o runs/first",
+    "resume": "fracflow resume runs/first",
+    "report": "fracflow report runs/first",
+    "export": "fracflow export runs/first --csv",
+    "schema": "fracflow schema --json > scene.schema.json",
+    "help": "fracflow help",
+}
+"""An example of each command; one after the other they work in any folder."""
 
 
 def markdown(commands: Mapping[str, Any]) -> str:
@@ -29,7 +45,8 @@ def _section(name: str, command: Any) -> str:
     usage = " ".join(["fracflow", name, *words, *(["[OPTIONS]"] if options else [])])
     rows = [f"| `{word}` | {one.help} |" for one in command.params for word in [_word(one)]]
     table = ["", "| argument or option | meaning |", "|---|---|", *rows] if rows else []
-    return "\n".join(["", f"## fracflow {name}", "", f"`{usage}`", "", command.help, *table, ""])
+    example = ["", "```sh", EXAMPLES[name], "```"]
+    return "\n".join(["", f"## fracflow {name}", "", f"`{usage}`", "", command.help, *table, *example, ""])
 
 
 def _word(one: Any) -> str:

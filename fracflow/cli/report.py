@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -30,6 +31,7 @@ BOOKS = (
     "scheme", "spurious", "dropped",
     "work_boundaries", "work_wells", "work_pressure", "work_incident", "work_initial", "residual", "residual_closed",
 )  # fmt: skip
+WIDTH = 100  # columns of a table, where the terminal has no fewer
 MOST_EVENTS = 20
 MOST_FRACTURES = 40
 OPEN = 1e-6  # of the largest entry of the energy balance
@@ -142,15 +144,15 @@ def _report_fractures(folder: Path, console: Console, units: Mapping[str, str]) 
     if found is None:
         return
     at = shown_plain(shown(TIME, found.time, units, 6))
-    table = Table(title=escape(f"Fractures at {at}"), title_style="bold")
-    table.add_column("fracture", overflow="fold")
+    table = Table(title=escape(f"Fractures at {at}"), title_style="bold", box=SIMPLE_HEAD, padding=0)
+    table.add_column("fracture", overflow="fold", min_width=8)
     columns = {key: values for key, values in found.columns.items() if np.isfinite(values).any()}
     scales = {key: unit_for(COLUMNS[key], _largest(values), units) for key, values in columns.items()}
     for key, (_, unit) in scales.items():
         table.add_column(
             escape(f"{key.replace('_', ' ')} [{shown_plain(unit)}]" if unit else key.replace("_", " ")), justify="right"
         )
-    table.add_column("state")
+    table.add_column("state", no_wrap=True)
     slip, length = np.nan_to_num(found.columns["largest_slip"]), found.columns["length"]
     order = np.lexsort((-length, -slip))
     for i in order[:MOST_FRACTURES]:
@@ -190,7 +192,7 @@ def report_checks(numbers: Sequence[Mapping[str, Any]], console: Console) -> Non
     """Print the records of the pre-run checks: ten lines, and a remedy for each number out of range."""
     table = Table(title="Pre-run checks", title_style="bold", box=None, pad_edge=False)
     for head in ("", "number", "value", "limit", "where"):
-        table.add_column(head, no_wrap=True)
+        table.add_column(head, overflow="fold", no_wrap=head in ("", "value"))
     for number in numbers:
         value = number["value_text"] or "-"
         limit = number["limit_text"] or (f"({number['note']})" if number["note"] else "-")
@@ -204,30 +206,17 @@ def report_checks(numbers: Sequence[Mapping[str, Any]], console: Console) -> Non
 
 
 def report_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print the records of a plan, what is left out first."""
-    table = Table(title="Plan", title_style="bold", box=None, pad_edge=False)
-    for head, share in (
-        ("", 1),
-        ("part", 3),
-        ("criterion", 5),
-        ("value", 3),
-        ("limit", 2),
-        ("may err by", 4),
-        ("saves", 5),
-    ):
-        table.add_column(head, ratio=share, overflow="fold")
-    for each in sorted(decisions, key=lambda each: not each["left_out"]):
-        value, limit = (f"{x:.3g}" if isinstance(x, float) else str(x) for x in (each["value"], each["limit"]))
-        part = f"{each['part']}, stage {each['stage']}" if each["stage"] else each["part"]
-        error = "" if each["verdict"] == "kept" else each["error"]
-        cells = (
-            each["verdict"],
-            part,
-            each["criterion"],
-            value,
-            limit,
-            error,
-            each["saves"],
-        )
-        table.add_row(*map(escape, cells), style="bold" if each["left_out"] else "")
-    console.print(table)
+    """Print the records of a plan, a table for each verdict: what is left out first."""
+    verdicts = dict.fromkeys(each["verdict"] for each in sorted(decisions, key=lambda each: not each["left_out"]))
+    for verdict in verdicts:
+        table = Table(title=f"Plan: {verdict}", title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        table.width = min(console.width, WIDTH)
+        for head, share in (("part", 5), ("criterion: value (limit)", 10), ("saves", 8)):
+            table.add_column(head, ratio=share, overflow="fold")
+        for each in (each for each in decisions if each["verdict"] == verdict):
+            value, limit = (f"{x:.3g}" if isinstance(x, float) else str(x) for x in (each["value"], each["limit"]))
+            part = f"{each['part']}, stage {each['stage']}" if each["stage"] else each["part"]
+            error = "" if verdict == "kept" or not each["error"] else f"; may err by: {each['error']}"
+            why = f"{each['criterion']}: {value} (limit: {limit})"
+            table.add_row(*map(escape, (part, why, each["saves"] + error)))
+        console.print(table)

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fracflow.cli.exit import ExitReport
 from fracflow.errors import InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
-    from fracflow.advance.step import Step
     from fracflow.scene.scene import Scene
     from fracflow.simulation.refinement import Level
     from fracflow.simulation.run import OnStep as Tick
@@ -39,29 +37,21 @@ def run_with_progress(
     job: Callable[[Tick], Totals],
     title: str = "",
     is_shown: bool = True,
+    interval: float = 60.0,
 ) -> None:
-    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
-    total, start = 0, 0.0
-    for stage in scene.stage:
-        count = stage.step_count(start) or 0
-        total, start = total + count, stage.finish(start)
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.completed} steps"),
-        TimeRemainingColumn(),
-    )
+    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective.
+
+    interval  from line to line of progress where it goes into a file [s]
+    """
+    from fracflow.cli.progress import ProgressBar, Screen
     from fracflow.model.setup import on_root
     from fracflow.solve.options import forget
 
     totals, failure = None, None
-    screen = Terminal(stderr=True, quiet=comm.rank > 0)
-    hidden = not screen.is_terminal
-    with ExitReport(comm, folder) as words, Progress(*columns, console=screen, transient=True, disable=hidden) as bar:
-        name = title or scene.title or str(folder)
-        task = bar.add_task(name, total=total or None)
+    screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder), interval)
+    with ExitReport(comm, folder) as words, screen:
         try:
-            sight = ProgressBar(scene, name, lambda text, steps: bar.update(task, advance=steps, description=text))
+            sight = ProgressBar(scene, screen.show)
             sight.saved = words.saved
             totals = job(sight)
         except SolveError as error:
@@ -80,38 +70,6 @@ def run_with_progress(
         console.print(counts + totals.besides(), soft_wrap=True)
         for line in totals.doubts:
             console.print(f"! {line}", soft_wrap=True, markup=False)
-
-
-class ProgressBar:
-    """The bar of a run: its steps, and the trials that were rejected, each as it is.
-
-    update  is given a line, and how many steps more there are
-    saved   is given the number of steps up to the last state on disk
-    """
-
-    saved: Callable[[int], None]
-
-    def __init__(self, scene: Scene, name: str, update: Callable[[str, int], None]) -> None:
-        """Before the first step."""
-        self.scene, self.name, self.update = scene, name, update
-        self.rejected = self.since = 0
-
-    def __call__(self, step: Step) -> None:
-        """A step has been taken; its report counts the trials before it."""
-        self.rejected, self.since = self.rejected + step.report.rejected, 0
-        besides = f", {self.rejected} trials rejected" if self.rejected else ""
-        self.update(f"{self.name}{regime_of(self.scene, step)}{besides}", 1)
-
-    def trial(self, time: float, length: float, why: str) -> None:
-        """A step of a length was tried from a time, and rejected."""
-        self.since += 1
-        at, last = self.scene.time_text(time), self.scene.time_text(length, 3)
-        self.update(f"{self.name}, {self.rejected + self.since} trials rejected, the last of {last} at {at}", 0)
-
-
-def regime_of(scene: Scene, step: Step) -> str:
-    """Of a stage that chooses its regime the one it is in, and the time."""
-    return f", {step.regime} at {scene.time_text(step.state.time)}" if step.regime else ""
 
 
 def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:

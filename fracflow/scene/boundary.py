@@ -18,7 +18,9 @@ Measured = Annotated[str, MeasuredName()]
 Entry = Annotated[TimeTable, Tabled()]
 Row = tuple[Entry, Entry]
 Names = Annotated[
-    tuple[Name, ...], Field(min_length=1), BeforeValidator(lambda on: [on] if isinstance(on, str) else on)
+    tuple[Name, ...],
+    Field(min_length=1, json_schema_extra={"one_is_enough": True}),
+    BeforeValidator(lambda on: [on] if isinstance(on, str) else on),
 ]
 
 

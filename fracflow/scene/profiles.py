@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationInfo
 
-from fracflow.scene.units import LENGTH, TIME, Annotation, Quantity, fault, number_schema
+from fracflow.scene.units import LENGTH, TIME, Annotation, Quantity, fault, list_schema, number_schema, table_schema
 
 Floats = NDArray[np.float64]
 
@@ -103,8 +103,8 @@ class Along(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        columns = {"type": "object", "required": ["along", "value"], "additionalProperties": False}
-        return {"anyOf": [number_schema(self.quantity.dimension), columns]}
+        value = self.quantity.schema()
+        return {"anyOf": [value, table_schema({"along": _many(number_schema(LENGTH)), "value": _many(value)})]}
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,17 @@ class AlongInTime(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        return {"anyOf": [number_schema(self.dimension), {"type": "array"}, {"type": "object"}]}
+        value, along, time = number_schema(self.dimension), _many(number_schema(LENGTH)), number_schema(TIME)
+        tables = (
+            table_schema({"along": along, "value": _many(value)}),
+            table_schema({"along": along, "time": _many(time), "value": _many(_many(value))}),
+        )
+        return {"anyOf": [value, _many(list_schema(time, value)), *tables]}
+
+
+def _many(each: dict[str, Any]) -> dict[str, Any]:
+    """JSON schema of a list of one entry or more."""
+    return {"type": "array", "minItems": 1, "items": each}
 
 
 def _columns(table: dict[str, Any], keys: tuple[str, str], info: ValidationInfo) -> tuple[tuple[float, ...], list[Any]]:

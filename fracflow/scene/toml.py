@@ -28,7 +28,11 @@ _PLAIN_NUMBER = re.compile(r"(?<![\w.])\d+\.\d*(?![\d.])")
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file; raises InputError where there is none, or where it is not TOML, or more than a scene can be."""
-    text = read_text(path, "give the path of a TOML file", LARGEST)
+    return parse_toml(read_text(path, "give the path of a TOML file", LARGEST), path)
+
+
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
+    """The tables of a text as that of a file; raises InputError, naming it, where it is not TOML."""
     for number, line in enumerate(text.split("\n"), 1):
         if _dots(line) > DEEPEST:
             raise InputError(f"{path.name}: line {number}: more than {DEEPEST} dots in a row of keys; shorten the line")

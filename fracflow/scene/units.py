@@ -275,11 +275,28 @@ class Quantity(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        return number_schema(self.dimension)
+        limits = {
+            "exclusiveMinimum": self.above,
+            "minimum": self.at_least,
+            "exclusiveMaximum": self.below,
+            "maximum": self.at_most,
+        }
+        return number_schema(self.dimension) | {word: limit for word, limit in limits.items() if limit is not None}
 
 
 def number_schema(dimension: str) -> dict[str, Any]:
-    """JSON schema of a number that may carry its unit."""
+    """JSON schema of a number that may carry its unit; ``scene.editor`` says it in words that an editor knows."""
     if dimension == PLAIN:
         return {"type": "number", "dimension": "1"}
     return {"type": ["number", "string"], "dimension": dimension, "examples": [example(dimension)]}
+
+
+def list_schema(*entries: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON schema of a list with so many entries, such as a point."""
+    return {"type": "array", "prefixItems": list(entries), "minItems": len(entries), "maxItems": len(entries)}
+
+
+def table_schema(keys: Mapping[str, Any], *optional: str) -> dict[str, Any]:
+    """JSON schema of a table with these keys, all of which it must have but the ``optional`` ones."""
+    required = [key for key in keys if key not in optional]
+    return {"type": "object", "properties": dict(keys), "required": required, "additionalProperties": False}

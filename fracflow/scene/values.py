@@ -18,10 +18,15 @@ from fracflow.scene.units import (
     Quantity,
     example,
     fault,
+    list_schema,
     number_schema,
     system_of,
+    table_schema,
     what_fits,
 )
+
+POINT = list_schema(number_schema(LENGTH), number_schema(LENGTH))
+"""JSON schema of [x, y]."""
 
 
 @dataclass(frozen=True)
@@ -134,9 +139,12 @@ class Tabled(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        columns = {"type": "object", "properties": {"interpolation": {"enum": ["linear", "step"]}}}
+        time, value = number_schema(TIME), number_schema(self.dimension)
+        rows = {"type": "array", "minItems": 1, "items": list_schema(time, value)}
+        keys = {"time": {"type": "array", "items": time}, "value": {"type": "array", "items": value}}
+        columns = table_schema({**keys, "interpolation": {"enum": ["linear", "step"]}}, "interpolation")
         words = [{"const": self.word}] if self.word else []
-        return {"anyOf": [number_schema(self.dimension), {"type": "array"}, columns, *words]}
+        return {"anyOf": [value, rows, columns, *words]}
 
 
 @dataclass(frozen=True)
@@ -166,7 +174,8 @@ class TabledVector(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        vector = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": self.dimension}
+        part = Tabled(self.dimension).schema()
+        vector = list_schema(part, part) | {"dimension": self.dimension}
         return {"anyOf": [vector, {"const": self.word}]} if self.word else vector
 
 
@@ -187,8 +196,9 @@ class Displaced(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        parts = {"x": {"dimension": LENGTH}, "y": {"dimension": LENGTH}, "rotation": {"dimension": PLAIN}}
-        return {"type": "object", "properties": parts, "additionalProperties": False}
+        parts = {"x": LENGTH, "y": LENGTH, "rotation": PLAIN}
+        keys = {part: Tabled(dimension).schema() for part, dimension in parts.items()}
+        return table_schema(keys, *keys) | {"minProperties": 1}
 
 
 @dataclass(frozen=True)
@@ -217,15 +227,13 @@ class At(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        point = {"type": "array", "minItems": 2, "maxItems": 2, "dimension": LENGTH}
-        ends = {"fracture": {"type": "string"}, "end": {"enum": ["start", "end"]}}
-        end = {"type": "object", "properties": ends, "required": ["fracture", "end"]}
-        parts = {"at": {"type": "number", "dimension": LENGTH}, "fraction": {"type": "number"}}
+        fracture = {"fracture": {"type": "string"}}
+        end, at = {"enum": ["start", "end"]}, Quantity(LENGTH, at_least=0.0).schema()
+        fraction = Quantity(at_least=0.0, at_most=1.0).schema()
         along = [
-            {"type": "object", "properties": {"fracture": {"type": "string"}, key: part}, "required": ["fracture", key]}
-            for key, part in parts.items()
+            table_schema({**fracture, key: one}) for key, one in (("end", end), ("at", at), ("fraction", fraction))
         ]
-        return {"anyOf": [point, {"type": "string"}, end, *along]}
+        return {"anyOf": [POINT | {"dimension": LENGTH}, {"type": "string", "minLength": 1}, *along]}
 
 
 @dataclass(frozen=True)
@@ -245,7 +253,8 @@ class Domain(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        return {"type": "array", "minItems": 3, "dimension": LENGTH}
+        corners = {"type": "array", "minItems": 3, "items": POINT}
+        return {"type": "array", "dimension": LENGTH, "anyOf": [list_schema(*[number_schema(LENGTH)] * 4), corners]}
 
 
 @dataclass(frozen=True)
@@ -263,7 +272,7 @@ class Polyline(Annotation):
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        return {"type": "array", "minItems": 2, "dimension": LENGTH}
+        return {"type": "array", "minItems": 2, "dimension": LENGTH, "items": POINT}
 
 
 def read_points(value: list[Any], info: ValidationInfo) -> tuple[tuple[float, float], ...]:

@@ -56,7 +56,8 @@ def run(
     show      is given the pre-run checks before the first step, on rank 0
     say       is given lines to be read before it: on wells in separate network components, and near misses
     progress is given each step. Its method ``trial(time, length, why)``, if any, is called for each rejected step without
-              inertia of a stage auto, and ``saved(steps)`` for each checkpoint
+              inertia of a stage auto, and ``saved(steps)`` for each checkpoint. Its method ``sections(slipping, open)``, if
+              any, is given numbers of joint ends before each step, on rank 0 only
 
     Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
     removed, and ``progress`` is called for those of both. Raises InputError, SolveError, DiskError and Interrupted, on every
@@ -242,6 +243,7 @@ def _steps(
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
     going_on, report_trial = step.progress or {}, getattr(progress, "trial", None)
+    report_sections = getattr(progress, "sections", None)
     with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
@@ -262,6 +264,8 @@ def _steps(
                         step = made
                         recorder.record(step)
                         watch_locked(stepping.model, step.state)
+                        if report_sections is not None and recorder.changed is not None:
+                            report_sections(*recorder.changed)
                         if progress is not None:
                             progress(step)
                         state.destroy()

@@ -99,6 +99,13 @@ def open_fresh(path: Path) -> int:
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
 
 
+def create_text(path: Path, text: str) -> None:
+    """Write a text into a file that is new. Raises FileExistsError for one that is there, or a link, and OSError."""
+    number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    with open(number, "w", encoding="utf-8") as file:
+        file.write(text)
+
+
 def open_own(path: Path, flags: int) -> int:
     """A descriptor of a file that is changed in its place: regular, no link, without a second name.
 

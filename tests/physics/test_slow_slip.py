@@ -13,7 +13,6 @@ from fracflow.advance.regime import transit
 from fracflow.advance.slow_slip import RADIATED, slipped
 from fracflow.advance.step import Stepping, stepper_of
 from fracflow.cli.app import app
-from fracflow.cli.run import ProgressBar
 from fracflow.errors import Interrupted
 from fracflow.output import read_events, read_history
 from fracflow.reduction.prepare import prepare
@@ -173,16 +172,3 @@ def test_check_foretells_events_and_slow_slip(tmp_path):
     assert int(event[0]) == 21 and int(event[1]) >= 50  # 200 s to 0.14 ms; a period in fiftieths
     assert "slow slip in stage creep, up to: 20 steps more, where 2 fractures weaken" in said.output
     assert "nucleation length / 5 is not resolved" in said.output and "depends on the mesh in fault" in said.output
-
-
-@pytest.mark.serial
-def test_progress_shows_trials_as_they_are_rejected():
-    lines = []
-    scene = SimpleNamespace(unit_system=SimpleNamespace(time="s"))
-    sight = ProgressBar(scene, "a run", lambda text, steps: lines.append((text, steps)))
-    for rejected in range(3):
-        sight.trial(12.0, 0.5**rejected, "why")
-    assert lines[-1] == ("a run, 3 trials rejected, the last of 0.25 at 12 s", 0)
-    step = SimpleNamespace(report=SimpleNamespace(rejected=3), regime="quasi-static", state=SimpleNamespace(time=12.1))
-    sight(step)
-    assert lines[-1] == ("a run, quasi-static at 12.1 s, 3 trials rejected", 1)

@@ -1,0 +1,172 @@
+"""A first scene, written with comments: of three fractures, or of a user's own traces or mesh."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from fracflow.errors import DiskError, InputError
+from fracflow.mesh.interpret import EVERY
+from fracflow.mesh.read import network_of, read_mesh
+from fracflow.model.setup import geometry_of
+from fracflow.scene.geometry import read_traces_csv
+from fracflow.scene.scene import Scene
+from fracflow.scene.toml import parse_toml, write_key, write_value
+from fracflow.storage.files import create_text, read_text, shown_plain
+
+MARGIN = 0.25  # of the larger extent of traces, from them to the sides
+CELLS, CELLS_AT_FRACTURES, PER_FRACTURE = 12, 40, 6  # along the domain, there at fractures, and along a usual one
+MOST_JOINTS = 2000
+RATE = 1e-3  # pumped into a domain of a kilometre [L/s per m]
+MOST_NAMED = 20  # names in a comment
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a scene happens: its tables of geometry or mesh as text, and names in it.
+
+    extent     of the larger side of the domain [length]
+    fractures  names, the longest first
+    """
+
+    text: str
+    extent: float
+    fractures: Sequence[str]
+    rocks: Sequence[str] = ("rock",)
+    sides: Sequence[str] = ("west", "east", "south", "north")
+
+
+FIRST = Place(
+    """[geometry] # x to the right, y upward [m]
+domain = [0, 0, 1000, 800] # xmin, ymin, xmax, ymax; the sides are called west, south, east, north
+size = 80 # of cells away from fractures; leave both sizes out, and they follow from the scene
+size_at_fractures = 25
+
+[[geometry.fracture]] # or all of them in a table: fractures_csv = "traces.csv" in [geometry]
+name = "Anna"
+points = [[200, 120], [340, 320], [830, 530]]
+
+[[geometry.fracture]]
+name = "Bruno"
+points = [[430, 680], [640, 200]]
+
+[[geometry.fracture]]
+name = "Clara"
+points = [[600, 540], [900, 380]]
+""",
+    1000.0,
+    ("Anna", "Bruno", "Clara"),
+)
+SCENE = Path(__file__).with_name("first_scene.toml")
+"""A scene with places for names and sizes."""
+
+
+def write_scene(where: Path, traces: Path | None = None, mesh: Path | None = None, trust: bool = False) -> Path:
+    """Write a scene, into ``where``/scene.toml unless that is a .toml itself; the path of the file.
+
+    traces  a table of traces that it is of, read as ``geometry.fractures_csv`` is
+    mesh    a mesh or geometry file that it is of; a .geo from whoever is trusted, with ``trust``
+
+    A file that is there stays as it is. Raises InputError for it, and for traces and meshes that make no scene, and DiskError.
+    """
+    path = where if where.suffix == ".toml" else where / "scene.toml"
+    if traces is not None and mesh is not None:
+        raise InputError("new: --traces and --mesh: give one of them; traces are meshed by the program")
+    if os.path.lexists(path):
+        raise InputError(f"{path}: is there already, and is not written over; name another file or folder")
+    place = FIRST if traces is None else _of_traces(traces, path)
+    place = place if mesh is None else _of_mesh(mesh, path, trust)
+    text = _text(place, path)
+    scene = Scene.from_data(parse_toml(text, path), path)  # says at once what of the traces or the mesh fits no scene
+    if scene.geometry is not None:
+        network_of(geometry_of(scene))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        create_text(path, text)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError(f"{path}: cannot be made, as a file has the name of its folder; name another folder") from None
+    except OSError as error:
+        raise DiskError.of(error, path) from error
+    return path
+
+
+def _text(place: Place, path: Path) -> str:
+    longest = place.fractures[0]
+    title = f"Fluid pumped into {shown_plain(longest)}"
+    rock = 'youngs_modulus = "50 GPa"\npoissons_ratio = 0.25\ndensity = "2700 kg/m^3"\n'
+    template = Template(read_text(SCENE, "install fracflow again"))
+    return template.substitute(
+        path=shown_plain(str(path)),
+        title=write_value(title),
+        place=place.text,
+        rocks="\n".join(f"[rock.{write_key(name)}]\n{rock}" for name in place.rocks),
+        fracture=write_key(shown_plain(longest)),
+        sides=write_value(list(place.sides)),
+        name=write_value(longest),
+        rate=_round(RATE * place.extent),
+    )
+
+
+def _of_traces(table: Path, path: Path) -> Place:
+    """A domain around the traces of a table. Raises InputError."""
+    rows = read_traces_csv(table)
+    points = [np.asarray(row.points) for row in rows]
+    lengths = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in points])
+    low, high = (
+        np.min([each.min(axis=0) for each in points], axis=0),
+        np.max([each.max(axis=0) for each in points], axis=0),
+    )
+    margin = MARGIN * float((high - low).max())
+    step = 10.0 ** math.floor(math.log10(margin)) / 2.0
+    corners = [*np.floor((low - margin) / step) * step, *np.ceil((high + margin) / step) * step]
+    extent = max(corners[2] - corners[0], corners[3] - corners[1])
+    fine = max(min(extent / CELLS_AT_FRACTURES, float(np.median(lengths)) / PER_FRACTURE), lengths.sum() / MOST_JOINTS)
+    coarse = max(extent / CELLS, fine)
+    order = [rows[n].name for n in np.argsort(-lengths, kind="stable")]
+    text = f"""[geometry] # x to the right, y upward [m]; the sides are called west, south, east, north
+domain = [{", ".join(f"{each:.10g}" for each in corners)}] # xmin, ymin, xmax, ymax: around the traces
+fractures_csv = {write_value(_relative(table, path))}
+size = {_round(coarse)} # of cells away from fractures; leave both sizes out, and they follow from the scene
+size_at_fractures = {_round(fine)}
+{_named(order)}"""
+    return Place(text, extent, order)
+
+
+def _of_mesh(file: Path, path: Path, trust: bool) -> Place:
+    """The names and sizes of a mesh. Raises InputError."""
+    raw = read_mesh(file, [EVERY], trust, path.absolute().parent)
+    if not raw.fractures:
+        raise InputError(
+            f"{file}: no named curve inside the mesh is a fracture; give each one a physical curve, or a set of edges"
+        )
+    if not raw.sides:
+        raise InputError(f"{file}: no side has a name; give the outer curves physical curves, or sets of edges")
+    ends = raw.points[raw.fracture_facets]
+    lengths = np.bincount(raw.fracture_of, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), len(raw.fractures))
+    order = [raw.fractures[n] for n in np.argsort(-lengths, kind="stable")]
+    text = f"""[mesh]
+file = {write_value(_relative(file, path))}
+{_named(order)}"""
+    return Place(text, float(np.ptp(raw.points, axis=0).max()), order, raw.rocks, raw.sides)
+
+
+def _round(size: float) -> str:
+    """A size with two digits."""
+    return f"{float(f'{size:.2g}'):.10g}"
+
+
+def _relative(file: Path, path: Path) -> str:
+    """How a scene at ``path`` names a file."""
+    return os.path.relpath(file.absolute(), path.absolute().parent)
+
+
+def _named(names: Sequence[str]) -> str:
+    """A comment with the names of the fractures, the longest first."""
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"# fractures, the longest first: {', '.join(map(shown_plain, names[:MOST_NAMED]))}{more}\n"

@@ -1,0 +1,250 @@
+"""Where a run is: a bar and a line below it on a terminal, or a line a minute into a file.
+
+The time left is that of the stage under way, by its pace so far. Two times are given where the pace has changed, and none
+while it cannot be known, as during an event.
+"""
+
+from __future__ import annotations
+
+import threading
+import time as clock
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+from rich.text import Text
+
+from fracflow.advance.substeps import SubstepCursor
+from fracflow.output.drawing.axes import shown
+from fracflow.scene.boundary import Stage
+from fracflow.scene.units import TIME
+from fracflow.storage.files import shown_plain
+
+if TYPE_CHECKING:
+    from fracflow.advance.step import Step
+    from fracflow.scene.scene import Scene
+
+LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
+STEADY = 1.5  # ratio of the pace of the whole stage and of its later half: beyond it two times are given
+MOST_SAMPLES = 256
+SETTING_UP = "setting up: mesh, model, what is left out"
+
+
+class ProgressBar:
+    """The state of a run in words, from the steps that it reports.
+
+    show     is given a line, and the share of the stage that is done or None where its end is not known
+    seconds  the time now [s]
+    """
+
+    saved: Callable[[int], None]
+    """Is given the number of steps up to the last state on disk."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        show: Callable[[str, float | None], None],
+        seconds: Callable[[], float] = clock.monotonic,
+    ) -> None:
+        """Before the first step."""
+        self.scene, self.show, self.seconds = scene, show, seconds
+        self.rejected = self.since = 0
+        self.counts: tuple[int, int] | None = None
+        self.line = SETTING_UP
+        self.share: float | None = None
+        self.pace, self.stage = Pace(seconds()), -1
+        show(self.line, None)
+
+    def sections(self, slipping: int, is_open: int) -> None:
+        """Sections that slip and that are open in the step that is reported next."""
+        self.counts = slipping, is_open
+
+    def trial(self, time: float, length: float, why: str) -> None:
+        """A step of a length was tried from a time, and rejected."""
+        self.since += 1
+        number, at = self.rejected + self.since, self._shown(time)
+        self.show(f"{self.line}, {number} trials rejected, the last of {self._shown(length)} at {at}", self.share)
+
+    def __call__(self, step: Step) -> None:
+        """A step has been taken; its report counts the trials before it."""
+        self.rejected, self.since = self.rejected + step.report.rejected, 0
+        stage = self.scene.stage[step.stage]
+        share = share_done(stage, self._start(step.stage), step)
+        if step.stage != self.stage or self.pace.goes_back(share):  # or the run has begun anew
+            self.stage, self.pace = step.stage, Pace(self.seconds())
+        event = step.regime == "dynamic" and stage.kind == "auto"
+        self.pace.add(self.seconds(), share, event)
+        head = f"stage {step.stage + 1} of {len(self.scene.stage)} ({stage.title}): {self._where(stage, step)}"
+        found = "" if self.counts is None else f", {self.counts[0]} sections slip, {self.counts[1]} open"
+        self.line, self.share = head + found, share
+        rejected = f", {self.rejected} trials rejected" if self.rejected else ""
+        left = self._left(stage, event)
+        self.show(self.line + rejected + (f"; {left}" if left else ""), share)
+
+    def _start(self, number: int) -> float:
+        """When a stage begins, as far as the scene says it [time]."""
+        start = 0.0
+        for stage in self.scene.stage[:number]:
+            start = stage.finish(start)
+        return start
+
+    def _shown(self, time: float) -> str:
+        """A time in a unit that suits it."""
+        system = self.scene.unit_system
+        units = {"length": system.length, "force": system.force, "time": system.time}
+        return shown_plain(shown(TIME, time, units, 6))
+
+    def _where(self, stage: Stage, step: Step) -> str:
+        """How far a stage is: its step and the part of it, its control, its regime and its time."""
+        now, progress = self._shown(step.state.time), step.progress or {}
+        if stage.takes_no_time and stage.control is not None:
+            return f"control.{stage.control} at {step.state.controls[stage.control]:.4g}"
+        if stage.kind == "auto":
+            onset = self._shown(step.state.time - progress.get("begun", step.state.time))
+            what = f"dynamic, in an event for {onset}," if step.regime == "dynamic" else "quasi-static,"
+            return f"{what} at {now} of {self._shown(stage.end or 0.0)}"
+        part, count = SubstepCursor.of(progress).fraction % 1.0, stage.step_count(progress.get("start", 0.0))
+        if "n" not in progress:
+            return f"{stage.kind}, at {now}"
+        number = int(progress["n"]) + (part > 0.0)
+        among = f" of {count}" if count is not None else ""
+        inside = f", {part:.0%} of it done in substeps" if part > 0.0 else ""
+        return f"{stage.kind}, step {number}{among}{inside}, at {now}"
+
+    def _left(self, stage: Stage, event: bool) -> str:
+        """The time left in words; empty while the pace is not known yet."""
+        if stage.takes_no_time and stage.until is not None:
+            return "its end is not known before the first section is about to slip"
+        if event:
+            return "the time left is not known during an event"
+        after = len(self.scene.stage) - 1 - self.stage
+        rest = f" in this stage, with {after} more after it" if after else ""
+        found = self.pace.left()
+        if found is None:
+            return ""
+        low, high = (spoken(each) for each in found)
+        if stage.kind == "auto":
+            return f"at least {low} left{rest}, without events to come"
+        if stage.until is not None:
+            return f"at most {high} left{rest}"
+        return f"about {low} left{rest}" if found[1] <= STEADY * found[0] else f"{low} to {high} left{rest}"
+
+
+class Pace:
+    """The pace of a stage, from its shares done at times; time spent in events counts for nothing."""
+
+    def __init__(self, now: float) -> None:
+        """As a stage begins, at a time [s]."""
+        self.last, self.spent, self.steps = now, 0.0, 0
+        self.samples: list[tuple[float, float]] = []  # seconds spent, share done
+
+    def goes_back(self, share: float | None) -> bool:
+        """Whether less is done than before."""
+        return share is not None and bool(self.samples) and share < self.samples[-1][1]
+
+    def add(self, now: float, share: float | None, event: bool) -> None:
+        """After a step that ended at a time [s], with the share done or None."""
+        self.spent += 0.0 if event or not self.steps else now - self.last
+        self.last, self.steps = now, self.steps + 1
+        if share is None:
+            return
+        self.samples.append((self.spent, share))
+        if len(self.samples) > MOST_SAMPLES:
+            self.samples = [*self.samples[:-1:2], self.samples[-1]]
+
+    def left(self) -> tuple[float, float] | None:
+        """Shortest and longest time left [s], by the pace of the whole stage and of its later half; None if unknown."""
+        if self.steps <= LEAST_STEPS or self.spent < LEAST_SECONDS or not self.samples:
+            return None
+        spent, share = self.samples[-1]
+        half = [each for each in self.samples if each[0] <= 0.5 * spent][-1]
+        found = [(share - done) / (spent - then) for then, done in (self.samples[0], half) if spent > then]
+        if not found or min(found) <= 0.0:
+            return None
+        times = [(1.0 - share) / each for each in found]
+        return min(times), max(times)
+
+
+def share_done(stage: Stage, start: float, step: Step) -> float | None:
+    """The share of a stage that is done after a step, from 0 to 1; None where nothing says its end.
+
+    start  when the stage begins, if a step does not say it [time]
+    """
+    progress = step.progress or {}
+    if stage.kind == "auto" and stage.end is not None:
+        return min(max((step.state.time - start) / (stage.end - start), 0.0), 1.0) if stage.end > start else None
+    count = stage.step_count(progress.get("start", start))
+    if "done" in progress or not count or "n" not in progress:
+        return 1.0 if "done" in progress else None
+    return min((progress["n"] + SubstepCursor.of(progress).fraction % 1.0) / count, 1.0)
+
+
+def spoken(seconds: float) -> str:
+    """A time as a person says it: 40 s, 12 min, 3.5 h, 2.1 days."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    for unit, length, most in (("min", 60.0, 90.0), ("h", 3600.0, 48.0)):
+        if seconds < most * length:
+            return f"{seconds / length:.2g} {unit}"
+    return f"{seconds / 86400.0:.2g} days"
+
+
+class _TwoLines(Progress):
+    """A bar, and a line of text below it."""
+
+    below = ""
+
+    def get_renderables(self) -> Any:
+        """The bar, then the line."""
+        yield from super().get_renderables()
+        yield Text(self.below)
+
+
+class Screen:
+    """Shows where a run is: on a terminal by a bar, else by a line every ``interval`` seconds; nothing where it is quiet."""
+
+    def __init__(self, console: Console, name: str, interval: float) -> None:
+        """Of a run with a name."""
+        self.console, self.name, self.interval = console, shown_plain(name), interval
+        self._line, self._began, self._since = "", clock.monotonic(), clock.monotonic()
+        self._ended = threading.Event()
+        self._writer: threading.Thread | None = None
+        self._bar: _TwoLines | None = None
+
+    def __enter__(self) -> Screen:
+        if self.console.quiet:
+            return self
+        if self.console.is_terminal:
+            columns = TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn()
+            self._bar = _TwoLines(*columns, console=self.console, transient=True)
+            self._task = self._bar.add_task(self.name, total=None)
+            self._bar.start()
+        else:
+            self._writer = threading.Thread(target=self._write, daemon=True)
+            self._writer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        if self._bar is not None:
+            self._bar.stop()
+        if self._writer is not None:
+            self._writer.join()
+
+    def show(self, line: str, share: float | None) -> None:
+        """Show a line, and a share done or None where the end is not known."""
+        self._line, self._since = line, clock.monotonic()
+        if self._bar is not None:
+            self._bar.below = line
+            self._bar.update(self._task, total=None if share is None else 1.0, completed=share or 0.0)
+
+    def _write(self) -> None:
+        while not self._ended.wait(self.interval):
+            now = clock.monotonic()
+            still = f", and this for {spoken(now - self._since)}" if now - self._since >= self.interval else ""
+            said = f"after {spoken(now - self._began)}: {shown_plain(self._line)}{still}"
+            try:
+                self.console.print(f"{self.name}: {said}", soft_wrap=True, markup=False, highlight=False)
+            except OSError:  # of a full disk: the run itself reports what it cannot write
+                return

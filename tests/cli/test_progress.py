@@ -1,0 +1,208 @@
+"""Progress of a run in words: steps and substeps, sections, trials, events, and a time left only where it is known."""
+
+import os
+import pty
+import re
+import sys
+import time
+from types import SimpleNamespace
+
+import pytest
+from malformed import SCENE
+from rich.console import Console
+
+from fracflow.cli.progress import Pace, ProgressBar, Screen, spoken
+from fracflow.cli.run import run_with_progress
+from fracflow.scene.boundary import Stage
+from fracflow.scene.scene import Scene, load
+from fracflow.scene.units import UnitSystem
+from fracflow.simulation.run import run
+
+DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
+AUTO = Stage(name="weeks", kind="auto", time_step=3600.0, end=864000.0)
+SEARCH = Stage(name="pumping", kind="steady", until="incipient", control="pumping")
+
+
+class Story:
+    """The lines of a run with these stages, whose steps take so many seconds each."""
+
+    def __init__(self, *stages):
+        self.now, self.told, self.time, self.n = 100.0, [], 0.0, 0
+        scene = SimpleNamespace(stage=stages, unit_system=UnitSystem.parse("SI"))
+        self.bar = ProgressBar(scene, lambda line, share: self.told.append((line, share)), lambda: self.now)
+
+    def step(self, stage=0, takes=1.0, length=0.01, regime="", rejected=0, **progress):
+        self.now, self.time, self.n = self.now + takes, self.time + length, self.n + 1
+        state = SimpleNamespace(time=self.time, controls={"pumping": 1.2345678})
+        report = SimpleNamespace(rejected=rejected)
+        given = {"n": self.n, "start": 0.0, **progress}
+        self.bar(SimpleNamespace(state=state, stage=stage, dt=length, regime=regime, report=report, progress=given))
+        return self.told[-1][0]
+
+    def auto(self, regime="quasi-static", length=3600.0, takes=1.0, **progress):
+        self.n = 0
+        return self.step(takes=takes, length=length, regime=regime, **progress)
+
+
+@pytest.mark.serial
+def test_steps_sections_and_the_time_left():
+    story = Story(DYNAMIC)
+    assert story.told == [("setting up: mesh, model, what is left out", None)]
+    for _ in range(3):
+        assert "left" not in story.step()  # too few to know a pace by
+    story.bar.sections(3, 1)
+    assert story.step() == (
+        "stage 1 of 1 (shock): dynamic, step 4 of 10, at 40 ms, 3 sections slip, 1 open; about 6 s left"
+    )
+    assert story.told[-1][1] == 0.4
+
+
+@pytest.mark.serial
+def test_substeps_are_parts_of_a_step():
+    story = Story(DYNAMIC)
+    story.n = 5
+    line = story.step(n=6, place_base=0.0, place_part=0.25)
+    assert "step 7 of 10, 25% of it done in substeps" in line and story.told[-1][1] == 0.625
+
+
+@pytest.mark.serial
+def test_a_pace_that_changes_gives_two_times():
+    story = Story(DYNAMIC)
+    for takes in (1.0, 1.0, 1.0, 1.0, 60.0):
+        line = story.step(takes=takes)
+    assert line.endswith("; 79 s to 5 min left")
+
+
+@pytest.mark.serial
+def test_with_stages_after_it_the_time_left_is_that_of_the_stage():
+    story = Story(DYNAMIC, SEARCH)
+    for _ in range(5):
+        line = story.step()
+    assert line.endswith("; about 5 s left in this stage, with 1 more after it")
+    line = story.step(stage=1, length=0.0, increment=0.5)
+    assert line.startswith("stage 2 of 2 (pumping): control.pumping at 1.235")
+    assert line.endswith("; its end is not known before the first section is about to slip")
+    assert story.told[-1][1] is None
+
+
+@pytest.mark.serial
+def test_an_event_has_no_time_left_and_does_not_count_afterwards():
+    story = Story(AUTO)
+    for _ in range(60):
+        line = story.auto()
+    assert line == (
+        "stage 1 of 1 (weeks): quasi-static, at 2.5 days of 10 days; at least 3 min left, without events to come"
+    )
+    begun = story.time
+    for _ in range(500):  # ten minutes at a standing clock
+        line = story.auto("dynamic", length=1e-3, takes=1.2, begun=begun)
+    assert "dynamic, in an event for 500 ms, at 2.5" in line
+    assert line.endswith("; the time left is not known during an event")
+    for _ in range(20):
+        line = story.auto()
+    assert line.endswith("; at least 2.7 min left, without events to come")
+
+
+@pytest.mark.serial
+def test_a_run_that_begins_anew_has_a_new_pace():
+    story = Story(DYNAMIC)
+    for _ in range(8):
+        story.step(takes=100.0)
+    story.n = 0
+    assert "left" not in story.step()
+
+
+@pytest.mark.serial
+def test_trials_are_shown_as_they_are_rejected():
+    story = Story(AUTO)
+    story.auto(length=43200.0)
+    for rejected in range(3):
+        story.bar.trial(43200.0, 0.5**rejected, "why")
+    there = "stage 1 of 1 (weeks): quasi-static, at 12 h of 10 days"
+    assert story.told[-1][0] == f"{there}, 3 trials rejected, the last of 250 ms at 12 h"
+    assert ", 3 trials rejected" in story.auto(rejected=3)
+
+
+@pytest.mark.serial
+def test_few_samples_are_kept_of_a_long_run():
+    pace = Pace(0.0)
+    for n in range(1, 100_001):
+        pace.add(float(n), n / 200_000, False)
+    assert len(pace.samples) < 300 and pace.left() == pytest.approx((1e5, 1e5), rel=1e-3)
+
+
+@pytest.mark.serial
+def test_times_as_they_are_said():
+    assert [spoken(s) for s in (4.2, 89.0, 91.0, 3600.0, 9000.0, 4e5)] == [
+        "4 s",
+        "89 s",
+        "1.5 min",
+        "60 min",
+        "2.5 h",
+        "4.6 days",
+    ]
+
+
+def small(folder, comm) -> Scene:
+    """A scene of a few steps, in a file that all ranks have."""
+    if comm.rank == 0:
+        (folder / "scene.toml").write_text(SCENE)
+    comm.barrier()
+    return load(folder / "scene.toml", ["stage.0.steps=12"])
+
+
+def go(scene, folder, comm, interval):
+    """A run each of whose steps takes 20 ms at least."""
+
+    def job(tick):
+        def slow(step):
+            time.sleep(0.02)
+            tick(step)
+
+        slow.sections, slow.saved = tick.sections, tick.saved
+        return run(scene, folder, comm, slow)
+
+    run_with_progress(scene, folder, Console(quiet=True), comm, job, is_shown=False, interval=interval)
+
+
+def test_a_pipe_gets_lines_of_rank_0(shared_tmp, comm, capfd):
+    go(small(shared_tmp, comm), shared_tmp / "out", comm, 0.03)
+    said = capfd.readouterr().err
+    if comm.rank > 0:
+        assert said == ""
+        return
+    assert "\r" not in said and "\x1b" not in said
+    line = r"A square with a fault: after \d s: stage 1 of 1 \(quasi-static\): quasi-static, step \d+ of 12, at \d+ s"
+    assert re.search(line + r", \d+ sections slip, \d+ open", said)
+    assert all(each.startswith("A square with a fault: after ") for each in said.splitlines())
+
+
+def test_a_short_run_says_nothing_into_a_pipe(shared_tmp, comm, capfd):
+    go(small(shared_tmp, comm), shared_tmp / "out", comm, 60.0)
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.serial
+def test_a_terminal_has_a_bar(tmp_path, comm, monkeypatch):
+    there, here = pty.openpty()
+    with os.fdopen(here, "w") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        monkeypatch.setenv("TERM", "xterm")
+        monkeypatch.setenv("COLUMNS", "100")
+        go(small(tmp_path, comm), tmp_path / "out", comm, 0.0)
+        os.set_blocking(there, False)
+        said = os.read(there, 1 << 20).decode()
+    os.close(there)
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said)
+    assert "━" in plain and re.search(r"A square with a fault .* \d+%", plain)
+    assert re.search(
+        r"stage 1 of 1 \(quasi-static\): quasi-static, step \d+ of 12, at \d+ s, 0 sections slip, 0 open", plain
+    )
+
+
+@pytest.mark.serial
+def test_a_long_step_is_seen_to_go_on(capfd):
+    with Screen(Console(stderr=True), "a run", 0.02) as screen:
+        screen.show("stage 1 of 1 (shock): dynamic, step 4 of 10", 0.4)
+        time.sleep(0.1)
+    assert capfd.readouterr().err.splitlines()[-1].endswith("step 4 of 10, and this for 0 s")

@@ -1,0 +1,39 @@
+"""The tables of ``check`` and of a run at 100 columns, for every scene of the repository."""
+
+import io
+
+import pytest
+from pages import ROOT
+from rich.console import Console
+
+from fracflow.cli.check import set_up
+from fracflow.cli.report import report_checks, report_plan
+from fracflow.diagnostics import as_records as card_records
+from fracflow.reduction import as_records
+from fracflow.scene.scene import load
+
+pytestmark = pytest.mark.serial
+SCENES = sorted(path for path in (ROOT / "meshes").rglob("scene.toml"))
+NARROW = 100
+
+
+def printed(show, records, width) -> str:
+    text = io.StringIO()
+    show(records, Console(file=text, width=width, highlight=False))
+    return text.getvalue()
+
+
+@pytest.mark.parametrize("path", SCENES, ids=[path.parent.name for path in SCENES])
+def test_tables_fit_and_lose_nothing(path):
+    _, _, numbers, decisions, _ = set_up(load(path))
+    for show, records in ((report_checks, card_records(numbers)), (report_plan, as_records(decisions))):
+        for width in (NARROW, 300):
+            lines = printed(show, records, width).splitlines()
+            table = [line for line in lines if not line.startswith("! ")]
+            assert max(map(len, table)) <= NARROW
+        assert "…" not in "".join(lines)
+    plan = printed(report_plan, as_records(decisions), NARROW)
+    for each in as_records(decisions):
+        words = f"{each['part']} {each['criterion']} {each['saves']}".split()
+        assert [word for word in words if len(word) < 20 and word not in plan] == []
+    assert plan.index("Plan: left out") < plan.index("Plan: kept")
