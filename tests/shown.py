@@ -18,7 +18,7 @@ from pages import ROOT, TUTORIALS, Code, blocks, targets
 from fracflow.cli.app import app, with_levels
 
 INDEX = ROOT / "meshes" / "README.md"
-FRAMES = re.compile(r"[\u2500-\u257f]")  # of tables
+FRAMES = re.compile(r"\x1b\[[\d;]*m|[\u2500-\u257f]")  # of tables, and their colours
 VARIES = re.compile(r"\d[\d.]* CPU s\b|\b\d+\.\d+\.\d+\b")  # times and versions
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 GAP = "..."
@@ -31,10 +31,13 @@ def path_of(index: Path = INDEX) -> list[Path]:
 
 
 def parts(page: Path) -> Iterator[tuple[Code, str | None]]:
-    """Each block of commands or of Python, and the output shown after it, None where none is; those marked "long" are left out."""
+    """Each block of commands or of Python, and the output shown after it, None where none is.
+
+    Left out are blocks marked "long", and "file": what stands in a file of the folder.
+    """
     found = [*blocks(page), Code("", (), "", 0)]
     for block, after in pairwise(found):
-        if block.language in ("sh", "python") and "long" not in block.words:
+        if block.language in ("sh", "python") and not {"long", "file"} & {*block.words}:
             yield block, after.text if after.line and after.language == "" else None
 
 

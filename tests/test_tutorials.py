@@ -32,7 +32,7 @@ def test_shown_output_is_printed(page, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=NAMES.values())
 def test_a_tutorial_has_its_form(page):
-    """Short; what one learns and how long it takes at the top; its scenes as they are in the folder; the next one at the end."""
+    """Short; what one learns and how long it takes on top; scenes as they are in the folder; the next one at the end."""
     text = page.read_text(encoding="utf-8")
     lines = text.splitlines()
     assert len(lines) <= LONGEST
@@ -41,6 +41,9 @@ def test_a_tutorial_has_its_form(page):
     scenes = [path.read_text(encoding="utf-8") for path in page.parent.glob("*.toml")]
     whole = [block.text for block in blocks(page) if block.language == "toml" and "fragment" not in block.words]
     assert [block for block in whole if block not in scenes] == []
+    files = [path.read_text(encoding="utf-8") for path in page.parent.glob("*.py")]
+    parts_of_files = [block.text for block in blocks(page) if "file" in block.words]
+    assert [part for part in parts_of_files if not any(part in file for file in files)] == []
     order = path_of()
     after = order[(order.index(page) + 1) % len(order)]
     assert lines[-1].startswith("**Next:**") or lines[-2].startswith("**Next:**")
