@@ -14,6 +14,8 @@ from website.pages import slug
 ROOT = Path(__file__).parents[1]
 FOLDERS = (".github", "fracflow", "meshes", "scripts", "tests")
 PAGES = [*sorted(ROOT.glob("*.md")), *(page for name in FOLDERS for page in sorted((ROOT / name).rglob("*.md")))]
+TUTORIALS = [page for page in sorted((ROOT / "meshes").glob("*/README.md")) if page.parent.name != "failures"]
+"""Pages whose blocks are run one after another, and whose shown output is compared: see test_tutorials.py."""
 
 
 class Code(NamedTuple):

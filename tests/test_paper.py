@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import tomllib
 import write_pages
-from pages import PAGES, ROOT, Code, anchors, blocks, slug, spans, targets, tokens
+from pages import PAGES, ROOT, TUTORIALS, Code, anchors, blocks, slug, spans, targets, tokens
 
 from fracflow.cli.app import USAGE, app, commands, with_levels
 from fracflow.scene.scene import Scene, load
@@ -132,8 +132,8 @@ def nested(names: list[str]) -> dict[str, object]:
 # -- blocks of code
 
 
-def of_language(language: str) -> list[object]:
-    found = [(page, block) for page in PAGES for block in blocks(page) if block.language == language]
+def of_language(language: str, pages: list[Path] = PAGES) -> list[object]:
+    found = [(page, block) for page in pages for block in blocks(page) if block.language == language]
     return [pytest.param(page, block, id=f"{NAMES[page]}:{block.line}") for page, block in found]
 
 
@@ -162,7 +162,7 @@ def test_the_first_scene_is_the_one_in_its_folder():
     assert texts["csv"] == (folder / "traces.csv").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("page, block", of_language("python"))
+@pytest.mark.parametrize("page, block", of_language("python", [page for page in PAGES if page not in TUTORIALS]))
 def test_python_runs(page: Path, block: Code, tmp_path):
     """In a folder of its own that sees the scenes."""
     (tmp_path / "meshes").symlink_to(ROOT / "meshes")
