@@ -91,9 +91,7 @@ class ProgressBar:
 
     def _shown(self, time: float) -> str:
         """A time in a unit that suits it."""
-        system = self.scene.unit_system
-        units = {"length": system.length, "force": system.force, "time": system.time}
-        return shown_plain(shown(TIME, time, units, 6))
+        return shown_plain(shown(TIME, time, self.scene.unit_names, 6))
 
     def _where(self, stage: Stage, step: Step) -> str:
         """How far a stage is: its step and the part of it, its control, its regime and its time."""

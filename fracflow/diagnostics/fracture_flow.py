@@ -108,7 +108,9 @@ def transient(view: CheckInput) -> Number:
         remedy += ' with a pressure, or set method.fixed_point = "added-storage" or method.coupling = "monolithic"'
         return Number(name, formula, value, limit, True, where, remedy)
     remedy = "the fixed point (4.5) may diverge, and smaller steps make it worse: take time_step above"
-    remedy += f' {view.scene.time_text(stage.time_step * value / limit, 2)} there, or set method.coupling = "monolithic"'
+    remedy += (
+        f' {view.scene.time_text(stage.time_step * value / limit, 2)} there, or set method.coupling = "monolithic"'
+    )
     return Number(name, formula, value, limit, True, where, remedy)
 
 
