@@ -45,12 +45,18 @@ class TimeTable:
 
     def __call__(self, time: float, around: Around = AT_ONCE) -> float:
         """Sample the table; at a jump, within 1e-12 of its time, by default the mean of both sides."""
+        if len(self.times) == 1:  # most supports, whose unknowns ask for it many times a step
+            return float(self.values[0])
         return float(self.around(time, *around)[0])
 
-    @property
+    @cached_property
+    def _arrays(self) -> tuple[Floats, Floats]:
+        return np.array(self.times), np.array(self.values)
+
+    @cached_property
     def jumps(self) -> tuple[Floats, Floats]:
         """Times (k,) and sizes (k,) of its jumps."""
-        times, values = np.array(self.times), np.array(self.values)
+        times, values = self._arrays
         found = np.diff(values)
         at = found != 0.0 if self.interpolation == "step" else (np.diff(times) == 0.0) & (found != 0.0)
         return times[1:][at], found[at]
@@ -109,7 +115,7 @@ class TimeTable:
         the table but for second order.
         """
         at_times: Floats = np.atleast_1d(np.asarray(time, dtype=float))
-        times, values = np.array(self.times), np.array(self.values)
+        times, values = self._arrays
         tolerance = 1e-12 * np.maximum(np.abs(at_times), max(abs(times[0]), abs(times[-1])))
         past = np.searchsorted(times, at_times - tolerance)  # the limit from the left
         result: Floats = values[np.maximum(past - 1, 0)]

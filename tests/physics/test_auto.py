@@ -84,10 +84,10 @@ def test_pulses_in_time_with_the_rock_are_no_slow_load(tmp_path):
     push = f"load.1.force=[{[list(pair) for pair in zip(times, values, strict=True)]}, 0]"
     slips = {}
     for name, change in (
-        ("auto", ("stage.push.dynamic_time_step=0.01",)),
-        ("dynamic", ("stage.0={kind = 'dynamic', time_step = 0.01, end = 30}",)),
+        ("auto", ("stage.push.dynamic_time_step=0.02",)),
+        ("dynamic", ("stage.0={kind = 'dynamic', time_step = 0.02, end = 18}",)),
     ):
-        scene = load(SCENE, [*ONE, push, "stage.push.end=30", *change])
+        scene = load(SCENE, [*ONE, push, "stage.push.end=18", *change])
         run(scene, tmp_path / name)
         slips[name] = read_history(tmp_path / name / "history.h5")["probe/fault/plastic_slip"][-1]
     assert slips["dynamic"] > 0.5
