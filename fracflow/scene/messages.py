@@ -10,6 +10,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from fracflow.scene.meanings import meanings
 from fracflow.scene.toml import write_value
 
 Path = tuple[int | str, ...]
@@ -71,8 +72,7 @@ def _what(error: ErrorDetails, path: Path, data: Mapping[str, Any], model: type[
     if kind == "missing":
         if not isinstance(path[-1], str):
             return f"missing; the list must be longer by entry {path[-1]}"
-        field = _model_at(model, path[:-1]).model_fields[path[-1]]
-        return f"missing; required: {' '.join((field.description or '').split())}"
+        return f"missing; required: {meanings(_model_at(model, path[:-1])).get(path[-1], '')}".removesuffix(": ")
     if kind == "literal_error":
         allowed = str(context["expected"]).replace("'", '"').replace(" or ", ", ")
         close = get_close_matches(str(error["input"]), [word.strip('"') for word in allowed.split(", ")], 1, 0.5)

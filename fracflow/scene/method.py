@@ -19,6 +19,7 @@ from pydantic import (
 from fracflow.integrators import flow_integrators, keys_of, with_inertia
 from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
+from fracflow.scene.meanings import meanings
 from fracflow.scene.units import LENGTH, LINE_FORCE, STRESS, Quantity, UnitSystem, fault, time_unit
 from fracflow.scene.values import Domain, Polyline
 from fracflow.storage.files import PLAIN_TEXT
@@ -46,19 +47,16 @@ def _option(value: object) -> object:
 Option = Annotated[StrictBool | StrictInt | StrictFloat | StrictStr, BeforeValidator(_option)]
 
 
-def _on_one_line(schema: dict[str, Any]) -> None:
-    """The meanings of keys without the line ends of their docstrings."""
-    for key in schema.get("properties", {}).values():
-        if "description" in key:
-            key["description"] = " ".join(key["description"].split())
+def _with_meanings(schema: dict[str, Any], table: type[Any]) -> None:
+    """Put the meanings of keys into the schema of a table."""
+    for key, text in meanings(table).items():
+        schema["properties"][key]["description"] = text
 
 
 class Table(BaseModel):
     """A table of a scene: frozen, and refuses keys it does not know; the docstring of a key is its meaning."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, use_attribute_docstrings=True, json_schema_extra=_on_one_line
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra=_with_meanings)
 
     def _refuse(self, why: str, *keys: str) -> None:
         """Raise the fault of the first of some keys that is given."""
