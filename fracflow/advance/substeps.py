@@ -6,6 +6,7 @@ Parts are powers of 1/2 of a step, or of what is left of it after an event, each
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -90,6 +91,7 @@ class Substepped:
 
     place       where in the step it goes on
     prescribed  a part that may be halved to be accurate is, untried, where this is not straight in it
+    causes      why substeps failed since the last step that was taken whole
     """
 
     inner: Advance
@@ -97,6 +99,7 @@ class Substepped:
     log: Log
     place: SubstepCursor = SubstepCursor()
     prescribed: PrescribedTimes = field(default_factory=PrescribedTimes)
+    causes: list[str] = field(default_factory=list)
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The next substep of a requested step, from the place on.
@@ -120,9 +123,12 @@ class Substepped:
                 spent = spent.with_rejected(error.newton)
                 self.log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
                 if level < most:
+                    self.causes.append(str(error).partition(";")[0])
                     continue
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
-                raise NotConverged(f"{error}{tried}", spent.wasted, spent.rejected) from error
+                raise NotConverged(
+                    f"{error}{tried}{_other(self.causes, str(error))}", spent.wasted, spent.rejected
+                ) from error
             if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
                 spent = spent.with_rejected(found.report.newton)
@@ -137,6 +143,8 @@ class Substepped:
             place = replace(place, base=found.reached, part=0.0, events=events)
         else:
             place = _after(replace(place, part=place.part + size), found.error, rules)
+        if size == 1.0:
+            self.causes.clear()
         self.place = place.next_step() if place.fraction == 1.0 else place
         length = step.length * (found.reached - start)
         return replace(found, report=found.report.after_trials(spent), length=length)
@@ -145,6 +153,16 @@ class Substepped:
         end = step.first(step.ends, begin, end) or end
         inside = begin + 2.0 * AT_A_JUMP, end - 2.0 * AT_A_JUMP
         return self.prescribed.is_straight(*(step.begin + fraction * step.length for fraction in inside))
+
+
+def _other(causes: Sequence[str], last: str) -> str:
+    """Another cause than the last one for which substeps failed; the latest of them."""
+
+    def kind(cause: str) -> str:
+        return re.sub(r"^time \S+ ", "", cause)[:12]
+
+    others = [cause for cause in causes if kind(cause) != kind(last)]
+    return f"; before that: {others[-1]}" if others else ""
 
 
 def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:

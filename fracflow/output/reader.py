@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 FieldProfile = tuple[Floats, Floats | None, Floats]
 
 _DYNAMIC, _EQUILIBRATE = 2, 3
-_EPS = 1e-15  # round-off, of the size of the domain or of the largest stress
+ROUND_OFF = 1e-15  # of the size of the domain or of the largest stress
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
 
@@ -185,10 +185,10 @@ class RunData:
         points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in self.rock or [])])
         extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
         steps = np.diff(self.history["time"])
-        length = _EPS * extent
+        length = ROUND_OFF * extent
         stresses = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for key, values in self.history.items()
                     if dimension_of(key) == STRESS]  # fmt: skip
-        found = {LENGTH: length, STRESS: _EPS * max(stresses, default=0.0), ENERGY: self.energy_noise}
+        found = {LENGTH: length, STRESS: ROUND_OFF * max(stresses, default=0.0), ENERGY: self.energy_noise}
         return found | {VELOCITY: length / float(np.median(steps[steps > 0.0]))} if np.any(steps > 0.0) else found
 
     def probes_with(self, quantity: str) -> list[str]:

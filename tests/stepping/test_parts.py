@@ -104,6 +104,21 @@ def test_gives_up_by_name():
         taken(reaching(0.1), Rules(3))
 
 
+def test_another_cause_of_earlier_substeps_is_said():
+    causes = {
+        1.0: "time 1: no support in x; hold it",
+        0.5: "time 0.5: too long for it",
+        0.25: "time 0.25: too long for it",
+    }
+
+    def attempt(state, begin, end, may_stop):
+        raise NotConverged(causes[end - begin])
+
+    said = r"0.25: too long for it \(after 2 halvings of the step\); before that: time 1: no support in x$"
+    with pytest.raises(NotConverged, match=said):
+        taken(attempt, Rules(2))
+
+
 def test_the_rest_after_an_event_is_one_part_and_ends_with_the_step():
     parts = taken(reaching(event=0.3), Rules(6, events=5))
     assert [part[:2] for part in parts] == [(0.0, 0.3), (0.3, 1.0)]
