@@ -135,7 +135,9 @@ def test_dependencies_agree():
             assert pin.operator != "==" or pin.version in one.specifier, one
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")), ids=lambda path: path.stem
+)
 def test_forms_ask_for_what_a_fault_needs(path):
     form = yaml.safe_load(path.read_text(encoding="utf-8"))
     if path.stem == "config":

@@ -201,7 +201,7 @@ def fault_of(words: list[str]) -> str:
     if name in ("scripts/bench", "scripts/figures"):
         return fault_of_script(name, rest)
     if name in ("scripts/run", "scripts/test", "pytest", "python", *OTHERS):
-        paths = [word for word in rest if "/" in word and not word.startswith("-")]
+        paths = [word for word in rest if "/" in word and not word.startswith(("-", "runs/"))]
         missing = [path for path in paths if not is_there(path)]
         return f"{', '.join(missing)}: no such file or test" if missing else ""
     return f"{name}: no command that this test knows"
