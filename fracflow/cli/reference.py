@@ -9,6 +9,7 @@ HEAD = """# Commands
 
 Written by `fracflow help --markdown`. `fracflow COMMAND --help` prints the same in a terminal. `fracflow new first` writes the
 scene that the examples are of.
+`fracflow --version` prints versions: fracflow, Python, PETSc with its packages, MPI with its ranks, and NumPy to Matplotlib.
 
 | exit code | meaning |
 |---|---|
