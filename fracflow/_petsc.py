@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 from fracflow.errors import InputError
@@ -31,7 +32,9 @@ def _version(path: str) -> tuple[int, ...]:
 
 
 def _use_petsc_dir() -> None:
-    if "PETSC_DIR" not in os.environ and (found := find_petsc_dir()) is not None:
+    if "PETSC_DIR" in os.environ or find_spec("petsc4py") is not None:  # conda's, say, on a Debian that has its own
+        return
+    if (found := find_petsc_dir()) is not None:
         os.environ["PETSC_DIR"] = found
         # The .pth file was read when Python started, before PETSC_DIR was known.
         sys.path.append(os.path.join(found, _PACKAGES))

@@ -4,7 +4,7 @@
 # System packages come from apt, the rest from pip into .venv beside this folder; nothing else is touched.
 
 _fracflow_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
-_fracflow_packages="python3 python3-venv python3-petsc4py python3-mpi4py python3-h5py-mpi python3-scipy
+_fracflow_packages="python3 python3-venv python3-petsc4py python3-mpi4py python3-h5py python3-h5py-mpi python3-scipy
   python3-numpy python3-gmsh openmpi-bin"
 _fracflow_test_packages="chromium fonts-dejavu-core"
 
@@ -65,7 +65,7 @@ _fracflow_install_python() {
   local status=$?
   rm -f "$pin"
   [ $status = 0 ] || { echo "setup: pip could not fill $venv" >&2; return 1; }
-  "$venv/bin/python" -c 'from fracflow._petsc import PETSc; import h5py, scipy, gmsh' ||
+  "$venv/bin/python" -c 'from fracflow._petsc import PETSc; import scipy, gmsh; from h5py import File' ||
     { echo "setup: the packages in $venv do not import together" >&2; return 1; }
   echo "$stamp" >"$venv/$file"
   [ -z "$tests" ] || _fracflow_stamp >"$venv/.fracflow-stamp"
