@@ -40,6 +40,25 @@ Output = Annotated[
 ]
 
 
+def show_versions(is_asked: bool) -> None:
+    """Print the versions and end. Collective. Raises Exit."""
+    if is_asked:
+        from fracflow.cli.versions import versions
+
+        for line in versions():
+            typer.echo(line)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=show_versions, is_eager=True, help="print versions, to report a fault")
+    ] = False,
+) -> None:
+    """Options that stand before a command."""
+
+
 @app.command("run", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def run_command(
     context: typer.Context,

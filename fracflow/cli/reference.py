@@ -8,6 +8,7 @@ from typing import Any
 HEAD = """# Commands
 
 Written by `fracflow help --markdown`. `fracflow COMMAND --help` prints the same in a terminal.
+`fracflow --version` prints versions: fracflow, Python, PETSc with its packages, MPI with its ranks, and NumPy to Matplotlib.
 
 | exit code | meaning |
 |---|---|
