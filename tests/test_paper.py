@@ -25,6 +25,7 @@ KEYS = {re.sub(r"\[\]", "", key.strip("[]") if key.startswith("[") else key) for
 TABLES = {key.split(".")[0] for key in KEYS if "." in key}
 GENERATED = {"meshes/SCENE.md", "fracflow/COMMANDS.md"}
 LONGEST_FRONT_PAGE = 150  # lines
+OTHERS = {"build", "conda", "pip", "podman", "rattler-build", "ruff", "sbatch"}  # of their words files alone are known
 each_page = pytest.mark.parametrize("page", PAGES, ids=NAMES.values())
 
 
@@ -199,8 +200,8 @@ def fault_of(words: list[str]) -> str:
         return fault_of_fracflow(rest)
     if name in ("scripts/bench", "scripts/figures"):
         return fault_of_script(name, rest)
-    if name in ("scripts/run", "scripts/test", "pytest", "python"):
-        paths = [word for word in rest if "/" in word and not word.startswith("-")]
+    if name in ("scripts/run", "scripts/test", "pytest", "python", *OTHERS):
+        paths = [word for word in rest if "/" in word and not word.startswith(("-", "runs/"))]
         missing = [path for path in paths if not is_there(path)]
         return f"{', '.join(missing)}: no such file or test" if missing else ""
     return f"{name}: no command that this test knows"
@@ -214,7 +215,7 @@ def is_there(path: str) -> bool:
 def fault_of_fracflow(words: list[str]) -> str:
     """Parsed by the program's own parser, which reads no file."""
     words = [word for word in words if not word.startswith("[") and not word.endswith("]")]
-    if not words or words == ["--help"] or words[0] == "COMMAND":
+    if not words or words in (["--help"], ["--version"]) or words[0] == "COMMAND":
         return ""
     if words[0] not in commands():
         return f"{words[0]}: no such command"
