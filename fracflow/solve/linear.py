@@ -96,7 +96,12 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:
     A MUMPS solve with failed factors ends in an error of its own.
     """
     try:
-        snes.solve(None, unknowns)
+        try:
+            snes.solve(None, unknowns)
+        except PETSc.Error as error:
+            if error.__cause__ is None:
+                raise
+            raise error.__cause__  # newer petsc4py wrap what a function of ours has raised: 3.22 does, 3.18 does not
     except (Unsolved, PETSc.Error) as error:
         solver = snes.getKSP()
         if solver.getPC().getType() == "lu":
