@@ -241,7 +241,9 @@ def picture(
             typer.echo(line)
         return
     if output is not None or set_:
-        raise InputError(f"{what}: -o and --set are for scenes; a run is drawn into its own folder, as it was run")
+        raise InputError(
+            f"{what}: -o and --set are for scenes; leave them out, as a run is drawn into its own folder, as it was run"
+        )
     try:
         paths = draw(what)
     except OSError as error:
@@ -408,7 +410,7 @@ def main() -> None:
     except USAGE as error:
         stop(f"command line: {wrong_words(error.format_message())}", 2)
     except typer.Abort:
-        stop("interrupted", 130)
+        stop("interrupted; start it again with the same command", 130)
     except InputError as error:
         stop(str(error), 2)
     except (SolveError, DiskError) as error:
@@ -416,7 +418,7 @@ def main() -> None:
     except Interrupted as error:
         stop(str(error), 130)
     except KeyboardInterrupt:
-        stop("interrupted before the first step", 130)
+        stop("interrupted before the first step; start it again with the same command", 130)
     except BrokenPipeError:  # whoever read has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)

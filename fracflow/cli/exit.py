@@ -104,6 +104,8 @@ def abort() -> None:
         print(f"fracflow: rank {MPI.COMM_WORLD.rank}: out of memory; {remedy}", file=sys.stderr, flush=True)
     else:
         traceback.print_exc()
+        remedy = "report it with the lines above and the scene"
+        print(f"fracflow: a fault of the program, not of your input; {remedy}", file=sys.stderr, flush=True)
     if MPI.COMM_WORLD.size > 1:
         MPI.COMM_WORLD.Abort(code)
     sys.exit(code)

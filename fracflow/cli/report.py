@@ -64,8 +64,8 @@ def _balance_lines(left: float, closed: float, most: float, noise: float) -> Ite
     """
     if left > max(OPEN * most, noise):
         yield (
-            f"! energy balance: {left / most:.1e} of the largest entry is left over, and the results are not known better: a"
-            " wrong unit, very wide beside very narrow fractures, or a loose tolerance"
+            f"! energy balance: {left / most:.1e} of the largest entry is left over, and the results are not known better: look"
+            " for a wrong unit, very wide beside very narrow fractures, or a loose tolerance"
         )
     if closed > max(COARSE * most, noise):
         yield (

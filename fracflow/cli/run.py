@@ -64,7 +64,9 @@ def run_with_progress(
         on_root(comm, lambda: show(folder, console, scene.output.pictures, failure is not None))
     comm.barrier()  # all ranks end together, in whichever way
     if failure is not None:
-        raise SolveError(f"{failure}; what was reached is in {folder}")
+        raise SolveError(
+            f"{failure}; what was reached is in {folder}: change its scene.toml, then: fracflow resume {folder}"
+        )
     if totals is not None:
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts + totals.besides(), soft_wrap=True)

@@ -66,7 +66,7 @@ def _idle(scene: Scene) -> Iterator[str]:
     for name, table in scene.fracture.items():
         least, aperture = table.minimum_hydraulic_aperture, table.aperture
         if least and isinstance(aperture, float) and isinstance(least, float) and least > aperture:
-            yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture: it conducts by it from the start"
+            yield f"fracture.{name}.minimum_hydraulic_aperture is above its aperture and conducts from the start: lower it"
     for option in scene.petsc:
         if not reaches_a_solver(option):
             yield f"petsc.{option} reaches no solver: begin it with the name of one and _: {', '.join(SOLVERS)}"
@@ -79,7 +79,7 @@ def _reflecting(scene: Scene) -> Iterator[str]:
     held = {side for support in scene.support if {"x", "y"} <= {*support.components} for side in support.on}
     absorbing = {side for each in scene.absorbing for side in each.on}
     for side in sorted(held & absorbing):
-        yield f"{side} is held by a [[support]]: its [[absorbing]] dashpots never move, and all waves come back from there"
+        yield f"{side} is held by a [[support]]: its [[absorbing]] dashpots never move, and waves come back: remove one"
     damps = bool(absorbing - held) or stepper_from(scene.method.stepper, scene.method).damps
     if not damps and any(stage.kind == "auto" for stage in scene.stage):
         yield (
@@ -97,7 +97,7 @@ def _too_long(scene: Scene) -> Iterator[str]:
         if longest > shortest:
             yield (
                 f"absorbing {', '.join(absorbing.on)}: time_step = {longest:g} is longer than {shortest:g}, the shortest"
-                " interval of the wave's table: what happens within a step is lost"
+                " interval of the wave's table: what happens within a step is lost; take a shorter one"
             )
     method = scene.method
     if scene.has_dynamics and method.stepper == "newmark" and 2.0 * method.newmark_beta < method.newmark_gamma:

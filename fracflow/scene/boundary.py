@@ -142,7 +142,7 @@ class Well(Table):
             self._refuse("contradicts pressure; a control multiplies a flow_rate", "control")
         most, least = self.maximum_pressure, self.minimum_pressure
         if most is not None and least is not None and most <= least:
-            raise fault(f"must be above minimum_pressure = {least:g}", key="maximum_pressure")
+            raise fault(f"must be above minimum_pressure = {least:g}; raise it, or lower that", key="maximum_pressure")
         return self
 
 
@@ -212,7 +212,7 @@ class Stage(Table):
         if self.until is not None and self.increment_per_step is not None:
             raise fault("contradicts until, which finds its own increments; leave it out", key="increment_per_step")
         if self.then is not None and self.increment_per_step is None:
-            raise fault("needs increment_per_step: there is nothing to hold", key="then")
+            raise fault("needs increment_per_step: there is nothing to hold; give it, or leave then out", key="then")
         self._check_time()
         return self
 

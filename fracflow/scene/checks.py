@@ -36,7 +36,7 @@ def contradictions(scene: Tables) -> Iterator[Fault]:
     for key in ("well", "probe", "stage"):
         names = [entry.name for entry in getattr(scene, key)]
         for index in _repeated(names):
-            yield (key, index, "name"), "stands twice; names must differ"
+            yield (key, index, "name"), "stands twice; names must differ: rename one"
     for key in ("rock", "fracture", "control"):
         for name in getattr(scene, key):
             if not re.fullmatch(PLAIN_TEXT, name) or len(name) > LONGEST_NAME:
@@ -112,7 +112,7 @@ def _absorbing(scene: Tables) -> Iterator[Fault]:
 def _terms(scene: Tables) -> Iterator[Fault]:
     for key, tables in scene.term_tables.items():
         if any(table.drains for table in tables) and not scene.has_flow:
-            yield (key,), "needs [fluid] with a viscosity: without it no fluid is modelled"
+            yield (key,), "needs [fluid] with a viscosity: without it no fluid is modelled; give it, or remove this"
 
 
 def _geometry(scene: Tables) -> Iterator[Fault]:
@@ -124,7 +124,7 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
         return
     traces = [trace.name for trace in geometry.fracture]
     for index in _repeated(traces):
-        yield ("geometry", "fracture", index, "name"), "stands twice; names must differ"
+        yield ("geometry", "fracture", index, "name"), "stands twice; names must differ: rename one"
     for index, name in enumerate(traces):
         if name == "default":
             yield ("geometry", "fracture", index, "name"), "is kept for [fracture.default]; choose another name"
@@ -140,7 +140,7 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
         if name not in known:
             yield ("fracture", name), f"no fracture of that name in [geometry]; {nearest(name, traces)}"
     for name in list(scene.rock)[1:]:
-        yield ("rock", name), f"is one too many; [geometry] has one rock, here {next(iter(scene.rock))}"
+        yield ("rock", name), f"is one too many; [geometry] has one rock, here {next(iter(scene.rock))}: remove this"
 
 
 def _materials(scene: Tables) -> Iterator[Fault]:
@@ -148,24 +148,28 @@ def _materials(scene: Tables) -> Iterator[Fault]:
         yield ("rock",), "missing; a scene needs [rock.NAME]"
     for name, rock in scene.rock.items():
         if rock.density is None and scene.has_dynamics:
-            yield ("rock", name, "density"), "missing; dynamic stages need it"
+            yield ("rock", name, "density"), "missing; dynamic stages need it: give it"
         if rock.density is None and scene.body_force is not None and scene.body_force.gravity:
-            yield ("rock", name, "density"), "missing; body_force.gravity needs it"
+            yield ("rock", name, "density"), "missing; body_force.gravity needs it: give it"
     for name, fracture in scene.fracture.items():
         if scene.has_flow and fracture.aperture is None and fracture.conductance is None:
-            yield ("fracture", name, "aperture"), "missing; the fluid needs it, or conductance"
+            yield ("fracture", name, "aperture"), "missing; the fluid needs it, or conductance: give one"
         elif scene.has_flow and scene.fluid is not None and scene.fluid.compressibility and fracture.aperture is None:
-            yield ("fracture", name, "aperture"), "missing; a fluid with compressibility needs the volume it fills"
+            yield (
+                ("fracture", name, "aperture"),
+                "missing; a fluid with compressibility needs the volume it fills: give it",
+            )
         for key, fault in check_flow(scene.method.conductance, vars(fracture)) if scene.has_flow else ():
             yield ("fracture", name, key), fault
         if fracture.pressure is not None and not scene.has_flow:
-            yield ("fracture", name, "pressure"), "needs [fluid] with a viscosity: without it no fluid is modelled"
+            yield (
+                ("fracture", name, "pressure"),
+                "needs [fluid] with a viscosity: without it no fluid is modelled; give it, or remove this",
+            )
     if scene.fluid is not None and scene.fluid.compressibility and scene.units != "none":
         in_si = scene.fluid.compressibility * scene.unit_system.to_si(COMPRESSIBILITY)
         if in_si > MOST_COMPRESSIBLE:
-            why = (
-                f"is {in_si:.3g} 1/Pa, which no fluid has; it is 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water"
-            )
+            why = f"is {in_si:.3g} 1/Pa, which no fluid has; give 1/K_f of the bulk modulus K_f, 4.5e-10 1/Pa for water"
             yield ("fluid", "compressibility"), why
     if scene.fluid is not None and scene.fluid.pressure_gradient:
         for index, well in enumerate(scene.well):
@@ -192,7 +196,7 @@ def _controls(scene: Tables) -> Iterator[Fault]:
 def _actions(scene: Tables) -> Iterator[Fault]:
     for index, load in enumerate(scene.load):
         if load.traction == "initial-stress" and scene.initial_stress is None:
-            yield ("load", index, "traction"), "needs the table [initial_stress]"
+            yield ("load", index, "traction"), "needs the table [initial_stress]; give it, or traction = [x, y]"
     rigid = {name for name, rock in scene.rock.items() if rock.rigid}
     for index, support in enumerate(scene.support):
         if "rotation" in support.components and rigid.isdisjoint(support.on):
@@ -201,12 +205,15 @@ def _actions(scene: Tables) -> Iterator[Fault]:
     for index, entry in enumerate(scene.absorbing):
         for name in entry.on:
             if name in seen:
-                yield ("absorbing", index, "on"), f'names "{name}" again; a side absorbs once'
+                yield ("absorbing", index, "on"), f'names "{name}" again; a side absorbs once: remove it here'
             seen.add(name)
     clock: float | None = 0.0
     for index, stage in enumerate(scene.stage):
         if index and stage.kind == "equilibrate":
-            yield ("stage", index, "kind"), "only the first stage can equilibrate: later states are in balance"
+            yield (
+                ("stage", index, "kind"),
+                "only the first stage can equilibrate: later states are in balance; remove it",
+            )
         if stage.takes_no_time:
             continue
         if clock is not None and stage.end is not None and stage.end <= clock:
@@ -228,7 +235,9 @@ def check_mesh_names(
     for kind, names, known in (("rock", rocks, scene.rock), ("fracture", fractures, scene.fracture)):
         for name in names:
             if name not in known and not (kind == "fracture" and "default" in known):
-                raise InputError(f'{scene.source}: {kind}.{name}: missing; the mesh has a {kind} "{name}"')
+                raise InputError(
+                    f'{scene.source}: {kind}.{name}: missing; the mesh has a {kind} "{name}": give its table'
+                )
 
 
 def _used_names(

@@ -105,7 +105,7 @@ def check_order(law: str, values: Mapping[str, Any]) -> None:
     """Raise the fault of a value above one that its law says it may not exceed; ``values`` of the law's own names."""
     for name, key in KEYS[law].items():
         if key.not_above and _exceeds(values[name], values[key.not_above]):
-            raise fault(f"must not exceed {key.not_above}", key=name)
+            raise fault(f"must not exceed {key.not_above}; lower it", key=name)
 
 
 def _exceeds(one: Property, other: Property) -> bool:

@@ -61,7 +61,7 @@ def levels(scene: Scene, folder: Path, count: int, comm: MPI.Comm = MPI.COMM_WOR
     """
     if scene.refine + count - 1 > MOST_REFINED:
         most = f"with {count} levels cells are cut more than {MOST_REFINED} times"
-        raise InputError(f"{scene.source}: refine = {scene.refine}: {most}")
+        raise InputError(f"{scene.source}: refine = {scene.refine}: {most}; lower it, or the number of levels")
     on_root(comm, lambda: _check(folder))
     scene = with_sizes(scene, comm)
     ties = not why_none(ReductionInput(scene, unknowns=LEAST))

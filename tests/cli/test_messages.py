@@ -1,0 +1,61 @@
+"""Every message of a refusal says what to do: of the command line, the scene and the run."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from pages import ROOT
+
+pytestmark = pytest.mark.serial
+RAISED = {"InputError", "SolveError", "fault"}
+REMEDY = re.compile(
+    r"\b(?:must|give|name|remove|rename|leave|choose|use|set|take|raise|lower|change|close|correct|shorten|write|save|join|put|"
+    r"allowed|did you mean|needs?|required|such as|decimals take)\b"
+)
+MADE_ELSEWHERE = {"error", "text", "failure", "why", "found", "fits", "nearest", "one_line", "more", "no_plain_file"}
+
+
+def literal(node: ast.expr) -> str:
+    """The text of a message, with the names of what stands in it."""
+    return " ".join(
+        [part.value for part in ast.walk(node) if isinstance(part, ast.Constant) and isinstance(part.value, str)]
+    )
+
+
+def comes_from_elsewhere(node: ast.expr) -> bool:
+    names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+    names |= {part.attr.lstrip("_") for part in ast.walk(node) if isinstance(part, ast.Attribute)}
+    return bool(names & MADE_ELSEWHERE)
+
+
+def messages(path: Path):
+    """(line, message) of the refusals of a file: those raised, and second entries of pairs that checks yield."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in RAISED and node.args:
+            yield node.lineno, node.args[0]
+        if isinstance(node, ast.Yield) and isinstance(node.value, ast.Tuple) and path.name == "checks.py":
+            yield node.lineno, node.value.elts[1]
+
+
+def test_refusals_have_a_remedy():
+    found, without = 0, []
+    for package in ("cli", "scene", "simulation"):
+        for path in sorted((ROOT / "fracflow" / package).glob("*.py")):
+            for line, message in messages(path):
+                found += 1
+                if (
+                    literal(message).strip()
+                    and not comes_from_elsewhere(message)
+                    and not REMEDY.search(literal(message))
+                ):
+                    without.append(f"{path.relative_to(ROOT)}:{line}: {literal(message)}")
+    assert found > 120
+    assert without == []
+
+
+def test_a_message_without_remedy_is_found(tmp_path):
+    source = 'raise InputError(f"{name}: is wrong")\nraise fault("is wrong; give another")\nraise InputError(why)\n'
+    (tmp_path / "checks.py").write_text(source + 'def f():\n    yield ("a",), "is wrong"\n')
+    found = [REMEDY.search(literal(each)) is None for _, each in messages(tmp_path / "checks.py") if literal(each)]
+    assert found.count(True) == 2 and found.count(False) == 1
