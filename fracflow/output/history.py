@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,7 @@ class HistoryFile:
         self._disk = Committed(self.path)
         self._file = h5py.File(self._disk, "w", libver="latest")
         self._sets: dict[str, h5py.Dataset] = {}
+        self._shapes: dict[str, tuple[int, ...]] = {}  # of a record; h5py asks the file for them
         self._rows, self._last, self._goes_on = 0, b"", False
         self._notes = {k: v if isinstance(v, str | int | float) else to_json(v) for k, v in (attrs or {}).items()}
         for name, value in self._notes.items():
@@ -72,14 +73,19 @@ class HistoryFile:
         """Digest of the last record, in hexadecimal digits; empty before the first."""
         return self._last.hex()
 
-    @uninterrupted()
     def append(self, record: Mapping[str, ArrayLike]) -> None:
         """Add one step.
 
         record  key -> number or array; keys are paths in the file ("time", "energy/kinetic", ...), the same
                 in every record; arrays keep their shape. Raises ValueError naming a key that differs.
         """
-        row = {_path(key): _stored(value)[None] for key, value in record.items()}
+        self.append_all([record])
+
+    @uninterrupted()
+    def append_all(self, records: Sequence[Mapping[str, ArrayLike]]) -> None:
+        """Add some steps, at least one, with the same keys; as ``append``."""
+        values = {key: [_stored(record[key]) for record in records] for key in records[0]}
+        row = {_path(key): each[0][None] if len(each) == 1 else np.stack(each) for key, each in values.items()}
         if not self._sets:
             self._create(row)
         elif row.keys() != self._sets.keys():
@@ -122,6 +128,7 @@ class HistoryFile:
         for key, values in columns.items():
             shape = values.shape[1:]
             chunk = (max(1, _ROWS_A_CHUNK // max(1, int(np.prod(shape)))), *(max(1, n) for n in shape))
+            self._shapes[key] = shape
             self._sets[key] = self._file.create_dataset(
                 key, shape=(0, *shape), maxshape=(None, *shape), dtype=values.dtype, chunks=chunk
             )
@@ -135,15 +142,17 @@ class HistoryFile:
     def _extend(self, columns: Mapping[str, NDArray[Any]]) -> None:
         count = len(columns["time"])
         for key in columns:
-            if columns[key].shape[1:] != self._sets[key].shape[1:]:
-                wrong, right = columns[key].shape[1:], self._sets[key].shape[1:]
+            wrong, right = columns[key].shape[1:], self._shapes[key]
+            if wrong != right:
                 raise ValueError(f"history record: key {key} has shape {wrong}, the first record had {right}")
         seals = chain(self._last, columns)
+        place = lru_cache(partial(_place, self._rows))
         for key in [*(name for name in columns if name != "time"), "time"]:
             if key == "time":
-                _append(self._seals.id, self._rows, seals)
+                _append(self._seals.id, seals, *place(seals.shape))
                 self._file.flush()
-            _append(self._sets[key].id, self._rows, np.ascontiguousarray(columns[key]))
+            values = np.ascontiguousarray(columns[key])
+            _append(self._sets[key].id, values, *place(values.shape))
         self._sets["time"].flush()
         self._rows += count
         self._last = seals[-1].tobytes() if count else self._last
@@ -155,12 +164,19 @@ def _path(key: str) -> str:
     return "/".join(part for part in key.split("/") if part not in ("", "."))
 
 
-def _append(dataset: h5py.h5d.DatasetID, row: int, values: NDArray[Any]) -> None:
+def _place(row: int, shape: tuple[int, ...]) -> tuple[h5py.h5s.SpaceID, h5py.h5s.SpaceID]:
+    """Rows of a shape in memory, and behind so many rows of a dataset."""
+    space = h5py.h5s.create_simple((row + shape[0], *shape[1:]), (h5py.h5s.UNLIMITED, *shape[1:]))
+    space.select_hyperslab((row, *(0 for _ in shape[1:])), shape)
+    return h5py.h5s.create_simple(shape), space
+
+
+def _append(
+    dataset: h5py.h5d.DatasetID, values: NDArray[Any], memory: h5py.h5s.SpaceID, space: h5py.h5s.SpaceID
+) -> None:
     """Write rows at the end; HDF5's own calls are four times as fast as h5py's slices, which matters with many keys."""
-    dataset.set_extent((row + len(values), *values.shape[1:]))
-    space = dataset.get_space()
-    space.select_hyperslab((row, *(0 for _ in values.shape[1:])), values.shape)
-    dataset.write(h5py.h5s.create_simple(values.shape), space, values)
+    dataset.set_extent(space.shape)
+    dataset.write(memory, space, values)
 
 
 def read_history(path: str | Path) -> dict[str, NDArray[Any]]:

@@ -47,7 +47,7 @@ def _option(value: object) -> object:
 Option = Annotated[StrictBool | StrictInt | StrictFloat | StrictStr, BeforeValidator(_option)]
 
 
-def _with_meanings(schema: dict[str, Any], table: Any) -> None:
+def _with_meanings(schema: dict[str, Any], table: type[BaseModel]) -> None:
     """Put the meanings of keys into the schema of a table."""
     for key, text in meanings(table).items():
         schema["properties"][key]["description"] = text
