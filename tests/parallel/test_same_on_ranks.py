@@ -60,7 +60,7 @@ def ran(tmp_path_factory):
             capture_output=True,
             text=True,
             env=clean,
-            timeout=600,
+            timeout=300 * len(SCENES),
             stdin=subprocess.DEVNULL,
         )
         assert done.returncode == 0, done.stderr
