@@ -101,7 +101,7 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:
         except PETSc.Error as error:
             if error.__cause__ is None:
                 raise
-            raise error.__cause__  # newer petsc4py wrap what a function of ours has raised: 3.22 does, 3.18 does not
+            raise error.__cause__ from error.__cause__.__cause__  # petsc4py 3.22 wraps errors of callbacks
     except (Unsolved, PETSc.Error) as error:
         solver = snes.getKSP()
         if solver.getPC().getType() == "lu":
