@@ -55,17 +55,24 @@ def printed(block: Code, names: dict[str, object]) -> str:
 
 
 def _output(words: list[str]) -> str:
-    """The output of a command: of fracflow in this process, which has read its modules already, and without pictures."""
-    if words[:1] == ["fracflow"] and "--" not in words:
-        quiet = ["--set", "output.pictures=false"] if words[1] == "run" else []
+    """The output of a command: of fracflow in this process, which has read its modules already; runs draw no pictures."""
+    words = [*words, *(("--set", "output.pictures=false") if "run" in words else ())]
+    if words[:1] == ["fracflow"]:
         out = StringIO()
         with redirect_stdout(out):
-            app(with_levels([*words[1:], *quiet]), standalone_mode=False)
+            app(with_levels(words[1:]), standalone_mode=False)
         return out.getvalue()
     known = {"fracflow": [sys.executable, "-m", "fracflow"], "python": [sys.executable]}
     command = [part for word in words for part in known.get(word, [word])]
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": paths})
+    done = subprocess.run(
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
     assert done.returncode == 0, f"{shlex.join(words)}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
     return done.stdout
 

@@ -23,6 +23,7 @@ CONVERGED = ("pressurised_crack",)  # run on three meshes
 SHOWN = {
     "three_fractures-overview": "three_fractures/overview.png",
     "three_fractures-before": "three_fractures/before.png",
+    "r01_inclined_joint-overview": "r01_inclined_joint/overview.png",
     "own_traces-before": "own_traces/before.png",
     "pressurised_crack-converge": "pressurised_crack/converge.png",
     "crossings-overview": "crossings/overview.png",
