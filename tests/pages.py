@@ -17,6 +17,9 @@ PAGES = [*sorted(ROOT.glob("*.md")), *(page for name in FOLDERS for page in sort
 TUTORIALS = [page for page in sorted((ROOT / "meshes").glob("*/README.md")) if page.parent.name != "failures"]
 """Pages whose blocks are run one after another, and whose shown output is compared: see test_tutorials.py."""
 
+SCENES = sorted(path for path in (ROOT / "meshes").rglob("*.toml") if not any(path.parent.glob("*.py")))
+"""Scene files whose laws are all of the package."""
+
 
 class Code(NamedTuple):
     """A block of code: its language, the words after it, its text, and the line of the page where it begins."""

@@ -38,12 +38,13 @@ def test_a_tutorial_has_its_form(page):
     assert len(lines) <= LONGEST
     top = " ".join(lines[1:8])
     assert "**You learn**" in top and "**Time:**" in top
-    scenes = [path.read_text(encoding="utf-8") for path in page.parent.glob("*.toml")]
-    whole = [block.text for block in blocks(page) if block.language == "toml" and "fragment" not in block.words]
-    assert [block for block in whole if block not in scenes] == []
-    files = [path.read_text(encoding="utf-8") for path in page.parent.glob("*.py")]
-    parts_of_files = [block.text for block in blocks(page) if "file" in block.words]
-    assert [part for part in parts_of_files if not any(part in file for file in files)] == []
+    files = {
+        kind: [path.read_text(encoding="utf-8") for path in page.parent.glob(f"*.{kind}")] for kind in ("py", "toml")
+    }
+    scenes = [block.text for block in blocks(page) if block.language == "toml" and "fragment" not in block.words]
+    assert [scene for scene in scenes if scene not in files["toml"]] == []
+    laws = [block.text for block in blocks(page) if block.language == "python" and "file" in block.words]
+    assert [law for law in laws if not any(law in file for file in files["py"])] == []
     order = path_of()
     after = order[(order.index(page) + 1) % len(order)]
     assert lines[-1].startswith("**Next:**") or lines[-2].startswith("**Next:**")

@@ -83,7 +83,10 @@ class HistoryFile:
 
     @uninterrupted()
     def append_all(self, records: Sequence[Mapping[str, ArrayLike]]) -> None:
-        """Add some steps, at least one, with the same keys; as ``append``."""
+        """Add some steps, at least one, with the same keys; as ``append``.
+
+        Raises ValueError naming a key that differs, and InputError where the file to go on with has other keys.
+        """
         values = {key: [_stored(record[key]) for record in records] for key in records[0]}
         row = {_path(key): each[0][None] if len(each) == 1 else np.stack(each) for key, each in values.items()}
         if not self._sets:

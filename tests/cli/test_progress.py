@@ -15,7 +15,6 @@ from fracflow.cli.progress import Pace, ProgressBar, Screen, spoken
 from fracflow.cli.run import run_with_progress
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
-from fracflow.scene.units import UnitSystem
 from fracflow.simulation.run import run
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
@@ -28,7 +27,7 @@ class Story:
 
     def __init__(self, *stages):
         self.now, self.told, self.time, self.n = 100.0, [], 0.0, 0
-        scene = SimpleNamespace(stage=stages, unit_system=UnitSystem.parse("SI"))
+        scene = SimpleNamespace(stage=stages, unit_names={"length": "m", "force": "N", "time": "s"})
         self.bar = ProgressBar(scene, lambda line, share: self.told.append((line, share)), lambda: self.now)
 
     def step(self, stage=0, takes=1.0, length=0.01, regime="", rejected=0, **progress):

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import tomllib
 from jsonschema import Draft7Validator
-from pages import PAGES, ROOT, blocks
+from pages import PAGES, SCENES, blocks
 
 from fracflow.errors import InputError
 from fracflow.scene.editor import editor_schema
@@ -14,7 +14,6 @@ from fracflow.scene.scene import Scene, load
 from fracflow.scene.toml import override
 
 pytestmark = pytest.mark.serial
-SCENES = sorted((ROOT / "meshes").rglob("*.toml"))
 SCHEMA = editor_schema(Scene.json_schema())
 VALIDATOR = Draft7Validator(SCHEMA)
 
@@ -48,7 +47,9 @@ def test_scenes_pass_as_they_are_and_as_a_run_folder_has_them(path: Path):
 
 def test_blocks_of_the_pages_pass():
     """Whole scenes and fragments, in which some required keys are left out."""
-    texts = [block.text for page in PAGES for block in blocks(page) if block.language == "toml"]
+    texts = [
+        block.text for page in PAGES for block in blocks(page) if block.language == "toml" and "file" not in block.words
+    ]
     found = [fault for text in texts for fault in faults(tomllib.loads(text)) if "required" not in fault]
     assert len(texts) >= 3 and found == []
 
