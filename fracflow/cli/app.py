@@ -374,6 +374,8 @@ def petsc_options(petsc: Any, words: list[str]) -> None:
         is_value = bool(words) and (not words[0].startswith("-") or words[0][1:2].isdigit())
         database.setValue(key.lstrip("-"), words.pop(0) if is_value else "")
         database.setValue("options_left", "")
+        if key.startswith("-log_view"):
+            petsc.Log.begin()  # PETSc itself looks for it as it starts, before any scene is read
 
 
 def with_levels(words: list[str]) -> list[str]:

@@ -4,9 +4,12 @@ import contextlib
 import json
 import os
 import shlex
+import subprocess
+import sys
 
 import pytest
 from malformed import spoken
+from pages import ROOT
 from typer.testing import CliRunner
 
 from fracflow.cli.app import app, commands, with_levels
@@ -63,3 +66,10 @@ def test_words_that_are_wrong(words, monkeypatch, capfd):
     code, line = spoken(words.split(), monkeypatch, capfd)
     assert code == 2 and line.startswith("fracflow: command line: ") and line.count("\n") == 1
     assert WRONG[words] in line
+
+
+def test_petsc_prints_its_own_table_of_a_run(tmp_path):
+    scene = str(ROOT / "meshes" / "report_5_1" / "scene.toml")
+    words = ["run", scene, "-o", str(tmp_path / "run"), "--set", "output.pictures=false", "--", "-log_view"]
+    done = subprocess.run([sys.executable, "-m", "fracflow", *words], capture_output=True, text=True, check=True)
+    assert "SNESFunctionEval" in done.stdout and done.stderr == ""
