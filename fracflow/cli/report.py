@@ -131,7 +131,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
     _report_fractures(folder, console, units)
     events = read_events(folder / "events.csv")
     if not events:
-        console.print(f"nothing slipped or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
+        console.print(f"no section reached its strength or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
         return
     _report_events([event for event in events if event["kind"] == "event"], console, units)
     for line in crossings(events, load_mesh(folder / "mesh.h5"), units):

@@ -251,10 +251,11 @@ def _draw_profiles(
     profiles = fractures.profiles(row.name, _MAX_LINES, by_size)
     which = f"{len(profiles)} with most" if by_size else f"the {len(profiles)} longest"
     of = "the fractures" if len(profiles) == len(fractures.names) else which
-    first = f"{run.at(fractures.begins)} (dashed) and " if fractures.has_before else ""
-    axes.set_title(f"{word} along {of}: {first}{run.at(fractures.time)}")
     both = [np.ravel(line) for _, before, after in profiles.values() for line in (before, after) if line is not None]
     scale = axis_of(row.dimension, [np.concatenate(both)], run.units, run.noise.get(row.dimension, 0.0))
+    first = f"{run.at(fractures.begins)} (dashed) and " if fractures.has_before else ""
+    when = "" if scale.is_constant else f": {first}{run.at(fractures.time)}"
+    axes.set_title(f"{word} along {of}{when}")
     s = axis_of(LENGTH, [along for along, _, _ in profiles.values()], run.units)
     drawn = {}
     for (name, (along, before, after)), colour in zip(profiles.items(), COLOURS, strict=False):

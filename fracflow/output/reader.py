@@ -27,7 +27,8 @@ Floats = NDArray[np.float64]
 FieldProfile = tuple[Floats, Floats | None, Floats]
 
 _DYNAMIC, _EQUILIBRATE = 2, 3
-ROUND_OFF = 1e-15  # of the size of the domain or of the largest stress
+ROUND_OFF = 1e-15  # of the size of the domain
+STRESS_ROUND_OFF = 1e-13  # of the largest stress: it is a difference of large ones, summed up over steps
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
 
@@ -188,7 +189,7 @@ class RunData:
         length = ROUND_OFF * extent
         stresses = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for key, values in self.history.items()
                     if dimension_of(key) == STRESS]  # fmt: skip
-        found = {LENGTH: length, STRESS: ROUND_OFF * max(stresses, default=0.0), ENERGY: self.energy_noise}
+        found = {LENGTH: length, STRESS: STRESS_ROUND_OFF * max(stresses, default=0.0), ENERGY: self.energy_noise}
         return found | {VELOCITY: length / float(np.median(steps[steps > 0.0]))} if np.any(steps > 0.0) else found
 
     def probes_with(self, quantity: str) -> list[str]:
