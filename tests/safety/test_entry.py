@@ -211,7 +211,7 @@ def test_settings_are_read_in_bounded_time(setting, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "unit", ["GPa", "1/GPa", "kg/m^3", "m^5/(N s)", "lbf s/ft^2", "Pa*s", "N/m^2", "m^-1", "m**0.5", "µm"]
+    "unit", ["GPa", "1/GPa", "kg/m^3", "m^5/(N s)", "lbf s/ft^2", "Pa*s", "N/m**2", "m^-1", "m**0.5", "µm"]
 )
 def test_units_of_the_field_pass(unit):
     from fracflow.scene.units import _UNIT
