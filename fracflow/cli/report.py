@@ -131,7 +131,8 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
     _report_fractures(folder, console, units)
     events = read_events(folder / "events.csv")
     if not events:
-        console.print(f"no section reached its strength or opened{'' if failed else _nearest(folder)}", soft_wrap=True, markup=False)
+        near = "" if failed else _nearest(folder)
+        console.print(f"no section reached its strength or opened{near}", soft_wrap=True, markup=False)
         return
     _report_events([event for event in events if event["kind"] == "event"], console, units)
     for line in crossings(events, load_mesh(folder / "mesh.h5"), units):
@@ -149,6 +150,7 @@ def _report_fractures(folder: Path, console: Console, units: Mapping[str, str]) 
     columns = {key: values for key, values in found.columns.items() if np.isfinite(values).any()}
     scales = {key: unit_for(COLUMNS[key], _largest(values), units) for key, values in columns.items()}
     for key, (_, unit) in scales.items():
+        unit = unit.replace("J", "N·m") if key == "moment" else unit  # which is no energy
         table.add_column(
             escape(f"{key.replace('_', ' ')} [{shown_plain(unit)}]" if unit else key.replace("_", " ")), justify="right"
         )

@@ -148,8 +148,9 @@ def _draw_lines(
     word: str,
     dimension: str,
     span: slice = slice(None),
+    is_held: bool = False,
 ) -> None:
-    """Histories, named at their right ends; the largest ones if there are many."""
+    """Histories, named at their right ends; the largest ones if there are many. Held values are those of steps."""
     axes.set_title(title)
     x, x_label = run.axis(span)
     ranked = sorted(lines, key=lambda name: -np.ptp(np.nan_to_num(lines[name][span])))[:_MAX_LINES]
@@ -162,7 +163,8 @@ def _draw_lines(
     scale = axis_of(dimension, [lines[name][span] for name in shown], run.units, run.noise.get(dimension, 0.0))
     drawn = {name: scale(lines[name][span]) for name in shown}
     for (_, values), colour in zip(drawn.items(), COLOURS, strict=False):
-        axes.plot(x, values, color=colour, marker="." if len(x) == 1 else "")
+        look = "steps-pre" if is_held else "default"
+        axes.plot(x, values, color=colour, marker="." if len(x) == 1 else "", drawstyle=look)
     axes.margins(x=0.0)
     axes.set_xlabel(x_label)
     axes.set_ylabel(scale.label(word))
@@ -301,7 +303,8 @@ def _wells(run: RunData) -> Figure | None:
         return None
     figure, panels = _sheet(run, "wells", len(shown))
     for axes, (word, dimension) in zip(panels, shown, strict=True):
-        _draw_lines(axes, run, _of_wells(run, word), word.capitalize(), word, dimension, run.settled)
+        is_rate = dimension == FLOW_RATE  # which is that of the step before
+        _draw_lines(axes, run, _of_wells(run, word), word.capitalize(), word, dimension, run.settled, is_held=is_rate)
     return figure
 
 

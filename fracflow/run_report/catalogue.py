@@ -167,5 +167,9 @@ def _onsets(run: RunReport, charts: Charts, slips: list[dict[str, Any]]) -> str:
         for name in ranked
     ]  # fmt: skip
     heads = ("fracture", "slips of its sections", "the first begins", "largest slip", "fastest")
-    why = "<p>The catalogue of whole events, with magnitudes, belongs to stages of kind auto.</p>"
+    why = (
+        "<p>No slip ran away: there is no event with a magnitude.</p>"
+        if run.scene is not None and any(stage.kind == "auto" for stage in run.scene.stage)
+        else "<p>The catalogue of whole events, with magnitudes, belongs to stages of kind auto.</p>"
+    )
     return f"{figure(charts, 'onsets', chart)}{table(heads, rows, 'long')}{why}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -72,6 +72,11 @@ class Series:
     x: ArrayLike
     y: ArrayLike
     look: str = "line"
+
+    def held(self) -> Series:
+        """The same with each value held over the step that ends with it."""
+        x, y = np.asarray(self.x, dtype=float), np.asarray(self.y, dtype=float)
+        return replace(self, x=np.repeat(x, 2)[1:-1], y=np.repeat(y[1:], 2)) if len(x) > 1 else self
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,19 @@ class Frames:
     along: Floats
     fields: dict[str, Floats]
 
+    @property
+    def slips(self) -> Floats:
+        """(m,) The largest slip of each node, or of another field where there is none."""
+        first = self.fields.get("plastic_slip", next(iter(self.fields.values()), np.zeros((1, len(self.along)))))
+        return np.nan_to_num(first).max(axis=0)
+
+    def nearest(self, place: tuple[float, float]) -> str:
+        """The name of the fracture that is nearest to a place (2,) [length]."""
+        at = int(np.argmin(np.linalg.norm(self.points - np.array(place), axis=1)))
+        return next(
+            (name for name, rows in zip(self.names, self.ends, strict=True) if rows.start <= at < rows.stop), "–"
+        )
+
 
 def read_frames(run: RunReport) -> Frames | None:
     """Profiles, and fields of the fractures at other states, thinned to fit a page; None where there are none.
@@ -70,9 +83,12 @@ def read_frames(run: RunReport) -> Frames | None:
     meeting = np.bincount(rows, minlength=len(along))  # ends at each node
 
     def at_nodes(values: Floats) -> Floats:
-        return np.asarray(np.bincount(rows, values[ends_of], len(along)) / meeting)
+        """The largest of the ends that meet at each node: at a crossing they differ."""
+        found = np.full(len(along), -np.inf)
+        np.maximum.at(found, rows, values[ends_of])
+        return found
 
-    where = np.stack([at_nodes(points[:, i]) for i in range(2)], axis=1)
+    where = np.stack([np.bincount(rows, points[ends_of, i], len(along)) / meeting for i in range(2)], axis=1)
     if not np.isfinite(where).all() or np.abs(where).max(initial=0.0) > LARGEST:
         raise InputError(f"{folder}: points of the fractures are no numbers; put back a copy of the files")
     numbers = sorted(states)
@@ -241,6 +257,7 @@ def map_record(run: RunReport, frames: Frames | None) -> dict[str, Any] | None:
         "fractures": [[name, rows.start, rows.stop] for name, rows in zip(frames.names, frames.ends, strict=True)],
         "points": at(frames.points),
         "along": rounded(frames.along * span.factor),
+        "most": int(np.argmax([frames.slips[rows].max(initial=0.0) for rows in frames.ends])),
         "times": [when(time) for time in frames.times.tolist()],
         "steps": frames.steps.tolist(),
         "fields": scaled,

@@ -42,6 +42,7 @@ from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, TIME, VELOCITY, VOLUME
 
 WORDS = {"pressure": "pressure", "aperture": "aperture", "plastic_slip": "plastic slip"}
+_OF_WELLS = {"pressure": STRESS, "rate": FLOW_RATE, "volume": VOLUME}
 MOST_SHOWN = 9  # fractures whose fields are open at once, those that slip most
 MOST_LOG = 200  # lines of the log
 
@@ -66,13 +67,13 @@ def page(run: RunReport) -> str:
         ("warnings", "Warnings", _warnings(run)),
         ("scene", "The scene", _scene(run)),
         ("mesh", "Mesh and fractures", _mesh(run, frames)),
-        ("model", "Parts modelled and left out", _model(run)),
         ("wells", "Wells", _wells(run, charts, frames)),
         ("map", "Map", _map(drawn)),
         ("along", "Along the fractures", _along(frames)),
         ("probes", "Probes", _probes(run, charts)),
         ("events", "Events", events_of(run, charts)),
         ("energy", "Energy balance", _energy(run, charts)),
+        ("model", "Parts modelled and left out", _model(run)),
         ("steps", "Steps", _steps(run, charts)),
         ("repeat", "How to repeat it", _repeat(run)),
     ]
@@ -179,17 +180,24 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
     if not run.wells and not (run.scene and run.scene.well):
         return "<p>The scene has no wells.</p>"
     text = ""
-    rows = [(name, f"({run.shown(x, LENGTH, 5)}, {run.shown(y, LENGTH, 5)})") for name, (x, y) in run.wells.items()]
+    histories = histories_of_wells(run, frames)
+    ends = [(quantity, _OF_WELLS[quantity], lines) for quantity, lines in histories.items() if lines]
+    rows = [
+        (name, f"({run.shown(x, LENGTH, 5)}, {run.shown(y, LENGTH, 5)})", frames.nearest((x, y)) if frames else "–",
+         *(run.shown(float(lines[name][1][-1]), dimension) if name in lines else "–" for _, dimension, lines in ends))
+        for name, (x, y) in run.wells.items()
+    ]  # fmt: skip
     if rows:
-        text += table(("well", "at"), rows, "small")
-    for quantity, lines in histories_of_wells(run, frames).items():
-        dimension = {"pressure": STRESS, "rate": FLOW_RATE, "volume": VOLUME}[quantity]
+        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows, "small")
+    for quantity, lines in histories.items():
+        dimension = _OF_WELLS[quantity]
         unit = run.unit(dimension, np.concatenate([np.zeros(1), *(values for _, values in lines.values())]))
         moves = len(run.times) > 0 and np.ptp(run.times) > 0.0
         series = [
             Series(name, time * run.clock.factor if moves else np.arange(len(time)), unit.factor * values)
             for name, (time, values) in lines.items()
         ]
+        series = [each.held() for each in series] if quantity == "rate" else series
         title = {"pressure": "Pressure at the wells", "rate": "Flow rate into the fractures", "volume": "Volume"}[
             quantity
         ]
@@ -205,10 +213,12 @@ def _map(drawn: dict[str, Any] | None) -> str:
         return '<div id="chart-map"><canvas></canvas></div><p>No fields of the fractures are on disk yet.</p>'
     options = "".join(
         f'<option value="{key}">{safe(WORDS[key])}</option>'
-        for key in ("plastic_slip", "pressure", "aperture")
-        if key in drawn["fields"]
+        for key in sorted(drawn["fields"], key=("plastic_slip", "pressure", "aperture").index)
     )
-    names = "".join(f'<option value="{i}">{safe(name)}</option>' for i, (name, _, _) in enumerate(drawn["fractures"]))
+    names = "".join(
+        f'<option value="{i}"{" selected" * (i == drawn["most"])}>{safe(name)}</option>'
+        for i, (name, _, _) in enumerate(drawn["fractures"])
+    )
     last = len(drawn["times"]) - 1
     slider = f'<input type="range" id="slider" min="0" max="{last}" value="{last}" aria-label="state shown on the map">'
     return (
@@ -230,8 +240,7 @@ def _along(frames: Frames | None) -> str:
         many = f"{len(frames.times)} state{'s' * (len(frames.times) > 1)}"
         return f"<p>Fields of the fractures are on disk at {many} only; see the map.</p>"
     text = "<p>Distance from the start of each fracture upwards, time to the right. Colours are the same for all fractures.</p>"
-    largest = {name: np.nan_to_num(values).max(axis=0) for name, values in frames.fields.items()}
-    by = largest.get("plastic_slip", next(iter(largest.values())))
+    by = frames.slips
     order = sorted(range(len(frames.names)), key=lambda i: -float(by[frames.ends[i]].max(initial=0.0)))
     if len(order) <= MOST_SHOWN:
         order.sort()

@@ -198,7 +198,7 @@ def _jagged(scene: Scene) -> Iterator[str]:
     deforms = any(not rock.rigid for rock in scene.rock.values())
     if not (scene.has_dynamics and slides and names and deforms):
         return
-    least, unit = _transit(scene), scene.unit_system.unit(TIME)
+    least, unit = _transit(scene), scene.unit_system.written(TIME)
     here = "" if least is None else f" = {TRANSITS * least:.3g} {unit} by the sizes of [geometry]"
     yield (
         f"probe.{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: behind sharp fronts slip_rate rings with"
@@ -231,6 +231,6 @@ def _unusual(scene: Scene) -> Iterator[str]:
                 continue
             in_si = value * scene.unit_system.to_si(dimension)
             if not least <= in_si <= most:
-                unit = scene.unit_system.unit(dimension)
+                unit = scene.unit_system.written(dimension)
                 few = "small" if in_si < least else "large"
                 yield f"{path}.{key} = {value:g} {unit} is unusually {few}: is its unit right?"

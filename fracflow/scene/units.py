@@ -110,7 +110,11 @@ class UnitSystem:
 
     def behind(self, dimension: str) -> str:
         """The unit of a dimension to write behind a number, with a blank before it; empty in a system without units."""
-        return f" {self.unit(dimension)}" if self.length else ""
+        return f" {self.written(dimension)}" if self.length else ""
+
+    def written(self, dimension: str) -> str:
+        """The unit of a dimension as scenes write it, N/m^2."""
+        return self.unit(dimension).replace("**", "^").replace("*", " ")
 
     def to_si(self, dimension: str) -> float:
         """Factor that brings a number of this system to SI."""
@@ -182,14 +186,14 @@ def _factor(unit: str, target: str) -> float:
 
 def example(dimension: str) -> str:
     """A number with a unit of a dimension, such as ``"30 GPa"``."""
-    return EXAMPLES.get(dimension) or f"1 {UnitSystem.parse('SI').unit(dimension)}".replace("**", "^").replace("*", " ")
+    return EXAMPLES.get(dimension) or f"1 {UnitSystem.parse('SI').written(dimension)}"
 
 
 def what_fits(dimension: str, system: UnitSystem | None) -> str:
     """Say which values a dimension takes, with an example."""
     if dimension == PLAIN or system is None or system.name == "none":
         return "a plain number"
-    return f'a number in {system.unit(dimension)} or a string such as "{example(dimension)}"'
+    return f'a number in {system.written(dimension)} or a string such as "{example(dimension)}"'
 
 
 def fault(text: str, **context: object) -> PydanticCustomError:

@@ -222,7 +222,7 @@ COMMANDS = {
     ),
     "--set of bytes": (
         override("fluid.viscosity=\udcff"),
-        "scene.toml: fluid.viscosity = … must be a number in N*s/m**2 or",
+        "scene.toml: fluid.viscosity = … must be a number in N s/m^2 or",
     ),
     "to a file": (call("run", "scene.toml", "-o", "out", out="mine"), "out: is a file; name a folder for the run"),
     "below a file": (

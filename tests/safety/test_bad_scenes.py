@@ -68,7 +68,7 @@ SCENES = {
     ),
     "unit unknown": (
         scene("50 GPa", "50 GPu"),
-        'youngs_modulus = "50 GPu": unknown unit "GPu"; must be a number in N/m**2 or',
+        'youngs_modulus = "50 GPu": unknown unit "GPu"; must be a number in N/m^2 or',
     ),
     "negative aperture": (
         scene('"1 mm"', '"-1 mm"'),
