@@ -144,8 +144,6 @@ def _sent_back(poissons_ratio: float, degrees: float, kind: str, share: float) -
     given = -left(come, come if kind == "p" else across(come), speed)
     try:
         amplitudes = np.linalg.solve(back, given)
-    except (
-        np.linalg.LinAlgError
-    ):  # without lateral strain a P wave along a free side loads it nowhere: it has any amplitude
+    except np.linalg.LinAlgError:  # a P wave along a free side loads it nowhere at a ratio of 0: any amplitude will do
         amplitudes = np.linalg.lstsq(back, given, rcond=None)[0]
     return np.abs(amplitudes), -np.array([out_p[0].real, out_s[0].real])
