@@ -141,5 +141,9 @@ def _sent_back(poissons_ratio: float, degrees: float, kind: str, share: float) -
 
     out_p, out_s, come = way(fast, -1.0), way(slow, -1.0), way(speed, 1.0)
     back = np.stack([left(out_p, out_p, fast), left(out_s, across(out_s), slow)], axis=1)
-    amplitudes = np.linalg.solve(back, -left(come, come if kind == "p" else across(come), speed))
+    given = -left(come, come if kind == "p" else across(come), speed)
+    try:
+        amplitudes = np.linalg.solve(back, given)
+    except np.linalg.LinAlgError:  # a P wave along a free side loads it nowhere at a ratio of 0: any amplitude will do
+        amplitudes = np.linalg.lstsq(back, given, rcond=None)[0]
     return np.abs(amplitudes), -np.array([out_p[0].real, out_s[0].real])

@@ -90,18 +90,23 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
         destroy(solid, flow)
 
 
-def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str) -> None:
+def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: list[BaseException]) -> None:
     """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and drops its factors. Collective.
+
+    refusals  errors, the same on every rank, that the functions of the SNES put here instead of raising them: newer
+              PETSc, 3.22 say, keeps a vector locked where a function raises. One is raised here, once the SNES has ended
 
     A MUMPS solve with failed factors ends in an error of its own.
     """
+    refusals.clear()
     try:
         try:
             snes.solve(None, unknowns)
         except PETSc.Error as error:
-            if error.__cause__ is None:
-                raise
-            raise error.__cause__ from error.__cause__.__cause__  # petsc4py 3.22 wraps errors of callbacks
+            if not refusals:  # newer petsc4py wrap what a function of ours has raised: 3.22 does, 3.18 does not
+                refusals.append(error.__cause__ or error)
+        if refusals:
+            raise refusals.pop()
     except (Unsolved, PETSc.Error) as error:
         solver = snes.getKSP()
         if solver.getPC().getType() == "lu":

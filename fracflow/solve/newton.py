@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow._petsc import MPI, PETSc, destroy
-from fracflow.errors import NotConverged, SolveError, StatusCycling
+from fracflow.errors import NotConverged, SolveError, StatusCycling, Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
 from fracflow.scene.scene import Scene
@@ -76,6 +76,7 @@ class Newton:
         self._rounds: ActiveSetRounds
         self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
+        self._refusals: list[BaseException] = []  # of the functions below, until SNES has ended
 
     def solve(self, problem: StepProblem) -> NewtonReport:
         """Bring the trial of ``problem`` into balance. Raises SolveError, on every rank. Collective."""
@@ -90,7 +91,10 @@ class Newton:
             self._is_start, self._circles, self._polished = True, False, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
-                solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}")
+                solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}", self._refusals)
+            except Unsolved:
+                self._renew_balance()
+                raise
             except SingularMatrix as error:
                 raise self._failure("its matrix is singular", iterations + self.snes.getIterationNumber()) from error
             iterations += self.snes.getIterationNumber()
@@ -127,7 +131,22 @@ class Newton:
         else:
             self.problem.move(self.problem.increment.getArray().copy())
 
+    def _renew_balance(self) -> None:
+        """Take another vector: newer PETSc keeps the right side of a linear solver locked that broke. Collective."""
+        self.balance.destroy()
+        self.balance = self.matrix.layout.joined_vector()
+        self.snes.setFunction(self._function, self.balance)
+
     def _function(self, snes: PETSc.SNES, unknowns: PETSc.Vec, balance: PETSc.Vec) -> None:
+        """The balances for SNES; from a refusal on they are infinite, which ends SNES on every rank. Collective."""
+        if not self._refusals:
+            try:
+                return self._evaluate(unknowns, balance)
+            except SolveError as error:
+                self._refusals.append(error)
+        balance.set(np.inf)
+
+    def _evaluate(self, unknowns: PETSc.Vec, balance: PETSc.Vec) -> None:
         problem = self.problem
         self._unpack(unknowns)
         problem.evaluate(hold=self.holds or self._is_start or problem.request.hold)
@@ -187,6 +206,14 @@ class Newton:
         return self.scene.accuracy.residual * float(size) / max(problem.residual.solid, 1e-300)
 
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
+        try:
+            return self._shorten(unknowns, step)
+        except (SolveError, SingularMatrix) as error:
+            self._refusals.append(error)
+            return False
+
+    def _shorten(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
+        """Whether a step was shortened. Raises SolveError or SingularMatrix where it may not be made. Collective."""
         problem, layout = self.problem, self.matrix.layout
         self._krylov += self.factors.check(self.balance, step)
         self._step = step.norm()
@@ -226,7 +253,7 @@ class Newton:
 
         def at(fraction: float) -> None:
             trial.waxpy(-fraction, step, unknowns)
-            self._function(self.snes, trial, balance)
+            self._evaluate(trial, balance)
 
         def size(fraction: float) -> float:
             try:
@@ -252,6 +279,8 @@ class Newton:
 
     def _converged(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         problem, accuracy, reasons = self.problem, self.scene.accuracy, PETSc.SNES.ConvergedReason
+        if self._refusals:
+            return int(reasons.DIVERGED_FUNCTION_DOMAIN)
         self._out_of_balance.append(problem.residual.out_of_balance)
         problem.tried += iteration > 0
         if iteration == 0:

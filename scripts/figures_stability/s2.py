@@ -47,8 +47,8 @@ def impact(keys: Mapping[str, str | float], step: float, stiffness: float) -> tu
     end = 3.0 + np.pi / np.sqrt(stiffness * CELLS)  # the wave there and back, and the swing of the bar on the joint
     settings = [f"method.{key}={value if isinstance(value, float) else repr(value)}" for key, value in keys.items()]
     dt = step / CELLS
-    settings += [f"stage.impact.time_step={dt!r}", f"stage.impact.end={dt * np.ceil(end / dt)!r}"]
-    settings += [f"fracture.face.normal_stiffness={stiffness * CELLS!r}"]
+    settings += [f"stage.impact.time_step={dt}", f"stage.impact.end={dt * np.ceil(end / dt)}"]
+    settings += [f"fracture.face.normal_stiffness={stiffness * CELLS}"]
     model = prepare(load(SCENE, settings), MPI.COMM_SELF)
     refuse_imbalance(model)
     state, stepping = equilibrium_state(model), Stepping(model)

@@ -30,7 +30,7 @@ SHOWN = 100.0
 def tractions(stiffness: float, rule: str) -> tuple[Floats, Floats]:
     """Places (n,) and normal tractions k_n times opening (n,) at the nodes of the closed half, for k_n h/E'."""
     each = stiffness * MODULUS / SIZE
-    settings = [f"fracture.closed.{part}_stiffness={each!r}" for part in ("normal", "shear")]
+    settings = [f"fracture.closed.{part}_stiffness={each}" for part in ("normal", "shear")]
     scene = load(SCENE, [f"method.quadrature={rule}", *settings])
     model = prepare(scene, MPI.COMM_SELF)
     refuse_imbalance(model)

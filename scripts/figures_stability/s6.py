@@ -94,13 +94,13 @@ def warned(number: str, *settings: str) -> bool:
 
 def warned_of_jump(ratio: float) -> bool:
     """Of joints of h/l = ``ratio``."""
-    return warned("joint length scale", f"fracture.bed.shear_stiffness={ratio**2 * (1 - 1e-9)!r}")
+    return warned("joint length scale", f"fracture.bed.shear_stiffness={ratio**2 * (1 - 1e-9)}")
 
 
 def warned_of_weakening(ratio: float) -> bool:
     """Of joints of h over sqrt(E D D_c/dtau) = ``ratio``."""
     law = "law = 'slip-weakening', normal_stiffness = 1, aperture = 10, friction_coefficient = 1"
-    falls = f"dynamic_friction_coefficient = 0.6, slip_weakening_distance = {0.4 / ratio**2 * (1 + 1e-9)!r}"
+    falls = f"dynamic_friction_coefficient = 0.6, slip_weakening_distance = {0.4 / ratio**2 * (1 + 1e-9)}"
     return warned("cohesive zone", f"fracture.bed={{{law}, shear_stiffness = 400, {falls}}}")
 
 

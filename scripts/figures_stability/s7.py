@@ -96,9 +96,9 @@ def layers(contrast: float, friction: float, stiffness: float, mesh: str = "coar
     return load(
         SCENE,
         [
-            f"mesh.file={mesh}.geo", f"rock.fast.youngs_modulus={2.5 * contrast**2!r}",
-            f"fracture.fault.friction_coefficient={friction!r}", f"initial_stress.xy={0.999 * friction!r}",
-            f"fracture.fault.normal_stiffness={stiffness!r}",
+            f"mesh.file={mesh}.geo", f"rock.fast.youngs_modulus={2.5 * contrast**2}",
+            f"fracture.fault.friction_coefficient={friction}", f"initial_stress.xy={0.999 * friction}",
+            f"fracture.fault.normal_stiffness={stiffness}",
         ],
     )  # fmt: skip
 

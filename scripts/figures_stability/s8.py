@@ -46,9 +46,9 @@ class Case:
 
 def push(stiffness: float, motion: float, steps: int = 1, digits: int = 1) -> Case:
     """Push the two blocks by ``motion`` in equal steps. Raises SolveError where fewer than ``digits`` are left."""
-    settings = [f"fracture.seam.{part}_stiffness={stiffness!r}" for part in ("normal", "shear")]
-    table = f"support.0.displacement={{y = [[0, 0], [1, {motion!r}]]}}"
-    scene = load(SCENE, [*settings, table, SOFT, f"stage.push.time_step={1.0 / steps!r}", f"accuracy.digits={digits}"])
+    settings = [f"fracture.seam.{part}_stiffness={stiffness}" for part in ("normal", "shear")]
+    table = f"support.0.displacement={{y = [[0, 0], [1, {motion}]]}}"
+    scene = load(SCENE, [*settings, table, SOFT, f"stage.push.time_step={1.0 / steps}", f"accuracy.digits={digits}"])
     model = prepare(scene, MPI.COMM_SELF)
     refuse_imbalance(model)
     state, stepping = equilibrium_state(model), Stepping(model)

@@ -130,13 +130,13 @@ def draw(folder: Path, small: bool = False) -> list[Check]:
     by_rows = [ruptured(mesh, none, *brief) for mesh in quads]
     by_rows_damped = [ruptured(mesh, *brief) for mesh in quads]
     right = by_rows[0][2]
-    by_ratio = [ruptured(TRIANGLES, f"method.fault_damping={ratio!r}", *brief) for ratio in ratios.tolist()]
+    by_ratio = [ruptured(TRIANGLES, f"method.fault_damping={ratio}", *brief) for ratio in ratios.tolist()]
     by_stiffness = {
         damping: [
             ruptured(
                 TRIANGLES,
-                f"method.fault_damping={damping!r}",
-                *(f"fracture.main.{part}_stiffness={each!r}" for part in ("normal", "shear")),
+                f"method.fault_damping={damping}",
+                *(f"fracture.main.{part}_stiffness={each}" for part in ("normal", "shear")),
                 *brief,
             )
             for each in stiff.tolist()

@@ -10,6 +10,7 @@ from physics.test_flow_with_slip import OpensBySlip
 from fracflow._petsc import MPI
 from fracflow.advance.initial_state import equilibrium_state
 from fracflow.advance.network import FlowNetwork
+from fracflow.errors import NotConverged
 from fracflow.integrators import BDF2, HHT, BackwardEuler, GeneralisedAlpha, Newmark, Steady, Trapezoid
 from fracflow.laws import FLOW_LAWS
 from fracflow.model.compressibility import rate_by
@@ -299,5 +300,32 @@ def test_a_collection_of_garbage_leaves_the_solver_its_test():
     gc.collect()
     assert newton.snes.getKSP().getAttr("__converged__") is not None
     assert newton.snes.getAttr("__function__") is not None
+    newton.destroy()
+    matrix.destroy()
+
+
+@pytest.mark.parametrize("refused", ["balances", "step"])
+def test_a_refusal_is_raised_once_snes_has_ended(refused, monkeypatch):
+    """Raised within, it would leave a vector locked in newer PETSc; here the next solve of the same step converges."""
+    scene = load("meshes/crossings/scene.toml")
+    model = prepare(scene, MPI.COMM_WORLD)
+    state = equilibrium_state(model)
+    request = StepRequest(1e-3, 1e-3, {"pumping": 1e-5}, model.loads)
+    problem = StepProblem(model.operators, state, request, StepRule(BackwardEuler().alphas(1e-3)))
+    matrix = JoinedMatrix(model.operators, model.loads)
+    newton = Newton(scene, matrix, "whole-lu")
+
+    def refuse(*_, **__):
+        raise NotConverged("as it was told")
+
+    with monkeypatch.context() as patch, pytest.raises(NotConverged, match="as it was told"):
+        if refused == "balances":
+            patch.setattr(StepProblem, "evaluate", refuse)
+        else:
+            patch.setattr("fracflow.solve.newton.check_step", refuse)
+        newton.solve(problem)
+    assert newton.snes.getConvergedReason() < 0
+    assert newton.solve(problem).newton > 0
+    problem.destroy()
     newton.destroy()
     matrix.destroy()

@@ -102,7 +102,7 @@ def test_the_stiffness_of_the_joint_caps_the_growth_of_resolved_waves(models):
 def test_a_seeded_wave_grows_in_a_run_as_its_eigenvalue_says():
     """The trapezoidal rule multiplies it by (1 + p dt/2)/(1 - p dt/2) a step, while the fault slides at a steady rate."""
     dt, steps, speed = 0.5, 120, 0.05
-    model = prepare(load(SCENE, [ALIKE, f"initial_stress.xy={FRICTION * (1 - 1e-9)!r}"]), MPI.COMM_SELF)
+    model = prepare(load(SCENE, [ALIKE, f"initial_stress.xy={FRICTION * (1 - 1e-9)}"]), MPI.COMM_SELF)
     refuse_imbalance(model)
     waves = Waves(model)
     wavenumber = 2 * np.pi / PERIOD

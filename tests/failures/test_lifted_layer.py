@@ -58,7 +58,7 @@ def test_a_layer_that_slides_is_named_too(shared_tmp):
 def test_a_block_at_its_very_limit_is_named(way, over, shared_tmp):
     """A part in 1e9 more than friction, or the stress, holds: too little to see it fly, too much to balance."""
     holds = {"x": np.tan(np.radians(30)) * 1e6, "y": 1e6}[way]
-    table = f"[[0, 0], [1, {holds * (1 + over)!r}]]"
+    table = f"[[0, 0], [1, {holds * (1 + over)}]]"
     traction = {"x": f"[{table}, 0]", "y": f"[0, {table}]"}[way]
     message = _failure(shared_tmp / "run", f"load.1.traction={traction}", "accuracy.max_halvings=2")
     assert 'block 1 (rock "rock", centred at (1.5, 1.5))' in message

@@ -17,7 +17,7 @@ PROBES = 'probe=[{name = "left", at = [0, 0.5]}, {name = "middle", at = [0.5, 0.
 
 
 def _stiff(stiffness):
-    return [f"fracture.seam.{part}_stiffness={stiffness!r}" for part in ("normal", "shear")]
+    return [f"fracture.seam.{part}_stiffness={stiffness}" for part in ("normal", "shear")]
 
 
 def _ran(folder, *overrides):

@@ -24,7 +24,7 @@ def _runs_away(folder, mesh, excess, *overrides):
     """Whether slip passes x = 12 where S = (strength - tau_0)/(tau_0 - 0.6) is ``excess``."""
     over = 0.4 / (1.0 + excess)
     overrides += ("method.events=at-step-ends",)  # hundreds of them, and the threshold does not hang on their instants
-    at_once = [f"load.1.traction=[[[0, 0], [1, {over!r}]], 0]", f"load.2.traction=[[[1, 0], [1.001, {over!r}]], 0]"]
+    at_once = [f"load.1.traction=[[[0, 0], [1, {over}]], 0]", f"load.2.traction=[[[1, 0], [1.001, {over}]], 0]"]
     settings = [f"mesh.file={mesh}.geo", "output.pictures=false", "stage.run.time_step=0.1", *at_once, *overrides]
     run(load(SCENE, settings), folder / f"{mesh}{excess}", MPI.COMM_WORLD)
     return read_history(folder / f"{mesh}{excess}" / "history.h5")["probe/ahead/plastic_slip"][-1] > 0.0

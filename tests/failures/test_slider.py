@@ -47,7 +47,7 @@ def test_without_inertia_it_goes_half_as_far(shared_tmp):
 def test_a_block_at_rest_at_its_strength_fails_whichever_way_round_off_has_it(shared_tmp, events, share):
     """(2.12) |f_s| >= f_sy; with a share of 1e-9 less it stays."""
     shear = 2.0 * np.tan(np.radians(45.0)) * share
-    tractions = (f"fracture.{name}.initial_shear_traction={shear!r}" for name in ("lower", "upper"))
+    tractions = (f"fracture.{name}.initial_shear_traction={shear}" for name in ("lower", "upper"))
     carried = ("initial_stress.unbalanced=carried", "initial_stress.xx=0", "initial_stress.yy=0")
     _, found = _ran(shared_tmp, f"method.events={events}", *tractions, *carried)
     if share < 1.0 - 1e-10:

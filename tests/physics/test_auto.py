@@ -76,7 +76,7 @@ def test_a_pulse_shorter_than_a_slow_step_is_not_stepped_over(shared_tmp):
 @pytest.mark.serial
 def test_pulses_in_time_with_the_rock_are_no_slow_load(tmp_path):
     """Three pushes of 0.09 of the strength, a period apart, swing the slider past it; at rest each would be far from it."""
-    period = 2.0 * np.pi / np.sqrt(SPRING + STIFF)
+    period = float(2.0 * np.pi / np.sqrt(SPRING + STIFF))
     times, values = [0.0, 5.0], [0.0, 0.8 / 1.02]
     for n in range(3):
         times += [10.0 + n * period, 10.0 + (n + 0.25) * period, 10.0 + (n + 0.5) * period]

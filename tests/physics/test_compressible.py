@@ -21,7 +21,7 @@ PROBE = '[[probe]]\nname = "far"\nat = [%g, 0]\non = "film"\n'
 
 
 def stage(kind, end, steps):
-    return f'[[stage]]\nkind = "{kind}"\ntime_step = {end / steps!r}\nsteps = {steps}\n'
+    return f'[[stage]]\nkind = "{kind}"\ntime_step = {end / steps}\nsteps = {steps}\n'
 
 
 def closes(history):

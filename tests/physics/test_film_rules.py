@@ -41,7 +41,7 @@ def test_order_and_what_the_scheme_dissipates(shared_tmp, film):
         table = [[float(t), float((1 - t) ** 3)] for t in np.linspace(0, 1, steps + 1)]
         text = winkler.SCENE.format(pressure=1) + DRAINED + f"pressure = {table}\n"
         text += '[[probe]]\nname = "far"\nat = [4, 0]\non = "film"\n'
-        text += f'[[stage]]\nkind = "quasi-static"\ntime_step = {1 / steps!r}\nsteps = {steps}\n'
+        text += f'[[stage]]\nkind = "quasi-static"\ntime_step = {1 / steps}\nsteps = {steps}\n'
         found = history(shared_tmp, np.arange(5.0), text, f"method.flow_integrator={film}", "method.coupling=whole-lu")
         energy, largest = energies(found)
         assert np.abs(energy["residual"]).max() <= 1e-10 * largest

@@ -192,7 +192,7 @@ def drained():
 def test_errors_are_within_a_factor_of_two_or_marked(tmp_path):
     """A fracture in columns that move alone, on the hyperbola, is drained at one end: 24 probes before and in the front."""
     start = 1.0 / DRAINED - 1.0  # over the pressure of the well, k_n = d0 = D = 1
-    text = winkler.SCENE.format(pressure=start).replace("viscosity = 1", f"viscosity = {1 / 12!r}")
+    text = winkler.SCENE.format(pressure=start).replace("viscosity = 1", f"viscosity = {1 / 12}")
     text = text.replace('law = "linear"', "friction_coefficient = 0.6\ncohesion = 0").replace(
         "aperture = 10\n", "aperture = 1\n"
     )

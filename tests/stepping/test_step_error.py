@@ -11,7 +11,7 @@ from fracflow.simulation.run import run
 pytestmark = pytest.mark.serial
 
 GEO = """// A block of 1 x 0.6 on a wall, turned about the origin.
-c = {cos!r}; s = {sin!r}; l = {unit!r};
+c = {cos}; s = {sin}; l = {unit};
 Macro At
   Point(n) = {{l*(c*x - s*y), l*(s*x + c*y), 0}};
 Return
@@ -48,9 +48,9 @@ def _history(folder, rock, angle=0.0, unit=1.0, error=1e-3):
 units = "none"
 output.pictures = false
 mesh.file = "block.geo"
-rock.block = {{density = {1.0 / unit**2!r}, {"rigid = true" if rock == "rigid" else elastic}}}
-rock.wall = {{density = {1.0 / unit**2!r}, {"rigid = true" if rock == "rigid" else elastic}}}
-fracture.seam = {{law = "linear", normal_stiffness = {1.0 / unit!r}, shear_stiffness = {0.5 / unit!r}}}
+rock.block = {{density = {1.0 / unit**2}, {"rigid = true" if rock == "rigid" else elastic}}}
+rock.wall = {{density = {1.0 / unit**2}, {"rigid = true" if rock == "rigid" else elastic}}}
+fracture.seam = {{law = "linear", normal_stiffness = {1.0 / unit}, shear_stiffness = {0.5 / unit}}}
 support = [{{on = {base}, components = {held}}}]
 load = [{{on = "west", traction = {push}}}]
 accuracy.step_error = {error}

@@ -21,8 +21,8 @@ ROCK = f"""
 [output]
 pictures = false
 [rock.rock]
-youngs_modulus = {YOUNG!r}
-poissons_ratio = {POISSON!r}
+youngs_modulus = {YOUNG}
+poissons_ratio = {POISSON}
 density = {RHO}
 """
 

@@ -46,7 +46,7 @@ def kirchhoff(branches: Sequence[Branch], held: Mapping[int, int], inflow: Mappi
 HEAD = f"""
 units = "none"
 rock.rock = {{rigid = true}}
-fluid = {{viscosity = {VISCOSITY!r}}}
+fluid = {{viscosity = {VISCOSITY}}}
 support = [{{on = "rock", components = ["x", "y", "rotation"]}}]
 stage = [{{kind = "steady", time_step = 1, steps = 1}}]
 """

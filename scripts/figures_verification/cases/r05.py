@@ -22,7 +22,7 @@ from figures_verification.runs import Floats, Found, solve
 ORDER = {"backward-euler": 1, "bdf2": 2, "trapezoid": 2}
 SCENE = winkler.SCENE.replace('[mesh]\nfile = "film.msh"\n', "")
 LINEAR = SCENE.format(pressure=0)  # k_n = 1, conductance 1: D = 1
-CUBIC = LINEAR.replace("viscosity = 1", f"viscosity = {1 / 12!r}").replace(
+CUBIC = LINEAR.replace("viscosity = 1", f"viscosity = {1 / 12}").replace(
     "aperture = 10\nconductance = 1", "aperture = 1"
 )
 FAR = 8.0
@@ -64,7 +64,7 @@ at = {{fracture = "film", end = "start"}}
 {given}
 [[stage]]
 kind = "quasi-static"
-time_step = {end / steps!r}
+time_step = {end / steps}
 steps = {steps}
 """
 

@@ -88,7 +88,7 @@ def pushed(
     )  # fmt: skip
     if coupled:
         text += f'[[well]]\nname = "in"\nat = [0, 0]\npressure = {PUMPED}\n'
-        stage = f"stage=[{{kind = 'quasi-static', time_step = {end / steps!r}, steps = {steps}}}]"
+        stage = f"stage=[{{kind = 'quasi-static', time_step = {end / steps}, steps = {steps}}}]"
     else:
         value = [[0.0] * len(x), (PUMPED * erfc(np.abs(x) / reach)).tolist()]
         text += f"pressure = {{along = {(x + FAR).tolist()}, time = [0, 1], value = {value}}}\n"

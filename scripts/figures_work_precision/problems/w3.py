@@ -44,7 +44,7 @@ def run(*settings: str, cells: float) -> Answer:
     """Mean of the absolute error of the force, over that of the force; a step is the time across a cell."""
     h = 1.0 / cells
     grid = tensor(np.array([0.0, h]), np.linspace(-h, 1, int(cells) + 2), {"face": (0.0, 0.0, h)}, below="wall")
-    stage = f"stage=[{{kind = 'dynamic', time_step = {h!r}, end = 3}}]"
+    stage = f"stage=[{{kind = 'dynamic', time_step = {h}, end = 3}}]"
     found = solve(SCENE, stage, *settings, mesh=grid)
     wrong = np.abs(-found.probe("face", "normal_traction") - force(found.history["time"]))
     return Answer(float(trapezoid(wrong, found.history["time"]) / 2), found.seconds)

@@ -42,7 +42,7 @@ def rupture(side: float, courant: float, *settings: str) -> Found:
     """On squares of that side, a P wave crossing ``courant`` of one in a step."""
     x, y = (np.linspace(-end, end, round(2 * end / side) + 1) for end in (REACH, DEPTH))
     steps = int(np.ceil(END * FASTEST / (courant * side)))
-    stage = f"stage=[{{kind = 'dynamic', time_step = {END / steps!r}, steps = {steps}}}]"
+    stage = f"stage=[{{kind = 'dynamic', time_step = {END / steps}, steps = {steps}}}]"
     return solve(SCENE, stage, *settings, mesh=tensor(x, y, {"fault": (0.0, -REACH, REACH)}))
 
 
