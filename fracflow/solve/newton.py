@@ -74,6 +74,7 @@ class Newton:
         self._restless = np.zeros(0, dtype=bool)
         self._inner, self._circles = StatusHistory(layout.comm), False
         self._rounds: ActiveSetRounds
+        self._is_held = False
         self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
 
@@ -147,7 +148,8 @@ class Newton:
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
         if is_loose := self._floats(problem):
             moduli = softly_held(moduli, self.matrix.operators.scales)
-        self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
+        conduction = problem.conduction if not self._is_held or problem.conduction is None else problem.conduction.held()
+        self.matrix.fill(problem.alphas, moduli, conduction, problem.flow_scale(), self.only)
         self.factors.changed(must=is_loose)
         self._is_filled = True
 
@@ -198,14 +200,10 @@ class Newton:
             if self._floats(problem):
                 self._refuse_floating(problem)
             raise
-        change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
-        change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
-        self._step = change.norm()
-        joints = self.matrix.operators.joints
-        strains = joints.strain(change)
-        allowed = joints.step_limit(problem.sections.strain, strains)
-        change.destroy()
-        fraction = layout.comm.allreduce(allowed, op=MPI.MIN)
+        strains, fraction = self._strains(step)
+        if fraction < 1.0 and problem.conduction is not None and self.only is None and not self.method.weakness:
+            self._hold_conductances(problem, step)
+            strains, fraction = self._strains(step)
         if fraction == 1.0:
             self._refuse_flight(problem, strains)
         if fraction < 1.0:
@@ -217,6 +215,31 @@ class Newton:
         if fraction < 1.0:
             self._step = np.inf
         return bool(fraction < 1.0)
+
+    def _strains(self, step: PETSc.Vec) -> tuple[Floats, float]:
+        """Strains (s, dim) that a step adds to the sections, and the fraction of it that they allow. Collective."""
+        layout, joints = self.matrix.layout, self.matrix.operators.joints
+        change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
+        change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
+        self._step = change.norm()
+        strains = joints.strain(change)
+        change.destroy()
+        return strains, layout.comm.allreduce(joints.step_limit(self.problem.sections.strain, strains), op=MPI.MIN)
+
+    def _hold_conductances(self, problem: StepProblem, step: PETSc.Vec) -> None:
+        """Make the step anew with the conductances as they are. Collective.
+
+        Where a front of pressure enters a narrow fracture, an aperture d grows by c d^3 k (d_1 - d) in a step, in short. That
+        rises with d by more than 1 where d_1 is far above, and Newton's method then goes away from the solution: it closes the
+        fracture. With c d^3 held the aperture stays between d and d_1, and rises to the next solution above it.
+        """
+        self._is_held, self._is_filled = True, False
+        self._jacobian(self.snes, self.unknowns, self.matrix.matrix, self.factors.factored)
+        self._is_held = False
+        self.solver.setOperators(self.matrix.matrix, self.factors.factored)
+        self.solver.solve(self.balance, step)
+        self._krylov += self.factors.check(self.balance, step)
+        check_step(self.solver, step, self.balance, problem, self.prefix)
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
         """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
