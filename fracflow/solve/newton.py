@@ -35,7 +35,7 @@ from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatri
 MOST_CHANGES = 50  # rounds of status changes in one step
 BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
 BRIEF = 20  # iterations with the same statuses there
-PATIENCE = 15  # full Newton steps before a line search
+PATIENCE = 15  # full Newton steps before a line search, with a fluid without a change of status
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -280,7 +280,16 @@ class Newton:
         if iteration == 0:
             self._inner.begin()
         returns = self._inner.see(statuses(problem))
-        self._circles |= self._searches() and (returns or iteration >= PATIENCE)
+        # without a fluid the balance minimises an energy, and once searched for its minimum is; else a front of pressure opens
+        # sections one after another, and whole steps follow it
+        is_wet = problem.conduction is not None
+        lets = is_wet and returns and self._searches() and self.holds and not problem.request.hold
+        if lets and self._rounds.let_slide(problem, self._inner.changed[:, 0]):
+            self._inner.begin()
+        else:
+            cycles = returns or (self._inner.still if is_wet else iteration) >= PATIENCE
+            goes_on = self._circles and not (is_wet and self._inner.is_new)
+            self._circles = self._searches() and (cycles or goes_on)
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.history)
         self._is_start = False
