@@ -88,7 +88,7 @@ class Newton:
         most = BRIEF_CHANGES if problem.request.expects_failure else MOST_CHANGES
         for _ in range(most):
             self._pack(problem)
-            self._is_start, self._circles, self._polished = True, False, False
+            self._is_start, self._circles, self._polished, self._is_held = True, False, False, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}")
@@ -201,9 +201,16 @@ class Newton:
                 self._refuse_floating(problem)
             raise
         strains, fraction = self._strains(step)
-        if fraction < 1.0 and problem.conduction is not None and self.only is None and not self.method.weakness:
+        is_coupled = problem.conduction is not None and self.only is None and not self.method.weakness
+        if fraction < 1.0 and is_coupled and not self._is_held:
+            newton, other = step.copy(), (strains, fraction)
             self._hold_conductances(problem, step)
             strains, fraction = self._strains(step)
+            if fraction < other[1]:
+                newton.copy(step)
+                (strains, fraction), self._is_held = other, False
+            newton.destroy()
+        self._is_held = self._is_held and self._grows(problem, strains)
         if fraction == 1.0:
             self._refuse_flight(problem, strains)
         if fraction < 1.0:
@@ -231,15 +238,22 @@ class Newton:
 
         Where a front of pressure enters a narrow fracture, an aperture d grows by c d^3 k (d_1 - d) in a step, in short. That
         rises with d by more than 1 where d_1 is far above, and Newton's method then goes away from the solution: it closes the
-        fracture. With c d^3 held the aperture stays between d and d_1, and rises to the next solution above it.
+        fracture. With c d^3 held the aperture stays between d and d_1, and rises to the next solution above it. Steps go on so
+        until no joint in contact widens by its own aperture.
         """
         self._is_held, self._is_filled = True, False
         self._jacobian(self.snes, self.unknowns, self.matrix.matrix, self.factors.factored)
-        self._is_held = False
         self.solver.setOperators(self.matrix.matrix, self.factors.factored)
         self.solver.solve(self.balance, step)
         self._krylov += self.factors.check(self.balance, step)
         check_step(self.solver, step, self.balance, problem, self.prefix)
+
+    def _grows(self, problem: StepProblem, strains: Floats) -> bool:
+        """Whether a step with these strains (s, dim) widens a closed joint by its own aperture. Collective."""
+        network, joints = self.matrix.operators.network, self.matrix.operators.joints
+        now, change = joints.openings(problem.sections.strain), joints.openings(strains * ~problem.sections.is_open[:, None])
+        grows = now is not None and change is not None and bool(np.any(change > network.aperture + now))
+        return bool(self.matrix.layout.comm.allreduce(grows, op=MPI.LOR))
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
         """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
