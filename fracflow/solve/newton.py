@@ -148,7 +148,9 @@ class Newton:
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
         if is_loose := self._floats(problem):
             moduli = softly_held(moduli, self.matrix.operators.scales)
-        conduction = problem.conduction if not self._is_held or problem.conduction is None else problem.conduction.held()
+        conduction = problem.conduction
+        if self._is_held and conduction is not None:
+            conduction = conduction.held()
         self.matrix.fill(problem.alphas, moduli, conduction, problem.flow_scale(), self.only)
         self.factors.changed(must=is_loose)
         self._is_filled = True
@@ -189,7 +191,7 @@ class Newton:
         return self.scene.accuracy.residual * float(size) / max(problem.residual.solid, 1e-300)
 
     def _pre_check(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
-        problem, layout = self.problem, self.matrix.layout
+        problem = self.problem
         self._krylov += self.factors.check(self.balance, step)
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
@@ -203,14 +205,15 @@ class Newton:
         strains, fraction = self._strains(step)
         is_coupled = problem.conduction is not None and self.only is None and not self.method.weakness
         if fraction < 1.0 and is_coupled and not self._is_held:
-            newton, other = step.copy(), (strains, fraction)
+            newton = step.copy(), strains, fraction
             self._hold_conductances(problem, step)
             strains, fraction = self._strains(step)
-            if fraction < other[1]:
-                newton.copy(step)
-                (strains, fraction), self._is_held = other, False
-            newton.destroy()
-        self._is_held = self._is_held and self._grows(problem, strains)
+            if fraction < newton[2]:
+                newton[0].copy(step)
+                _, strains, fraction = newton
+                self._is_held = False
+            newton[0].destroy()
+        self._is_held = self._is_held and self._widens(problem, strains)
         if fraction == 1.0:
             self._refuse_flight(problem, strains)
         if fraction < 1.0:
@@ -248,12 +251,12 @@ class Newton:
         self._krylov += self.factors.check(self.balance, step)
         check_step(self.solver, step, self.balance, problem, self.prefix)
 
-    def _grows(self, problem: StepProblem, strains: Floats) -> bool:
+    def _widens(self, problem: StepProblem, strains: Floats) -> bool:
         """Whether a step with these strains (s, dim) widens a closed joint by its own aperture. Collective."""
-        network, joints = self.matrix.operators.network, self.matrix.operators.joints
-        now, change = joints.openings(problem.sections.strain), joints.openings(strains * ~problem.sections.is_open[:, None])
-        grows = now is not None and change is not None and bool(np.any(change > network.aperture + now))
-        return bool(self.matrix.layout.comm.allreduce(grows, op=MPI.LOR))
+        joints, sections = self.matrix.operators.joints, problem.sections
+        now, change = joints.openings(sections.strain), joints.openings(strains * ~sections.is_open[:, None])
+        here = now is not None and bool(np.any(change > self.matrix.operators.network.aperture + now))
+        return bool(self.matrix.layout.comm.allreduce(here, op=MPI.LOR))
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
         """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
