@@ -85,7 +85,7 @@ class ActiveSetRounds:
         """Before the first."""
         self.seen, self.is_lost = StatusHistory(problem.operators.layout.comm), False
         self._before, self._turns = problem.increment.getArray().copy(), 0
-        self._let = np.zeros(len(problem.sections.strain), dtype=bool)
+        self._lets = 0
 
     def change(self, problem: StepProblem, searches: bool) -> Bools:
         """Give the next statuses; return which sections (s,) of this rank have changed. Collective.
@@ -104,16 +104,16 @@ class ActiveSetRounds:
         return changed
 
     def let_slide(self, problem: StepProblem, parted: Bools) -> bool:
-        """Let sections that have ``parted`` (s,) and stick slide, once in a step; return whether any was let. Collective.
+        """Let sections that have ``parted`` (s,) and stick slide; return whether any was let. Collective.
 
         One that sticks keeps its shear traction to the last of its pressure, and loses it all at once as it opens: neither may
         be in balance. One that slides loses both together.
         """
         joints, before = problem.operators.joints, problem.trial_status
-        chosen = parted & (statuses(problem)[:, 1] == 0) & ~self._let
+        chosen = parted & (statuses(problem)[:, 1] == 0) & (self._lets < MOST_TURNS)
         problem.trial_status = joints.with_other_status(problem.sections.strain, before, chosen)
         changed = joints.have_changed(before, problem.trial_status)
-        self._let |= changed
+        self._lets += 1
         return bool(self.seen.comm.allreduce(bool(changed.any()), op=MPI.LOR))
 
 
