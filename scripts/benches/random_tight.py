@@ -65,15 +65,15 @@ def scene(seed: int) -> tuple[dict[str, Any], float, float]:
     stiffness = closure * load / aperture
     lift = float(draw.uniform(0.5, 1.25))
     levels = START + load * lift * draw.permutation(np.append(draw.uniform(0.0, 1.0, LEVELS - 1), 1.0))
-    # a part of a fracture of 1 m drains in about this time, at the aperture that the largest pressure gives it
+    # a front enters a joint of 0.6 m in about this time, from walls as wide as the largest pressure holds them
     wide = aperture + min(lift, 1.0) * load / (stiffness + 0.5 * modulus)
-    drains = 12e-3 / (wide**3 * (stiffness + 0.5 * modulus))
-    time_step = float(drains * 10.0 ** draw.uniform(-1, 2))
+    enters = 12e-3 * 0.36 / (2.0 * aperture**2 * wide * (stiffness + 0.5 * modulus))
+    time_step = float(enters * 10.0 ** draw.uniform(-1, 1.5))
     rises = np.repeat(levels, 2)
     begins = STEPS * time_step * np.arange(LEVELS)
     at = np.ravel(np.stack([begins + 1e-3 * time_step, begins + STEPS * time_step], axis=1))
     table = [[0.0, START], *([float(t), float(p)] for t, p in zip(at, rises, strict=True))]
-    well: dict[str, Any] = {"name": "in", "at": {"fracture": "fault0", "end": "start"}, "pressure": table}
+    well: dict[str, Any] = {"name": "in", "at": middle_of(ends[0]), "pressure": table}
     if seed % 5 == 0:
         per = wide**3 / 12e-3  # flow by a gradient of 1
         del well["pressure"]
@@ -103,10 +103,15 @@ def scene(seed: int) -> tuple[dict[str, Any], float, float]:
         },
         "support": [{"on": ["west", "east", "south", "north"]}],
         "well": wells,
-        "probe": [{"name": "in", "at": {"fracture": "fault0", "end": "start"}}],
+        "probe": [{"name": "in", "at": middle_of(ends[0]), "on": "fault0"}],
         "stage": [{"kind": "quasi-static", "time_step": time_step, "steps": LEVELS * STEPS}],
     }
     return data, closure, lift
+
+
+def middle_of(ends: np.ndarray) -> list[float]:
+    """Middle of a trace (2, 2)."""
+    return ends.mean(axis=0).tolist()
 
 
 def end_of(seed: int, folder: Path) -> End:

@@ -63,7 +63,7 @@ def test_jumps_of_a_megapascal_need_no_halving(shared_tmp):
     assert len(found["time"]) == 9 and not found["step/rejected"].any()
     assert found["step/newton"].max() <= 40
     assert np.diff(found["probe/injection/opening"])[0] > 1e-5 and found["probe/injection/normal_traction"].max() == 0.0
-    assert found["probe/injection/normal_traction"][-1] < -1e6
+    assert found["probe/injection/normal_traction"][-1] < -1e5
     assert not any(np.isinf(step.state.sections.traction).any() for step in trials)
     largest = max(np.abs(values).max() for name, values in found.items() if name.startswith("energy/"))
     assert np.abs(found["energy/residual"]).max() <= 1e-10 * largest
@@ -71,10 +71,10 @@ def test_jumps_of_a_megapascal_need_no_halving(shared_tmp):
 
 @pytest.mark.serial
 def test_random_tight_joints_end_right(tmp_path):
-    """A crossing driven by a rate, one lifted off, the tightest."""
-    for seed in (0, 2, 7):
+    """One that lifts off, crossings whose walls part seventyfold in a step."""
+    for seed in (2, 3, 18):
         end = random_tight.end_of(seed, tmp_path / str(seed))
-        assert end.what == "right", end
+        assert end.what == "right" and end.halved == 0, end
 
 
 def test_the_scenes_are_the_same_again_and_span_four_decades():
