@@ -255,7 +255,11 @@ class Newton:
         """Whether a step with these strains (s, dim) widens a closed joint by its own aperture. Collective."""
         joints, sections = self.matrix.operators.joints, problem.sections
         now, change = joints.openings(sections.strain), joints.openings(strains * ~sections.is_open[:, None])
-        here = now is not None and bool(np.any(change > self.matrix.operators.network.aperture + now))
+        here = (
+            now is not None
+            and change is not None
+            and bool(np.any(change > self.matrix.operators.network.aperture + now))
+        )
         return bool(self.matrix.layout.comm.allreduce(here, op=MPI.LOR))
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
