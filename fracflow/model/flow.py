@@ -5,7 +5,7 @@ Everything is per unit thickness, with the pressure as unknown. Ends: each joint
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 
 import numpy as np
 
@@ -73,6 +73,11 @@ class Conduction:
     compression: Compression | None = None
     leaving: Leaving | None = None
     by_slip: Floats | None = None
+
+    def held(self) -> Conduction:
+        """The same with conductances that do not change with the walls."""
+        by_slip = None if self.by_slip is None else np.zeros_like(self.by_slip)
+        return replace(self, slope=np.zeros_like(self.slope), by_slip=by_slip)
 
     def tangents(self, storing: float) -> tuple[Floats, Floats]:
         """Derivatives (j, 2, 2) of the outflow of each end: by the pressures of both, and by the openings of both.

@@ -25,6 +25,8 @@ class StatusHistory:
     """The statuses (s, k) of this rank's sections, one column a kind, as the iteration has seen them.
 
     changed  (s, k) which of them changed since all were the same before, or else since the last time
+    still    for how many iterations none has changed
+    is_new   whether the last statuses were not seen before
     """
 
     def __init__(self, comm: MPI.Comm) -> None:
@@ -35,7 +37,7 @@ class StatusHistory:
     def begin(self) -> None:
         """Drop all statuses seen."""
         self._seen: list[Statuses] = []
-        self.changed = np.zeros((0, 2), dtype=bool)
+        self.changed, self.still, self.is_new = np.zeros((0, 2), dtype=bool), 0, True
 
     def see(self, statuses: Statuses) -> bool:
         """Whether all sections of all ranks had these statuses before, and others in between. Collective."""
@@ -46,6 +48,8 @@ class StatusHistory:
         others = self._seen[first:]
         self.changed = np.any([statuses != old for old in others], axis=0) if others else statuses != statuses
         self._seen.append(statuses.copy())
+        self.is_new = not everywhere.any()
+        self.still = self.still + 1 if everywhere.any() and everywhere[-1] else 0
         return bool(everywhere.any()) and not everywhere[-1]
 
 
@@ -81,6 +85,7 @@ class ActiveSetRounds:
         """Before the first."""
         self.seen, self.is_lost = StatusHistory(problem.operators.layout.comm), False
         self._before, self._turns = problem.increment.getArray().copy(), 0
+        self._lets = 0
 
     def change(self, problem: StepProblem, searches: bool) -> Bools:
         """Give the next statuses; return which sections (s,) of this rank have changed. Collective.
@@ -97,6 +102,19 @@ class ActiveSetRounds:
                 self.seen.begin()
         self._before = here
         return changed
+
+    def let_slide(self, problem: StepProblem, parted: Bools) -> bool:
+        """Let sections that have ``parted`` (s,) and stick slide; return whether any was let. Collective.
+
+        One that sticks keeps its shear traction to the last of its pressure, and loses it all at once as it opens: neither may
+        be in balance. One that slides loses both together.
+        """
+        joints, before = problem.operators.joints, problem.trial_status
+        chosen = parted & (statuses(problem)[:, 1] == 0) & (self._lets < MOST_TURNS)
+        problem.trial_status = joints.with_other_status(problem.sections.strain, before, chosen)
+        changed = joints.have_changed(before, problem.trial_status)
+        self._lets += 1
+        return bool(self.seen.comm.allreduce(bool(changed.any()), op=MPI.LOR))
 
 
 def reset_cycling(problem: StepProblem, before: Floats, changing: Bools) -> bool:

@@ -35,7 +35,7 @@ from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatri
 MOST_CHANGES = 50  # rounds of status changes in one step
 BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
 BRIEF = 20  # iterations with the same statuses there
-PATIENCE = 15  # full Newton steps before a line search
+PATIENCE = 15  # full Newton steps before a line search, with a fluid without a change of status
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -74,6 +74,7 @@ class Newton:
         self._restless = np.zeros(0, dtype=bool)
         self._inner, self._circles = StatusHistory(layout.comm), False
         self._rounds: ActiveSetRounds
+        self._is_held = False
         self._is_start, self._is_filled, self._polished = True, False, False
         self._out_of_balance: list[float] = []
         self._refusals: list[BaseException] = []  # of the functions below, until SNES has ended
@@ -88,7 +89,7 @@ class Newton:
         most = BRIEF_CHANGES if problem.request.expects_failure else MOST_CHANGES
         for _ in range(most):
             self._pack(problem)
-            self._is_start, self._circles, self._polished = True, False, False
+            self._is_start, self._circles, self._polished, self._is_held = True, False, False, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}", self._refusals)
@@ -166,7 +167,10 @@ class Newton:
         moduli = self.method.moduli(self.matrix.operators.joints, problem.sections)
         if is_loose := self._floats(problem):
             moduli = softly_held(moduli, self.matrix.operators.scales)
-        self.matrix.fill(problem.alphas, moduli, problem.conduction, problem.flow_scale(), self.only)
+        conduction = problem.conduction
+        if self._is_held and conduction is not None:
+            conduction = conduction.held()
+        self.matrix.fill(problem.alphas, moduli, conduction, problem.flow_scale(), self.only)
         self.factors.changed(must=is_loose)
         self._is_filled = True
 
@@ -214,7 +218,7 @@ class Newton:
 
     def _shorten(self, unknowns: PETSc.Vec, step: PETSc.Vec) -> bool:
         """Whether a step was shortened. Raises SolveError or SingularMatrix where it may not be made. Collective."""
-        problem, layout = self.problem, self.matrix.layout
+        problem = self.problem
         self._krylov += self.factors.check(self.balance, step)
         self._step = step.norm()
         if self.method.weakness and not np.isfinite(self._step):
@@ -225,14 +229,18 @@ class Newton:
             if self._floats(problem):
                 self._refuse_floating(problem)
             raise
-        change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
-        change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
-        self._step = change.norm()
-        joints = self.matrix.operators.joints
-        strains = joints.strain(change)
-        allowed = joints.step_limit(problem.sections.strain, strains)
-        change.destroy()
-        fraction = layout.comm.allreduce(allowed, op=MPI.MIN)
+        strains, fraction = self._strains(step)
+        is_coupled = problem.conduction is not None and self.only is None and not self.method.weakness
+        if fraction < 1.0 and is_coupled and not self._is_held:
+            newton = step.copy(), strains, fraction
+            self._hold_conductances(problem, step)
+            strains, fraction = self._strains(step)
+            if fraction < newton[2]:
+                newton[0].copy(step)
+                _, strains, fraction = newton
+                self._is_held = False
+            newton[0].destroy()
+        self._is_held = self._is_held and self._widens(problem, strains)
         if fraction == 1.0:
             self._refuse_flight(problem, strains)
         if fraction < 1.0:
@@ -244,6 +252,42 @@ class Newton:
         if fraction < 1.0:
             self._step = np.inf
         return bool(fraction < 1.0)
+
+    def _strains(self, step: PETSc.Vec) -> tuple[Floats, float]:
+        """Strains (s, dim) that a step adds to the sections, and the fraction of it that they allow. Collective."""
+        layout, joints = self.matrix.layout, self.matrix.operators.joints
+        change, scale = layout.solid_vector(), self.matrix.operators.scales.displacement
+        change.setArray(step.getArray(readonly=True)[: layout.solid_count] * -scale)
+        self._step = change.norm()
+        strains = joints.strain(change)
+        change.destroy()
+        return strains, layout.comm.allreduce(joints.step_limit(self.problem.sections.strain, strains), op=MPI.MIN)
+
+    def _hold_conductances(self, problem: StepProblem, step: PETSc.Vec) -> None:
+        """Make the step anew with the conductances as they are. Collective.
+
+        Where a front of pressure enters a narrow fracture, an aperture d grows by c d^3 k (d_1 - d) in a step, in short. That
+        rises with d by more than 1 where d_1 is far above, and Newton's method then goes away from the solution: it closes the
+        fracture. With c d^3 held the aperture stays between d and d_1, and rises to the next solution above it. Steps go on so
+        until no joint in contact widens by its own aperture.
+        """
+        self._is_held, self._is_filled = True, False
+        self._jacobian(self.snes, self.unknowns, self.matrix.matrix, self.factors.factored)
+        self.solver.setOperators(self.matrix.matrix, self.factors.factored)
+        self.solver.solve(self.balance, step)
+        self._krylov += self.factors.check(self.balance, step)
+        check_step(self.solver, step, self.balance, problem, self.prefix)
+
+    def _widens(self, problem: StepProblem, strains: Floats) -> bool:
+        """Whether a step with these strains (s, dim) widens a closed joint by its own aperture. Collective."""
+        joints, sections = self.matrix.operators.joints, problem.sections
+        now, change = joints.openings(sections.strain), joints.openings(strains * ~sections.is_open[:, None])
+        here = (
+            now is not None
+            and change is not None
+            and bool(np.any(change > self.matrix.operators.network.aperture + now))
+        )
+        return bool(self.matrix.layout.comm.allreduce(here, op=MPI.LOR))
 
     def _search(self, problem: StepProblem, unknowns: PETSc.Vec, step: PETSc.Vec, strains: Floats) -> float:
         """Fraction of a step that ends the cycling; the problem stays evaluated at any trial. Collective."""
@@ -286,7 +330,16 @@ class Newton:
         if iteration == 0:
             self._inner.begin()
         returns = self._inner.see(statuses(problem))
-        self._circles |= self._searches() and (returns or iteration >= PATIENCE)
+        # without a fluid the balance minimises an energy, and once searched for its minimum is; else a front of pressure opens
+        # sections one after another, and whole steps follow it
+        is_wet = problem.conduction is not None
+        lets = is_wet and returns and self._searches() and self.holds and not problem.request.hold
+        if lets and self._rounds.let_slide(problem, self._inner.changed[:, 0]):
+            self._inner.begin()
+        else:
+            cycles = returns or (self._inner.still if is_wet else iteration) >= PATIENCE
+            goes_on = self._circles and not (is_wet and self._inner.is_new)
+            self._circles = self._searches() and (cycles or goes_on)
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.history)
         self._is_start = False

@@ -199,7 +199,9 @@ def flow_residual(
     own = np.full(len(balance), largest) if terms is None else np.maximum(terms, UNIT_ROUND_OFF * largest)
     for rows in closed:
         own[rows] = largest
-    return over_ranks([largest_of(balance / np.maximum(own, TINY))], comm)[0]
+    with np.errstate(invalid="ignore"):  # a trial that is not finite is refused by its size
+        shares = balance / np.maximum(own, TINY)
+    return over_ranks([largest_of(shares)], comm)[0]
 
 
 def flow_sizes(conduction: Conduction, before: Floats | float, drive: float, storing: float) -> tuple[Floats, float]:
