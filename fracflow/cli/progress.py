@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
 STEADY = 1.5  # ratio of the pace of the whole stage and of its later half: beyond it two times are given
 MOST_SAMPLES = 256
+INTERVAL = 60.0  # from line to line of progress where it goes into a file [s]
 SETTING_UP = "setting up: mesh, model, what is left out"
 
 
@@ -200,11 +201,11 @@ class _TwoLines(Progress):
 
 
 class Screen:
-    """Shows where a run is: on a terminal by a bar, else by a line every ``interval`` seconds; nothing where it is quiet."""
+    """Shows where a run is: on a terminal by a bar, else by a line every INTERVAL seconds; nothing where it is quiet."""
 
-    def __init__(self, console: Console, name: str, interval: float) -> None:
+    def __init__(self, console: Console, name: str) -> None:
         """Of a run with a name."""
-        self.console, self.name, self.interval = console, shown_plain(name), interval
+        self.console, self.name = console, shown_plain(name)
         self._line, self._began, self._since = "", clock.monotonic(), clock.monotonic()
         self._ended = threading.Event()
         self._writer: threading.Thread | None = None
@@ -238,9 +239,9 @@ class Screen:
             self._bar.update(self._task, total=None if share is None else 1.0, completed=share or 0.0)
 
     def _write(self) -> None:
-        while not self._ended.wait(self.interval):
+        while not self._ended.wait(INTERVAL):
             now = clock.monotonic()
-            still = f", and this for {spoken(now - self._since)}" if now - self._since >= self.interval else ""
+            still = f", and this for {spoken(now - self._since)}" if now - self._since >= INTERVAL else ""
             said = f"after {spoken(now - self._began)}: {shown_plain(self._line)}{still}"
             try:
                 self.console.print(f"{self.name}: {said}", soft_wrap=True, markup=False, highlight=False)

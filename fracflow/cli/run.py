@@ -37,18 +37,14 @@ def run_with_progress(
     job: Callable[[Tick], Totals],
     title: str = "",
     is_shown: bool = True,
-    interval: float = 60.0,
 ) -> None:
-    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective.
-
-    interval  from line to line of progress where it goes into a file [s]
-    """
+    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
     from fracflow.cli.progress import ProgressBar, Screen
     from fracflow.model.setup import on_root
     from fracflow.solve.options import forget
 
     totals, failure = None, None
-    screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder), interval)
+    screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder))
     with ExitReport(comm, folder) as words, screen:
         try:
             sight = ProgressBar(scene, screen.show)

@@ -150,7 +150,7 @@ def small(folder, comm) -> Scene:
     return load(folder / "scene.toml", ["stage.0.steps=12"])
 
 
-def go(scene, folder, comm, interval):
+def go(scene, folder, comm):
     """A run each of whose steps takes 20 ms at least."""
 
     def job(tick):
@@ -161,11 +161,12 @@ def go(scene, folder, comm, interval):
         slow.sections, slow.saved = tick.sections, tick.saved
         return run(scene, folder, comm, slow)
 
-    run_with_progress(scene, folder, Console(quiet=True), comm, job, is_shown=False, interval=interval)
+    run_with_progress(scene, folder, Console(quiet=True), comm, job, is_shown=False)
 
 
-def test_a_pipe_gets_lines_of_rank_0(shared_tmp, comm, capfd):
-    go(small(shared_tmp, comm), shared_tmp / "out", comm, 0.03)
+def test_a_pipe_gets_lines_of_rank_0(shared_tmp, comm, capfd, monkeypatch):
+    monkeypatch.setattr("fracflow.cli.progress.INTERVAL", 0.03)
+    go(small(shared_tmp, comm), shared_tmp / "out", comm)
     said = capfd.readouterr().err
     if comm.rank > 0:
         assert said == ""
@@ -177,7 +178,7 @@ def test_a_pipe_gets_lines_of_rank_0(shared_tmp, comm, capfd):
 
 
 def test_a_short_run_says_nothing_into_a_pipe(shared_tmp, comm, capfd):
-    go(small(shared_tmp, comm), shared_tmp / "out", comm, 60.0)
+    go(small(shared_tmp, comm), shared_tmp / "out", comm)
     assert capfd.readouterr().err == ""
 
 
@@ -188,7 +189,7 @@ def test_a_terminal_has_a_bar(tmp_path, comm, monkeypatch):
         monkeypatch.setattr(sys, "stderr", terminal)
         monkeypatch.setenv("TERM", "xterm")
         monkeypatch.setenv("COLUMNS", "100")
-        go(small(tmp_path, comm), tmp_path / "out", comm, 0.0)
+        go(small(tmp_path, comm), tmp_path / "out", comm)
         os.set_blocking(there, False)
         said = os.read(there, 1 << 20).decode()
     os.close(there)
@@ -200,8 +201,9 @@ def test_a_terminal_has_a_bar(tmp_path, comm, monkeypatch):
 
 
 @pytest.mark.serial
-def test_a_long_step_is_seen_to_go_on(capfd):
-    with Screen(Console(stderr=True), "a run", 0.02) as screen:
+def test_a_long_step_is_seen_to_go_on(capfd, monkeypatch):
+    monkeypatch.setattr("fracflow.cli.progress.INTERVAL", 0.02)
+    with Screen(Console(stderr=True), "a run") as screen:
         screen.show("stage 1 of 1 (shock): dynamic, step 4 of 10", 0.4)
         time.sleep(0.1)
     assert capfd.readouterr().err.splitlines()[-1].endswith("step 4 of 10, and this for 0 s")
