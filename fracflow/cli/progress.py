@@ -32,7 +32,7 @@ INTERVAL = 60.0  # from line to line of progress where it goes into a file [s]
 SETTING_UP = "setting up: mesh, model, what is left out"
 
 
-class ProgressBar:
+class RunProgress:
     """The state of a run in words, from the steps that it reports.
 
     show     is given a line, and the share of the stage that is done or None where its end is not known

@@ -39,7 +39,7 @@ def run_with_progress(
     is_shown: bool = True,
 ) -> None:
     """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
-    from fracflow.cli.progress import ProgressBar, Screen
+    from fracflow.cli.progress import RunProgress, Screen
     from fracflow.model.setup import on_root
     from fracflow.solve.options import forget
 
@@ -47,9 +47,9 @@ def run_with_progress(
     screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder))
     with ExitReport(comm, folder) as words, screen:
         try:
-            sight = ProgressBar(scene, screen.show)
-            sight.saved = words.saved
-            totals = job(sight)
+            progress = RunProgress(scene, screen.show)
+            progress.saved = words.saved
+            totals = job(progress)
         except SolveError as error:
             failure = error
         except Interrupted as error:

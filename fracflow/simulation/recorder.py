@@ -83,7 +83,7 @@ class Recorder:
         self.totals, self._goes_on = Totals.of(notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
-        self.changed: tuple[int, int] | None = None  # joint ends that slide and that are open, on rank 0
+        self.slipping_and_open: tuple[int, int] | None = None  # joint ends that slide and that are open, on rank 0
         self._report_saved: Callable[[int], None] | None = None
         self.profiles = Timetable(**self.totals.profiles)
         self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
@@ -130,7 +130,7 @@ class Recorder:
             self._write(lambda files: files.append(step, snapshot, kind))
         self._goes_on = False
         if snapshot is not None:
-            self.changed = int(snapshot.column("sliding").sum()), int(snapshot.column("open").sum())
+            self.slipping_and_open = int(snapshot.column("sliding").sum()), int(snapshot.column("open").sum())
         if self._wants_fields(self.totals.steps):
             self._fields(sample, self.totals.steps)
         self._profile(sample, kind)

@@ -66,9 +66,9 @@ def run(
     undone: dict[str, str] = {}
     while True:
         mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
-        heard = (show, say) if not undone else (None, None)
+        callbacks = (show, say) if not undone else (None, None)
         try:
-            return _go(_begun(scene, folder, comm, undone, mesh, *heard), progress)
+            return _go(_begun(scene, folder, comm, undone, mesh, *callbacks), progress)
         except ReductionInvalid as needed:
             undone = {**undone, **needed.undone}
 
@@ -264,8 +264,8 @@ def _steps(
                         step = made
                         recorder.record(step)
                         watch_locked(stepping.model, step.state)
-                        if report_sections is not None and recorder.changed is not None:
-                            report_sections(*recorder.changed)
+                        if report_sections is not None and recorder.slipping_and_open is not None:
+                            report_sections(*recorder.slipping_and_open)
                         if progress is not None:
                             progress(step)
                         state.destroy()

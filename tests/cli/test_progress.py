@@ -11,7 +11,7 @@ import pytest
 from malformed import SCENE
 from rich.console import Console
 
-from fracflow.cli.progress import Pace, ProgressBar, Screen, spoken
+from fracflow.cli.progress import Pace, RunProgress, Screen, spoken
 from fracflow.cli.run import run_with_progress
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
@@ -28,7 +28,7 @@ class Story:
     def __init__(self, *stages):
         self.now, self.told, self.time, self.n = 100.0, [], 0.0, 0
         scene = SimpleNamespace(stage=stages, unit_names={"length": "m", "force": "N", "time": "s"})
-        self.bar = ProgressBar(scene, lambda line, share: self.told.append((line, share)), lambda: self.now)
+        self.bar = RunProgress(scene, lambda line, share: self.told.append((line, share)), lambda: self.now)
 
     def step(self, stage=0, takes=1.0, length=0.01, regime="", rejected=0, **progress):
         self.now, self.time, self.n = self.now + takes, self.time + length, self.n + 1
