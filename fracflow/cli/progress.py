@@ -19,6 +19,7 @@ from fracflow.advance.substeps import SubstepCursor
 from fracflow.output.drawing.axes import shown
 from fracflow.scene.boundary import Stage
 from fracflow.scene.units import TIME
+from fracflow.simulation.observer import Observer
 from fracflow.storage.files import shown_plain
 
 if TYPE_CHECKING:
@@ -32,30 +33,34 @@ INTERVAL = 60.0  # from line to line of progress where it goes into a file [s]
 SETTING_UP = "setting up: mesh, model, what is left out"
 
 
-class RunProgress:
+class RunProgress(Observer):
     """The state of a run in words, from the steps that it reports.
 
-    show     is given a line, and the share of the stage that is done or None where its end is not known
-    seconds  the time now [s]
+    show      is given a line, and the share of the stage that is done or None where its end is not known
+    seconds   the time now [s]
+    on_saved  is given the number of steps up to the last state on disk
     """
-
-    saved: Callable[[int], None]
-    """Is given the number of steps up to the last state on disk."""
 
     def __init__(
         self,
         scene: Scene,
         show: Callable[[str, float | None], None],
         seconds: Callable[[], float] = clock.monotonic,
+        on_saved: Callable[[int], None] | None = None,
     ) -> None:
         """Before the first step."""
-        self.scene, self.show, self.seconds = scene, show, seconds
+        self.scene, self.show, self.seconds, self.on_saved = scene, show, seconds, on_saved
         self.rejected = self.since = 0
         self.counts: tuple[int, int] | None = None
         self.line = SETTING_UP
         self.share: float | None = None
         self.pace, self.stage = Pace(seconds()), -1
         show(self.line, None)
+
+    def saved(self, steps: int) -> None:
+        """The state after so many steps is on disk."""
+        if self.on_saved is not None:
+            self.on_saved(steps)
 
     def sections(self, slipping: int, is_open: int) -> None:
         """Sections that slip and that are open in the step that is reported next."""

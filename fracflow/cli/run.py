@@ -15,8 +15,8 @@ from fracflow.errors import InputError, Interrupted, SolveError
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
     from fracflow.scene.scene import Scene
+    from fracflow.simulation.observer import Observer
     from fracflow.simulation.refinement import Level
-    from fracflow.simulation.run import OnStep as Tick
     from fracflow.simulation.totals import Totals
 
 
@@ -34,7 +34,7 @@ def run_with_progress(
     folder: Path,
     console: Console,
     comm: MPI.Comm,
-    job: Callable[[Tick], Totals],
+    job: Callable[[Observer], Totals],
     title: str = "",
     is_shown: bool = True,
 ) -> None:
@@ -47,9 +47,7 @@ def run_with_progress(
     screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder))
     with ExitReport(comm, folder) as words, screen:
         try:
-            progress = RunProgress(scene, screen.show)
-            progress.saved = words.saved
-            totals = job(progress)
+            totals = job(RunProgress(scene, screen.show, on_saved=words.saved))
         except SolveError as error:
             failure = error
         except Interrupted as error:

@@ -15,6 +15,7 @@ from fracflow.cli.progress import Pace, RunProgress, Screen, spoken
 from fracflow.cli.run import run_with_progress
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
+from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import run
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
@@ -154,12 +155,14 @@ def go(scene, folder, comm):
     """A run each of whose steps takes 20 ms at least."""
 
     def job(tick):
-        def slow(step):
-            time.sleep(0.02)
-            tick(step)
+        class Slow(Observer):
+            sections, saved = staticmethod(tick.sections), staticmethod(tick.saved)
 
-        slow.sections, slow.saved = tick.sections, tick.saved
-        return run(scene, folder, comm, slow)
+            def __call__(self, step):
+                time.sleep(0.02)
+                tick(step)
+
+        return run(scene, folder, comm, Slow())
 
     run_with_progress(scene, folder, Console(quiet=True), comm, job, is_shown=False)
 
