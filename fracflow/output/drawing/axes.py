@@ -131,9 +131,12 @@ def _in_thousands(factor: float, unit: str, size: float) -> tuple[float, str]:
     if _LEAST <= size < _MOST:
         return factor, unit
     power = 3 * floor(log10(size) / 3.0)
-    sign = "⁻" if power < 0 else ""
-    power_text = f"10{sign}" + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(abs(power)))
-    return factor * 10.0**-power, f"{power_text} {unit}".rstrip()
+    return factor * 10.0**-power, f"{power_of_ten(power)} {unit}".rstrip()
+
+
+def power_of_ten(power: int) -> str:
+    """10⁻⁶."""
+    return "10" + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(sign)] if sign.isdigit() else "⁻" for sign in str(power))
 
 
 def axis_of(dimension: str, lines: Sequence[ArrayLike], units: Mapping[str, str], noise: float = 0.0) -> Axis:
