@@ -18,7 +18,7 @@ from rich.text import Text
 from fracflow.advance.substeps import SubstepCursor
 from fracflow.output.drawing.axes import shown
 from fracflow.scene.boundary import Stage
-from fracflow.scene.units import TIME
+from fracflow.scene.units import TIME, TIME_UNITS
 from fracflow.simulation.observer import Observer
 from fracflow.storage.files import shown_plain
 
@@ -188,10 +188,8 @@ def spoken(seconds: float) -> str:
     """A time as a person says it: 40 s, 12 min, 3.5 h, 2.1 days."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
-    for unit, length, most in (("min", 60.0, 90.0), ("h", 3600.0, 48.0)):
-        if seconds < most * length:
-            return f"{seconds / length:.2g} {unit}"
-    return f"{seconds / 86400.0:.2g} days"
+    unit = "min" if seconds < 90.0 * TIME_UNITS["min"] else "h" if seconds < 48.0 * TIME_UNITS["h"] else "days"
+    return f"{seconds / TIME_UNITS[unit]:.2g} {unit}"
 
 
 class _TwoLines(Progress):

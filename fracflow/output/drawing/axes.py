@@ -20,6 +20,7 @@ from fracflow.scene.units import (
     STRESS,
     SURFACE_ENERGY,
     TIME,
+    TIME_UNITS,
     VELOCITY,
     VISCOSITY,
     VOLUME,
@@ -35,10 +36,8 @@ NARROW = 1e-2  # of the largest value: lines that span less are drawn as differe
 _LEAST, _MOST = 5e-2, 1e4  # numbers that need no power of ten
 _NONE = 1e-250  # smaller numbers are zero in a picture
 
-_TIMES: Ladder = (
-    (2.0 * 365.25 * 86400.0, 365.25 * 86400.0, "years"), (2.0 * 86400.0, 86400.0, "days"), (7200.0, 3600.0, "h"),
-    (180.0, 60.0, "min"), (0.5, 1.0, "s"), (5e-4, 1e-3, "ms"), (0.0, 1e-6, "µs"),
-)  # fmt: skip
+_FEWEST = {"years": 2.0, "days": 2.0, "h": 2.0, "min": 3.0, "s": 0.5, "ms": 0.5, "µs": 0.0}  # of a unit of time
+_TIMES: Ladder = tuple((fewest * TIME_UNITS[name], TIME_UNITS[name], name) for name, fewest in _FEWEST.items())
 
 
 def _metric(unit: str, *prefixes: str) -> Ladder:
