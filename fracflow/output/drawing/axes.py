@@ -31,7 +31,7 @@ from fracflow.scene.units import (
 Floats = NDArray[np.float64]
 Ladder = tuple[tuple[float, float, str], ...]
 
-ROUND_OFF = 1e-8  # of the largest value: a line that varies less is constant
+LINE_ROUND_OFF = 1e-8  # of the largest value: a line that varies less is constant
 NARROW = 1e-2  # of the largest value: lines that span less are drawn as differences from a round number
 _LEAST, _MOST = 5e-2, 1e4  # numbers that need no power of ten
 _NONE = 1e-250  # smaller numbers are zero in a picture
@@ -149,7 +149,7 @@ def axis_of(dimension: str, lines: Sequence[ArrayLike], units: Mapping[str, str]
     largest = max((float(np.abs(array).max()) for array in known), default=0.0)
     if largest <= max(noise, _NONE):
         return Axis(1.0, unit_for(dimension, 0.0, units)[1], is_constant=True, noise=noise)
-    if all(float(np.ptp(array)) <= max(ROUND_OFF * largest, noise) for array in known):
+    if all(float(np.ptp(array)) <= max(LINE_ROUND_OFF * largest, noise) for array in known):
         return Axis(*unit_for(dimension, largest, units), is_constant=True)
     low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
     if high - low >= NARROW * largest:
