@@ -177,7 +177,7 @@ class Output(Table):
     event_length: Size | None = None
     """width of events of a stage auto across the plane, for magnitudes [length]"""
     time_unit: TimeUnit | None = None
-    """unit of times in pictures, tables and messages; by default that of the last end, or else time_step, which the
+    """unit of times in pictures and tables; by default that of the last end, or else time_step, which the
     stages give with a unit"""
     pictures: StrictBool = True
     """draw pictures for the report page"""
