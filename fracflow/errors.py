@@ -34,7 +34,15 @@ class SolveError(Exception):
 
 
 class NotConverged(SolveError):
-    """An iteration did not converge; a shorter step may."""
+    """An iteration did not converge; a shorter step may.
+
+    kind  of the failure, where its class does not say it; the same in whichever fracture it is
+    """
+
+    def __init__(self, message: str = "", newton: int = 0, trials: int = 0, kind: str = "") -> None:
+        """Say what failed, and what was spent on it."""
+        super().__init__(message, newton, trials)
+        self.kind = kind
 
     def after(self, newton: int) -> NotConverged:
         """The same failure, on which so many iterations were spent in all."""

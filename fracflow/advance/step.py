@@ -243,6 +243,7 @@ class SingleStep:
             f"time {request.time:.6g}: elements keep pinching shut and opening again, which changes the outlets: take a"
             f" smaller time_step, or give minimum_hydraulic_aperture{f' (last: {failed})' if failed else ''}",
             spent,
+            kind="outlets",
         )
 
     def _checked(

@@ -6,7 +6,6 @@ Parts are powers of 1/2 of a step, or of what is left of it after an event, each
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -85,13 +84,25 @@ def most_halvings(scene: Scene) -> int:
     return scene.accuracy.max_halvings if scene.method.newton == "newton" else 0
 
 
+@dataclass(frozen=True)
+class _Cause:
+    """Why a substep failed: in words, and by the class and the kind of its error."""
+
+    text: str = ""
+    error: type[NotConverged] = NotConverged
+    kind: str = ""
+
+    def is_like(self, other: _Cause) -> bool:
+        """Whether two substeps failed in the same way, wherever that was."""
+        return (self.error, self.kind) == (other.error, other.kind)
+
+
 @dataclass
 class Substepped:
     """Divides a step of a stage into the fewest substeps that ``rules`` allow, each taken by another way to advance.
 
     place       where in the step it goes on
     prescribed  a part that may be halved to be accurate is, untried, where this is not straight in it
-    causes      why substeps failed since the last step that was taken whole
     """
 
     inner: Advance
@@ -99,7 +110,6 @@ class Substepped:
     log: Log
     place: SubstepCursor = SubstepCursor()
     prescribed: PrescribedTimes = field(default_factory=PrescribedTimes)
-    causes: list[str] = field(default_factory=list)
 
     def advance(self, state: State, request: StepRequest) -> Outcome:
         """The next substep of a requested step, from the place on.
@@ -109,6 +119,7 @@ class Substepped:
         rules, place, step = self.rules, self.place, request.step
         assert step is not None
         most, refused, spent = rules.most + min(place.level, rules.finest), list[tuple[int, float]](), StepReport()
+        last, other = _Cause(), ""
         for level, size in _sizes(place, max(most, rules.finest)):
             if rules.finest and level < place.level:
                 continue
@@ -122,13 +133,13 @@ class Substepped:
             except NotConverged as error:
                 spent = spent.with_rejected(error.newton)
                 self.log(f"step halved: {str(error).partition(';')[0]}" if level < most else f"step given up: {error}")
+                now = _Cause(str(error).partition(";")[0], type(error), error.kind)
+                last, other = now, other if now.is_like(last) else last.text
                 if level < most:
-                    self.causes.append(str(error).partition(";")[0])
                     continue
                 tried = f" (after {rules.most} halvings of the step)" if rules.most else ""
-                raise NotConverged(
-                    f"{error}{tried}{_other(self.causes, str(error))}", spent.wasted, spent.rejected
-                ) from error
+                before = f"; before that: {other}" if other else ""
+                raise NotConverged(f"{error}{tried}{before}", spent.wasted, spent.rejected, error.kind) from error
             if rules.order and found.error > 1.0 and level < (rules.finest or rules.most):
                 found.state.destroy()
                 spent = spent.with_rejected(found.report.newton)
@@ -143,8 +154,6 @@ class Substepped:
             place = replace(place, base=found.reached, part=0.0, events=events)
         else:
             place = _after(replace(place, part=place.part + size), found.error, rules)
-        if size == 1.0:
-            self.causes.clear()
         self.place = place.next_step() if place.fraction == 1.0 else place
         length = step.length * (found.reached - start)
         return replace(found, report=found.report.after_trials(spent), length=length)
@@ -153,16 +162,6 @@ class Substepped:
         end = step.first(step.ends, begin, end) or end
         inside = begin + 2.0 * AT_A_JUMP, end - 2.0 * AT_A_JUMP
         return self.prescribed.is_straight(*(step.begin + fraction * step.length for fraction in inside))
-
-
-def _other(causes: Sequence[str], last: str) -> str:
-    """Another cause than the last one for which substeps failed; the latest of them."""
-
-    def kind(cause: str) -> str:
-        return re.sub(r"^time \S+ ", "", cause)[:12]
-
-    others = [cause for cause in causes if kind(cause) != kind(last)]
-    return f"; before that: {others[-1]}" if others else ""
 
 
 def _halvings(refused: Sequence[tuple[int, float]], order: int) -> int:

@@ -92,6 +92,7 @@ def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoRetur
         f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
         f" {names}): move their limits apart, or take a smaller time_step",
         newton,
+        kind="wells",
     )
 
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from fracflow._petsc import MPI
+from fracflow.advance.cost import cost_of_events
 from fracflow.advance.explicit import explicit_cost
-from fracflow.advance.initial_state import equilibrium_state, refuse_imbalance
-from fracflow.advance.regime import wave_step
-from fracflow.advance.slow_slip import SHARE
+from fracflow.advance.initial_state import refuse_imbalance
 from fracflow.diagnostics import Number, pre_run_checks
-from fracflow.errors import SolveError
 from fracflow.mesh.read import network_of
 from fracflow.mesh.split import summary
 from fracflow.model.network_parts import parts_with_wells
@@ -26,11 +21,9 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import BESIDES, ENTRIES, ITERATIONS, break_even, fits
 from fracflow.solve.condensed_cost import planned as solved
-from fracflow.solve.newton import BRIEF
 
 PROGRAM, NUMBER = 1.5e8, 8.0  # bytes of the program with its libraries, and of a number
 MATRICES = 150.0  # numbers an unknown in matrices and vectors
-LONGER = 3  # steps without inertia before a stage auto makes them twice as long
 OWN = 6e-3  # seconds an iteration takes besides: joint laws, balances, and what they are called by
 
 
@@ -112,55 +105,8 @@ def _cost(model: Model, steps: int, more: bool) -> dict[str, str]:
         lasted = seconds_of_factors(model.operators)
         each = lasted * (1.0 + BESIDES) + OWN
         seconds += steps * ITERATIONS * each
-        found |= _cost_of_events(model, each, ITERATIONS)
+        found |= cost_of_events(model, each, ITERATIONS)
         parts.append(f"{ITERATIONS} iterations a step, each with a factorisation, and one took {lasted:.2g} s here")
     without = ", without those of events and searches" if more else ""
     found[f"time of the steps planned, at most about{without}"] = f"{seconds:.2g} CPU s: {'; '.join(parts)}"
     return found
-
-
-def _cost_of_events(model: Model, iteration: float, iterations: int) -> dict[str, str]:
-    """Time that events and slow slip of each stage auto take beside the steps planned, by the seconds of a Newton iteration.
-
-    iterations  of a step
-    The number of events is not known: the cost is that of one.
-    """
-    found = {}
-    for stage in (stage for stage in model.scene.stage if stage.kind == "auto"):
-        state = equilibrium_state(model)
-        try:
-            least, period = wave_step(model, state, stage)
-        except SolveError:
-            continue
-        finally:
-            state.destroy()
-        longest = max(stage.time_step or 0.0, least)
-        trials = math.ceil(math.log2(longest / least))
-        waves = math.ceil(max(1.0, stage.rest_periods) * period / least)
-        after = LONGER * math.ceil(math.log2(max(longest / period, 1.0)))
-        seconds = iteration * (trials * BRIEF + (waves + after) * iterations)
-        found[f"each event in stage {stage.title}, about"] = (
-            f"{trials} trials rejected before it, at least {waves} steps with inertia of {least:.3g}, {after} steps until"
-            f" they are as long again: from {seconds:.2g} CPU s on"
-        )
-        if weakens := sum(1 for _ in _weakening(model)):
-            steps = math.ceil(1.0 / SHARE) * weakens
-            found[f"slow slip in stage {stage.title}, up to"] = (
-                f"{steps} steps more, where {weakens} fractures weaken one after another, each over {1.0 / SHARE:.0f} steps:"
-                f" {steps * iteration * iterations:.2g} CPU s, and half as many trials rejected"
-            )
-    return found
-
-
-def _weakening(model: Model) -> Iterator[int]:
-    """Fractures whose strength falls over a slip of some length."""
-    joints, blocks = model.operators.joints, model.operators.blocks.joints
-    pressed = np.maximum(-joints.initial[:, -1], 0.0)
-    for number in range(len(blocks.fractures)):
-        of_it = np.repeat(blocks.fracture == number, joints.points)
-        for group in joints.laws:
-            here = of_it[group.sections]
-            lengths = group.law.slip_length(len(here))
-            if np.any(here & (group.law.strength_drop(pressed[group.sections]) > 0.0) & (lengths > 0.0)):
-                yield number
-                break

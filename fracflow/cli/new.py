@@ -28,8 +28,8 @@ MOST_NAMED = 20  # names in a comment
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a scene happens: its tables of geometry or mesh as text, and names in it.
+class SceneParts:
+    """The parts of a new scene: its tables of geometry or mesh as text, and names in it.
 
     extent     of the larger side of the domain [length]
     fractures  names, the longest first
@@ -42,7 +42,7 @@ class Place:
     sides: Sequence[str] = ("west", "east", "south", "north")
 
 
-FIRST = Place(
+FIRST = SceneParts(
     """[geometry] # x to the right, y upward [m]
 domain = [0, 0, 1000, 800] # xmin, ymin, xmax, ymax; the sides are called west, south, east, north
 size = 80 # of cells away from fractures; leave both sizes out, and they follow from the scene
@@ -80,9 +80,9 @@ def write_scene(where: Path, traces: Path | None = None, mesh: Path | None = Non
         raise InputError("new: --traces and --mesh: give one of them; traces are meshed by the program")
     if os.path.lexists(path):
         raise InputError(f"{path}: is there already, and is not written over; name another file or folder")
-    place = FIRST if traces is None else _of_traces(traces, path)
-    place = place if mesh is None else _of_mesh(mesh, path, trust)
-    text = _text(place, path)
+    parts = FIRST if traces is None else _of_traces(traces, path)
+    parts = parts if mesh is None else _of_mesh(mesh, path, trust)
+    text = _text(parts, path)
     scene = Scene.from_data(parse_toml(text, path), path)  # says at once what of the traces or the mesh fits no scene
     if scene.geometry is not None:
         network_of(geometry_of(scene))
@@ -96,24 +96,24 @@ def write_scene(where: Path, traces: Path | None = None, mesh: Path | None = Non
     return path
 
 
-def _text(place: Place, path: Path) -> str:
-    longest = place.fractures[0]
+def _text(parts: SceneParts, path: Path) -> str:
+    longest = parts.fractures[0]
     title = f"Fluid pumped into {shown_plain(longest)}"
     rock = 'youngs_modulus = "50 GPa"\npoissons_ratio = 0.25\ndensity = "2700 kg/m^3"\n'
     template = Template(read_text(SCENE, "install fracflow again"))
     return template.substitute(
         path=shown_plain(str(path)),
         title=write_value(title),
-        place=place.text,
-        rocks="\n".join(f"[rock.{write_key(name)}]\n{rock}" for name in place.rocks),
+        place=parts.text,
+        rocks="\n".join(f"[rock.{write_key(name)}]\n{rock}" for name in parts.rocks),
         fracture=write_key(shown_plain(longest)),
-        sides=write_value(list(place.sides)),
+        sides=write_value(list(parts.sides)),
         name=write_value(longest),
-        rate=_round(RATE * place.extent),
+        rate=_round(RATE * parts.extent),
     )
 
 
-def _of_traces(table: Path, path: Path) -> Place:
+def _of_traces(table: Path, path: Path) -> SceneParts:
     """A domain around the traces of a table. Raises InputError."""
     rows = read_traces_csv(table)
     points = [np.asarray(row.points) for row in rows]
@@ -135,10 +135,10 @@ fractures_csv = {write_value(_relative(table, path))}
 size = {_round(coarse)} # of cells away from fractures; leave both sizes out, and they follow from the scene
 size_at_fractures = {_round(fine)}
 {_named(order)}"""
-    return Place(text, extent, order)
+    return SceneParts(text, extent, order)
 
 
-def _of_mesh(file: Path, path: Path, trust: bool) -> Place:
+def _of_mesh(file: Path, path: Path, trust: bool) -> SceneParts:
     """The names and sizes of a mesh. Raises InputError."""
     raw = read_mesh(file, [EVERY], trust, path.absolute().parent)
     if not raw.fractures:
@@ -153,7 +153,7 @@ def _of_mesh(file: Path, path: Path, trust: bool) -> Place:
     text = f"""[mesh]
 file = {write_value(_relative(file, path))}
 {_named(order)}"""
-    return Place(text, float(np.ptp(raw.points, axis=0).max()), order, raw.rocks, raw.sides)
+    return SceneParts(text, float(np.ptp(raw.points, axis=0).max()), order, raw.rocks, raw.sides)
 
 
 def _round(size: float) -> str:

@@ -18,7 +18,8 @@ from rich.text import Text
 from fracflow.advance.substeps import SubstepCursor
 from fracflow.output.drawing.axes import shown
 from fracflow.scene.boundary import Stage
-from fracflow.scene.units import TIME
+from fracflow.scene.units import TIME, TIME_UNITS
+from fracflow.simulation.observer import Observer
 from fracflow.storage.files import shown_plain
 
 if TYPE_CHECKING:
@@ -28,33 +29,38 @@ if TYPE_CHECKING:
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
 STEADY = 1.5  # ratio of the pace of the whole stage and of its later half: beyond it two times are given
 MOST_SAMPLES = 256
+INTERVAL = 60.0  # from line to line of progress where it goes into a file [s]
 SETTING_UP = "setting up: mesh, model, what is left out"
 
 
-class ProgressBar:
+class RunProgress(Observer):
     """The state of a run in words, from the steps that it reports.
 
-    show     is given a line, and the share of the stage that is done or None where its end is not known
-    seconds  the time now [s]
+    show      is given a line, and the share of the stage that is done or None where its end is not known
+    seconds   the time now [s]
+    on_saved  is given the number of steps up to the last state on disk
     """
-
-    saved: Callable[[int], None]
-    """Is given the number of steps up to the last state on disk."""
 
     def __init__(
         self,
         scene: Scene,
         show: Callable[[str, float | None], None],
         seconds: Callable[[], float] = clock.monotonic,
+        on_saved: Callable[[int], None] | None = None,
     ) -> None:
         """Before the first step."""
-        self.scene, self.show, self.seconds = scene, show, seconds
+        self.scene, self.show, self.seconds, self.on_saved = scene, show, seconds, on_saved
         self.rejected = self.since = 0
         self.counts: tuple[int, int] | None = None
         self.line = SETTING_UP
         self.share: float | None = None
         self.pace, self.stage = Pace(seconds()), -1
         show(self.line, None)
+
+    def saved(self, steps: int) -> None:
+        """The state after so many steps is on disk."""
+        if self.on_saved is not None:
+            self.on_saved(steps)
 
     def sections(self, slipping: int, is_open: int) -> None:
         """Sections that slip and that are open in the step that is reported next."""
@@ -182,10 +188,8 @@ def spoken(seconds: float) -> str:
     """A time as a person says it: 40 s, 12 min, 3.5 h, 2.1 days."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
-    for unit, length, most in (("min", 60.0, 90.0), ("h", 3600.0, 48.0)):
-        if seconds < most * length:
-            return f"{seconds / length:.2g} {unit}"
-    return f"{seconds / 86400.0:.2g} days"
+    unit = "min" if seconds < 90.0 * TIME_UNITS["min"] else "h" if seconds < 48.0 * TIME_UNITS["h"] else "days"
+    return f"{seconds / TIME_UNITS[unit]:.2g} {unit}"
 
 
 class _TwoLines(Progress):
@@ -200,11 +204,11 @@ class _TwoLines(Progress):
 
 
 class Screen:
-    """Shows where a run is: on a terminal by a bar, else by a line every ``interval`` seconds; nothing where it is quiet."""
+    """Shows where a run is: on a terminal by a bar, else by a line every INTERVAL seconds; nothing where it is quiet."""
 
-    def __init__(self, console: Console, name: str, interval: float) -> None:
+    def __init__(self, console: Console, name: str) -> None:
         """Of a run with a name."""
-        self.console, self.name, self.interval = console, shown_plain(name), interval
+        self.console, self.name = console, shown_plain(name)
         self._line, self._began, self._since = "", clock.monotonic(), clock.monotonic()
         self._ended = threading.Event()
         self._writer: threading.Thread | None = None
@@ -238,9 +242,9 @@ class Screen:
             self._bar.update(self._task, total=None if share is None else 1.0, completed=share or 0.0)
 
     def _write(self) -> None:
-        while not self._ended.wait(self.interval):
+        while not self._ended.wait(INTERVAL):
             now = clock.monotonic()
-            still = f", and this for {spoken(now - self._since)}" if now - self._since >= self.interval else ""
+            still = f", and this for {spoken(now - self._since)}" if now - self._since >= INTERVAL else ""
             said = f"after {spoken(now - self._began)}: {shown_plain(self._line)}{still}"
             try:
                 self.console.print(f"{self.name}: {said}", soft_wrap=True, markup=False, highlight=False)

@@ -21,7 +21,7 @@ from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.fracture_table import COLUMNS, fracture_table
 from fracflow.output.history import read_attributes, read_history, read_units
-from fracflow.output.slip_at_crossings import lines_of as crossings
+from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.scene.quantities import quantities
 from fracflow.scene.units import LENGTH, TIME, VOLUME
 from fracflow.storage.files import shown_plain
@@ -135,7 +135,7 @@ def report(folder: Path, console: Console, failed: bool = False) -> None:
         console.print(f"no section reached its strength or opened{near}", soft_wrap=True, markup=False)
         return
     _report_events([event for event in events if event["kind"] == "event"], console, units)
-    for line in crossings(events, load_mesh(folder / "mesh.h5"), units):
+    for line in crossing_lines(events, load_mesh(folder / "mesh.h5"), units):
         console.print(line, soft_wrap=True, markup=False)
 
 

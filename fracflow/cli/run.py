@@ -15,8 +15,8 @@ from fracflow.errors import InputError, Interrupted, SolveError
 if TYPE_CHECKING:
     from fracflow._petsc import MPI
     from fracflow.scene.scene import Scene
+    from fracflow.simulation.observer import Observer
     from fracflow.simulation.refinement import Level
-    from fracflow.simulation.run import OnStep as Tick
     from fracflow.simulation.totals import Totals
 
 
@@ -34,26 +34,20 @@ def run_with_progress(
     folder: Path,
     console: Console,
     comm: MPI.Comm,
-    job: Callable[[Tick], Totals],
+    job: Callable[[Observer], Totals],
     title: str = "",
     is_shown: bool = True,
-    interval: float = 60.0,
 ) -> None:
-    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective.
-
-    interval  from line to line of progress where it goes into a file [s]
-    """
-    from fracflow.cli.progress import ProgressBar, Screen
+    """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
+    from fracflow.cli.progress import RunProgress, Screen
     from fracflow.model.setup import on_root
     from fracflow.solve.options import forget
 
     totals, failure = None, None
-    screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder), interval)
+    screen = Screen(Terminal(stderr=True, quiet=comm.rank > 0), title or scene.title or str(folder))
     with ExitReport(comm, folder) as words, screen:
         try:
-            sight = ProgressBar(scene, screen.show)
-            sight.saved = words.saved
-            totals = job(sight)
+            totals = job(RunProgress(scene, screen.show, on_saved=words.saved))
         except SolveError as error:
             failure = error
         except Interrupted as error:

@@ -13,7 +13,7 @@ from fracflow.model.properties import initial_pressure, initial_stress
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
 
-ROUND_OFF = 1e-14  # of the normal traction: less shear is none
+SHEAR_ROUND_OFF = 1e-14  # of the normal traction: less shear is none
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def criticality(scene: Scene, mesh: SplitMesh) -> Criticality:
 def _near_slip(shear: Floats, normal: Floats, friction: Floats, cohesion: Floats) -> tuple[Floats, Floats]:
     """Slip tendency, and the rise that brings |f_s| to the strength C - f_n tan phi of (2.12), or f_n to 0 before that."""
     size, pressed = np.abs(shear), np.maximum(-normal, 0.0)
-    size = np.where(size > ROUND_OFF * pressed, size, 0.0)
+    size = np.where(size > SHEAR_ROUND_OFF * pressed, size, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         tendency = np.where(pressed > 0.0, size / pressed, np.where(size > 0.0, np.inf, 0.0))
         slips = pressed - (size - cohesion) / friction

@@ -18,7 +18,7 @@ from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.files.others import FORMATS
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
-from fracflow.mesh.plane.near import NearMiss, lines_of, near_misses
+from fracflow.mesh.plane.near import NearMiss, near_miss_lines, near_misses
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.sizes import Source, sources
@@ -142,7 +142,7 @@ def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: 
             " change geometry.size or size_at_fractures a little"
         )
     between = [each for each in around if each[0] != at_tips]
-    return replace(raw, notes=(*network.notes, *lines_of(misses), *_small_cells(between, misses, fine)))
+    return replace(raw, notes=(*network.notes, *near_miss_lines(misses), *_small_cells(between, misses, fine)))
 
 
 def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMiss]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.events import read_events
-from fracflow.output.reader import ROUND_OFF, FractureFields, load_fractures
+from fracflow.output.reader import FractureFields, load_fractures, without_round_off
 from fracflow.scene.units import ENERGY, LENGTH, STRESS, TIME
 
 Floats = NDArray[np.float64]
@@ -43,8 +43,7 @@ def fracture_table(folder: Path) -> FractureTable | None:
     if fields is None or not len(fields.cells):
         return None
     ends = np.linalg.norm(np.diff(fields.segments, axis=1)[:, 0], axis=1)[:, None] * np.array([0.5, 0.5])
-    slip = np.abs(_at_ends(fields, "plastic_slip"))
-    slip = np.where(slip <= ROUND_OFF * np.ptp(fields.points, axis=0).max(), 0.0, slip)
+    slip = without_round_off(_at_ends(fields, "plastic_slip"), fields.points)
     is_open, slides = (np.nan_to_num(_at_ends(fields, key)) > 0.0 for key in ("open", "sliding"))
     moments = ends * _moduli(folder, fields) * slip
     state = np.where(is_open, 3, np.where(slides, 2, np.where(slip > 0.0, 1, 0)))

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 FieldProfile = tuple[Floats, Floats | None, Floats]
 
 _DYNAMIC, _EQUILIBRATE = 2, 3
-ROUND_OFF = 1e-15  # of the size of the domain
+SLIP_ROUND_OFF = 1e-15  # of the size of the domain
 STRESS_ROUND_OFF = 1e-13  # of the largest stress: it is a difference of large ones, summed up over steps
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins
 
@@ -186,7 +186,7 @@ class RunData:
         points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in self.rock or [])])
         extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
         steps = np.diff(self.history["time"])
-        length = ROUND_OFF * extent
+        length = SLIP_ROUND_OFF * extent
         stresses = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for key, values in self.history.items()
                     if dimension_of(key) == STRESS]  # fmt: skip
         found = {LENGTH: length, STRESS: STRESS_ROUND_OFF * max(stresses, default=0.0), ENERGY: self.energy_noise}
@@ -213,6 +213,12 @@ class RunData:
         slips = [event for event in self.events if event["kind"] == "slip"]
         earliest = min((event["start"] for event in slips), default=0.0)
         return [event for event in slips if event["start"] == earliest]
+
+
+def without_round_off(slip: Floats, points: Floats) -> Floats:
+    """Sizes of slip, 0 where they are round-off of displacements in a domain that has these points (n, dim) [length]."""
+    size = np.abs(slip)
+    return np.where(size <= SLIP_ROUND_OFF * np.ptp(points, axis=0).max(), 0.0, size)
 
 
 def load_run_data(folder: str | Path) -> RunData:

@@ -248,7 +248,7 @@ class Snapshot:
         return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}
 
 
-class Sample:
+class StateSampler:
     """A state to be put on record: what is computed at joint ends for one file serves the others. Calls are collective."""
 
     def __init__(self, sampler: Sampler, state: State) -> None:

@@ -74,7 +74,7 @@ def handed_on(events: Sequence[Mapping[str, Any]], mesh: SplitMesh) -> list[Slip
     return sorted(found, key=lambda each: (-each.alone, each.start, each.fracture))
 
 
-def lines_of(events: Sequence[Mapping[str, Any]], mesh: SplitMesh, units: Mapping[str, str]) -> list[str]:
+def crossing_lines(events: Sequence[Mapping[str, Any]], mesh: SplitMesh, units: Mapping[str, str]) -> list[str]:
     """A line about fractures that begin to slip at crossings, none where there are none.
 
     units  names of length, force and time, as for ``shown``

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fracflow.errors import InputError
 from fracflow.mesh.data import SplitMesh
 from fracflow.mesh.store import load_mesh
-from fracflow.output.drawing.axes import suited_unit
+from fracflow.output.drawing.axes import power_of_ten, suited_unit
 from fracflow.output.events import read_events
 from fracflow.output.folder import MARKER, check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
@@ -41,9 +41,8 @@ def number(value: float, digits: int = 4) -> str:
         text = f"{float(text):.{max(0, digits - 1 - int(power)) if math.isfinite(value) else 0}f}" if value else "0"
         text = text.rstrip("0").rstrip(".") if "." in text else text
     else:
-        raised = "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(sign)] if sign.isdigit() else "⁻" for sign in str(int(power)))
         front = front.rstrip("0").rstrip(".") if "." in front else front
-        text = f"{front}×10{raised}"
+        text = f"{front}×{power_of_ten(int(power))}"
     return text.replace("-", "−")
 
 
@@ -57,11 +56,6 @@ class Unit:
     def label(self, word: str) -> str:
         """An axis label."""
         return f"{word} [{self.name}]" if self.name else word
-
-
-def unit_for(dimension: str, units: Mapping[str, str], largest: float) -> Unit:
-    """The unit that a person would choose for numbers up to a ``largest``; the run's own where it is not SI."""
-    return Unit(*suited_unit(dimension, largest, units))
 
 
 @dataclass(frozen=True)
@@ -178,9 +172,9 @@ class RunReport:
         return [event for event in self.events if event["kind"] == "event"]
 
     def unit(self, dimension: str, values: ArrayLike) -> Unit:
-        """The unit for values of a dimension."""
+        """The unit that a person would choose for values of a dimension; the run's own where it is not SI."""
         sizes = np.abs(np.asarray(values, dtype=float))
-        return unit_for(dimension, self.units, float(sizes[np.isfinite(sizes)].max(initial=0.0)))
+        return Unit(*suited_unit(dimension, float(sizes[np.isfinite(sizes)].max(initial=0.0)), self.units))
 
     def shown(self, value: float | None, dimension: str, digits: int = 4) -> str:
         """A number with its unit."""

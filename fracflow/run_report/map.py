@@ -16,7 +16,7 @@ from fracflow.errors import InputError
 from fracflow.mesh.data import SplitMesh
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.profiles import KEPT, read_profiles
-from fracflow.output.reader import LARGEST, ROUND_OFF
+from fracflow.output.reader import LARGEST, without_round_off
 from fracflow.run_report.data import RunReport, rounded
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.storage.files import steers
@@ -94,14 +94,13 @@ def read_frames(run: RunReport) -> Frames | None:
     numbers = sorted(states)
     chosen = _spread([states[n][0] for n in numbers], max(2, MOST_VALUES // max(1, 3 * len(along))))
     numbers = [numbers[i] for i in chosen]
-    fields, least = dict[str, Floats](), ROUND_OFF * float(np.ptp(where, axis=0).max())
+    fields = dict[str, Floats]()
     for name in KEPT:
         values = np.full((len(numbers), len(along)), np.nan)
         for k, number in enumerate(numbers):
             found = states[number][1].get(name, np.zeros(0))
             if found.shape == (len(points),):
-                is_slip = name == "plastic_slip"
-                values[k] = at_nodes(np.where(np.abs(found) <= least, 0.0, np.abs(found)) if is_slip else found)
+                values[k] = at_nodes(without_round_off(found, where) if name == "plastic_slip" else found)
         if np.isfinite(values).any():
             fields[name] = values
     used = [i for i in range(len(names)) if parts[i].stop > parts[i].start]

@@ -36,8 +36,8 @@ def _renamed(name: str, table: Mapping[str, Any]) -> Schema:
     keys = dict(table["properties"])
     for (place, old), new in RENAMED.items():
         if place == name.lower():
-            told = f"deprecated: the old name of {new}, still read. {keys[new].get('description', '')}"
-            keys[old] = {**keys[new], "description": told, "deprecated": True}
+            meaning = f"deprecated: the old name of {new}, still read. {keys[new].get('description', '')}"
+            keys[old] = {**keys[new], "description": meaning, "deprecated": True}
             keys[old].pop("default", None)
     return {**table, "properties": keys}
 

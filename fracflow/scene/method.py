@@ -20,7 +20,7 @@ from fracflow.integrators import flow_integrators, keys_of, with_inertia
 from fracflow.laws import FLOW_LAWS
 from fracflow.scene.laws import OTHERWISE, foreign_keys
 from fracflow.scene.meanings import meanings
-from fracflow.scene.units import LENGTH, LINE_FORCE, STRESS, Quantity, UnitSystem, fault, time_unit
+from fracflow.scene.units import LENGTH, LINE_FORCE, STRESS, TIME_UNITS, Quantity, UnitSystem, fault, time_unit
 from fracflow.scene.values import Domain, Polyline
 from fracflow.storage.files import PLAIN_TEXT
 
@@ -69,10 +69,11 @@ if TYPE_CHECKING:
     InertiaStepper: TypeAlias = str
     FlowStepper: TypeAlias = str
     Conductance: TypeAlias = str
+    TimeUnit: TypeAlias = str
     StepperKeys: Any = Table
 else:
     InertiaStepper, FlowStepper = Literal[tuple(with_inertia())], Literal[tuple(flow_integrators())]
-    Conductance = Literal[tuple(FLOW_LAWS)]
+    Conductance, TimeUnit = Literal[tuple(FLOW_LAWS)], Literal[tuple(TIME_UNITS)]
     StepperKeys = create_model(
         "StepperKeys",
         __base__=Table,
@@ -175,8 +176,8 @@ class Output(Table):
     """save the state when so many seconds of wall clock have passed [s]"""
     event_length: Size | None = None
     """width of events of a stage auto across the plane, for magnitudes [length]"""
-    time_unit: Literal["years", "days", "h", "min", "s", "ms", "µs"] | None = None
-    """unit of times in pictures, tables and messages; by default that of the last end, or else time_step, which the
+    time_unit: TimeUnit | None = None
+    """unit of times in pictures and tables; by default that of the last end, or else time_step, which the
     stages give with a unit"""
     pictures: StrictBool = True
     """draw pictures for the report page"""

@@ -31,7 +31,7 @@ from fracflow.output.events import Chatter
 from fracflow.output.history import read_rows
 from fracflow.output.probes import fracture_fields, measured, probe_record, rock_fields, well_record
 from fracflow.output.profiles import ProfileFile, Timetable, intervals
-from fracflow.output.slip_at_crossings import lines_of
+from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
@@ -83,7 +83,7 @@ class Recorder:
         self.totals, self._goes_on = Totals.of(notes["totals"]) if notes else Totals(), notes is not None
         self.lost: DiskError | None = None  # on rank 0, once something could not be written: nothing is from then on
         self.saved, self._folder = self.totals.steps, folder
-        self.changed: tuple[int, int] | None = None  # joint ends that slide and that are open, on rank 0
+        self.slipping_and_open: tuple[int, int] | None = None  # joint ends that slide and that are open, on rank 0
         self._report_saved: Callable[[int], None] | None = None
         self.profiles = Timetable(**self.totals.profiles)
         self._profiles = intervals(2 * model.operators.blocks.sizes.joints)
@@ -119,7 +119,7 @@ class Recorder:
 
     def record(self, step: Step) -> None:
         """Put a state on record. Collective."""
-        sample, scene = sampling.Sample(self.sampler, step.state), self.model.scene
+        sample, scene = sampling.StateSampler(self.sampler, step.state), self.model.scene
         snapshot, kind = sample.snapshot(), KINDS[step.regime or scene.stage[step.stage].kind]
         if snapshot is not None:
             self.totals.observe(step.state.time, snapshot.margin, *snapshot.least)
@@ -130,7 +130,7 @@ class Recorder:
             self._write(lambda files: files.append(step, snapshot, kind))
         self._goes_on = False
         if snapshot is not None:
-            self.changed = int(snapshot.column("sliding").sum()), int(snapshot.column("open").sum())
+            self.slipping_and_open = int(snapshot.column("sliding").sum()), int(snapshot.column("open").sum())
         if self._wants_fields(self.totals.steps):
             self._fields(sample, self.totals.steps)
         self._profile(sample, kind)
@@ -154,10 +154,10 @@ class Recorder:
         index = self.totals.steps - 1
         is_extra = not self._wants_fields(index)
         if is_extra:
-            self._fields(sampling.Sample(self.sampler, step.state), index, whole)
+            self._fields(sampling.StateSampler(self.sampler, step.state), index, whole)
         self._write(lambda files: files.drop_extra(index if is_extra else None))
 
-    def _profile(self, sample: sampling.Sample, kind: int) -> None:
+    def _profile(self, sample: sampling.StateSampler, kind: int) -> None:
         """Write the profiles of a state where they are due. Collective."""
         time = sample.state.time
         if not self.model.operators.blocks.sizes.joints or not self.profiles.is_due(time, kind, self._profiles):
@@ -172,7 +172,7 @@ class Recorder:
         every = self.model.scene.output.fields_every
         return index == 0 or bool(every and index % every == 0)
 
-    def _fields(self, sample: sampling.Sample, index: int, whole: bool = True) -> None:
+    def _fields(self, sample: sampling.StateSampler, index: int, whole: bool = True) -> None:
         ends, motion = sample.fields(), sample.motion() if whole else None
         if ends is not None:
             values = fracture_fields(self.sampler.fields, ends)
@@ -195,7 +195,7 @@ class Recorder:
     def log_slip_at_crossings(self) -> None:
         """Log where fractures that cross hand slip on to each other. Collective."""
         units = self.model.scene.unit_names
-        found = on_root(self.comm, lambda: lines_of(f.events.rows, f.mesh, units) if (f := self.files) else [])
+        found = on_root(self.comm, lambda: crossing_lines(f.events.rows, f.mesh, units) if (f := self.files) else [])
         for line in found or ():
             self.log(line)
 

@@ -23,6 +23,7 @@ from fracflow.reduction.prepare import with_sizes
 from fracflow.scene.levels import Spot, at_level, order_in_time
 from fracflow.scene.method import MOST_REFINED
 from fracflow.scene.scene import Scene
+from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import OnStep, has_ended, resume, run
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import no_plain_file
@@ -41,7 +42,7 @@ class Level:
     found: str
     comm: MPI.Comm
 
-    def run(self, progress: OnStep | None = None) -> Totals:
+    def run(self, progress: Observer | OnStep | None = None) -> Totals:
         """Run the rest of it. Raises InputError, SolveError and Interrupted, on every rank. Collective."""
         if self.found == "nothing":
             return run(self.scene, self.folder, self.comm, progress)

@@ -32,6 +32,7 @@ from fracflow.reduction.prepare import prepare
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.notices import watches_spurious
+from fracflow.simulation.observer import Observer, observer_of
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
@@ -47,7 +48,7 @@ def run(
     scene: Scene,
     folder: str | Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
-    progress: OnStep | None = None,
+    progress: Observer | OnStep | None = None,
     show: Show | None = None,
     say: Say | None = None,
 ) -> Totals:
@@ -55,9 +56,7 @@ def run(
 
     show      is given the pre-run checks before the first step, on rank 0
     say       is given lines to be read before it: on wells in separate network components, and near misses
-    progress is given each step. Its method ``trial(time, length, why)``, if any, is called for each rejected step without
-              inertia of a stage auto, and ``saved(steps)`` for each checkpoint. Its method ``sections(slipping, open)``, if
-              any, is given numbers of joint ends before each step, on rank 0 only
+    progress is given each step; an ``Observer`` also rejected trials, checkpoints and numbers of joint ends
 
     Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
     removed, and ``progress`` is called for those of both. Raises InputError, SolveError, DiskError and Interrupted, on every
@@ -66,9 +65,9 @@ def run(
     undone: dict[str, str] = {}
     while True:
         mesh = on_root(comm, lambda: load_mesh(Path(folder) / "mesh.h5")) if undone else None
-        heard = (show, say) if not undone else (None, None)
+        callbacks = (show, say) if not undone else (None, None)
         try:
-            return _go(_begun(scene, folder, comm, undone, mesh, *heard), progress)
+            return _go(_begun(scene, folder, comm, undone, mesh, *callbacks), progress)
         except ReductionInvalid as needed:
             undone = {**undone, **needed.undone}
 
@@ -125,7 +124,7 @@ def _begun(
 
 
 def resume(
-    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: OnStep | None = None, trust: bool = False
+    folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, progress: Observer | OnStep | None = None, trust: bool = False
 ) -> Totals:
     """Go on with a run that was stopped, on any number of ranks. Collective.
 
@@ -202,7 +201,7 @@ def of_stage(stage: Stage, error: SolveError) -> SolveError:
     return found
 
 
-def _go(begun: _Begun, progress: OnStep | None) -> Totals:
+def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
@@ -210,10 +209,11 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model, recorder.log)
-    recorder.report_saved(getattr(progress, "saved", None))
+    observer = observer_of(progress)
+    recorder.report_saved(observer.saved)
     try:
         recorder.check()
-        step, failure = _steps(stepping, recorder, step, progress)
+        step, failure = _steps(stepping, recorder, step, observer)
         recorder.end()
         recorder.log_slip_at_crossings()
         word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
@@ -237,13 +237,12 @@ def is_moving(scene: Scene, step: Step) -> bool:
 
 
 def _steps(
-    stepping: Stepping, recorder: Recorder, step: Step, progress: OnStep | None
+    stepping: Stepping, recorder: Recorder, step: Step, observer: Observer
 ) -> tuple[Step, SolveError | Interrupted | DiskError | None]:
     """Make and record all remaining steps; return the last one, and the cause of an early end. Collective."""
     scene, comm, state = stepping.model.scene, recorder.comm, step.state
     failure: SolveError | Interrupted | DiskError | None = None
-    going_on, report_trial = step.progress or {}, getattr(progress, "trial", None)
-    report_sections = getattr(progress, "sections", None)
+    going_on = step.progress or {}
     with SignalWatch(comm, scene.output.checkpoint_every, scene.output.checkpoint_seconds) as watch:
         try:
             for number, stage in list(enumerate(scene.stage))[step.stage :]:
@@ -258,16 +257,14 @@ def _steps(
                 try:
                     for made in steps(stepping, state, number, recorder.log, going_on):
                         if made.trial is not None:
-                            if report_trial is not None:
-                                report_trial(made.trial.time, made.trial.length, made.trial.why)
+                            observer.trial(made.trial.time, made.trial.length, made.trial.why)
                             continue
                         step = made
                         recorder.record(step)
                         watch_locked(stepping.model, step.state)
-                        if report_sections is not None and recorder.changed is not None:
-                            report_sections(*recorder.changed)
-                        if progress is not None:
-                            progress(step)
+                        if recorder.slipping_and_open is not None:
+                            observer.sections(*recorder.slipping_and_open)
+                        observer(step)
                         state.destroy()
                         state = step.state
                         asked = watch.request(recorder.totals.steps, must_stop=recorder.lost is not None)

@@ -34,6 +34,7 @@ WHY = {
     "DIVERGED_DTOL": "the residual grew beyond what PETSc's options allow",
 }
 CIRCLES = "the status of sections cycles between sticking and sliding"
+FLOATING = "floating"  # kind of a failure
 WHY_LINEAR = {
     "DIVERGED_MAX_IT": "all that PETSc's options allow",
     "DIVERGED_DTOL": "its residual grew beyond what PETSc's options allow",

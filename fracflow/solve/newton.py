@@ -16,7 +16,7 @@ from fracflow.errors import NotConverged, SolveError, StatusCycling, Unsolved
 from fracflow.laws.base import Bools
 from fracflow.mesh.data import Floats
 from fracflow.scene.scene import Scene
-from fracflow.solve.failure import CIRCLES, check_step, describe_failure, describe_floating, why_stopped
+from fracflow.solve.failure import CIRCLES, FLOATING, check_step, describe_failure, describe_floating, why_stopped
 from fracflow.solve.floating import Floating
 from fracflow.solve.globalisation import (
     JUST_PAST,
@@ -202,7 +202,7 @@ class Newton:
         slack = SLACK * self._round_off(problem)
         push = self.floating.motions.T @ self.floating.net_force(problem.solid_balance).ravel()
         if always or np.abs(push).max() > slack:
-            raise NotConverged(describe_floating(self.scene, problem, self.floating, slack))
+            raise NotConverged(describe_floating(self.scene, problem, self.floating, slack), kind=FLOATING)
 
     def _round_off(self, problem: StepProblem) -> float:
         """Round-off bound of a balance that holds [force per thickness]. Collective."""
@@ -369,7 +369,8 @@ class Newton:
         restless, flipped = all_changed(problem, self._restless, self._inner, rounds.seen)
         is_loose = self.only != "flow" and self._floats(problem, np.stack([restless | flipped, flipped], axis=1))
         if is_loose and problem.residual.solid <= SLACK * self.scene.accuracy.residual and self.floating is not None:
-            return NotConverged(describe_floating(self.scene, problem, self.floating, self._round_off(problem)))
+            why = describe_floating(self.scene, problem, self.floating, self._round_off(problem))
+            return NotConverged(why, kind=FLOATING)
         loose = self.floating if is_loose else None
         changes = self.matrix.layout.comm.allreduce(bool((restless | flipped).any()), op=MPI.LOR)
         failure = StatusCycling if changes else NotConverged

@@ -215,7 +215,8 @@ class SectionSolver:
             destroy(given)
         raise NotConverged(
             f"time {problem.time:.6g}: {self._named(changed)} keeps changing between sticking and sliding within one explicit"
-            " step: take a smaller time_step"
+            " step: take a smaller time_step",
+            kind="statuses",
         )
 
     def _with_statuses(
@@ -256,7 +257,8 @@ class SectionSolver:
         raise NotConverged(
             f"time {problem.time:.6g}: {self._named(stuck)} found no balance of joints and flow in {most} iterations of an"
             f" explicit step (motion of sections out by {worst:.1e}, flow by {flow:.1e} of its largest term): take a smaller"
-            " time_step"
+            " time_step",
+            kind="sections",
         )
 
     def _gather(

@@ -65,7 +65,7 @@ class Site:
         else:
             self.sources.add(there)
             if anchor:
-                anchor = f"L-{lines_of(self.root / there)[anchor]}"
+                anchor = f"L-{definition_lines(self.root / there)[anchor]}"
         to = there if there.endswith(PICTURES) else url_of(there)
         address = posixpath.relpath(to, posixpath.dirname(page.url) or ".")
         return f"{address}#{anchor}" if anchor else address
@@ -83,12 +83,12 @@ class Site:
             folder = posixpath.dirname(page.path)
             for there in (posixpath.normpath(posixpath.join(base, path)) for base in ("", "fracflow", folder)):
                 if (self.root / there).is_file() and not there.startswith(".."):
-                    return self.address(page, code, there, name if name in lines_of(self.root / there) else "")
+                    return self.address(page, code, there, name if name in definition_lines(self.root / there) else "")
         return ""
 
 
 @cache
-def lines_of(path: Path) -> dict[str, int]:
+def definition_lines(path: Path) -> dict[str, int]:
     """The lines at which a module's classes and functions begin, by their qualified names."""
     if path.suffix != ".py":
         return {}

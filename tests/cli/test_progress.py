@@ -11,10 +11,11 @@ import pytest
 from malformed import SCENE
 from rich.console import Console
 
-from fracflow.cli.progress import Pace, ProgressBar, Screen, spoken
+from fracflow.cli.progress import Pace, RunProgress, Screen, spoken
 from fracflow.cli.run import run_with_progress
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
+from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import run
 
 DYNAMIC = Stage(name="shock", kind="dynamic", time_step=0.01, steps=10)
@@ -28,7 +29,7 @@ class Story:
     def __init__(self, *stages):
         self.now, self.told, self.time, self.n = 100.0, [], 0.0, 0
         scene = SimpleNamespace(stage=stages, unit_names={"length": "m", "force": "N", "time": "s"})
-        self.bar = ProgressBar(scene, lambda line, share: self.told.append((line, share)), lambda: self.now)
+        self.bar = RunProgress(scene, lambda line, share: self.told.append((line, share)), lambda: self.now)
 
     def step(self, stage=0, takes=1.0, length=0.01, regime="", rejected=0, **progress):
         self.now, self.time, self.n = self.now + takes, self.time + length, self.n + 1
@@ -150,22 +151,25 @@ def small(folder, comm) -> Scene:
     return load(folder / "scene.toml", ["stage.0.steps=12"])
 
 
-def go(scene, folder, comm, interval):
+def go(scene, folder, comm):
     """A run each of whose steps takes 20 ms at least."""
 
     def job(tick):
-        def slow(step):
-            time.sleep(0.02)
-            tick(step)
+        class Slow(Observer):
+            sections, saved = staticmethod(tick.sections), staticmethod(tick.saved)
 
-        slow.sections, slow.saved = tick.sections, tick.saved
-        return run(scene, folder, comm, slow)
+            def __call__(self, step):
+                time.sleep(0.02)
+                tick(step)
 
-    run_with_progress(scene, folder, Console(quiet=True), comm, job, is_shown=False, interval=interval)
+        return run(scene, folder, comm, Slow())
+
+    run_with_progress(scene, folder, Console(quiet=True), comm, job, is_shown=False)
 
 
-def test_a_pipe_gets_lines_of_rank_0(shared_tmp, comm, capfd):
-    go(small(shared_tmp, comm), shared_tmp / "out", comm, 0.03)
+def test_a_pipe_gets_lines_of_rank_0(shared_tmp, comm, capfd, monkeypatch):
+    monkeypatch.setattr("fracflow.cli.progress.INTERVAL", 0.03)
+    go(small(shared_tmp, comm), shared_tmp / "out", comm)
     said = capfd.readouterr().err
     if comm.rank > 0:
         assert said == ""
@@ -177,7 +181,7 @@ def test_a_pipe_gets_lines_of_rank_0(shared_tmp, comm, capfd):
 
 
 def test_a_short_run_says_nothing_into_a_pipe(shared_tmp, comm, capfd):
-    go(small(shared_tmp, comm), shared_tmp / "out", comm, 60.0)
+    go(small(shared_tmp, comm), shared_tmp / "out", comm)
     assert capfd.readouterr().err == ""
 
 
@@ -188,7 +192,7 @@ def test_a_terminal_has_a_bar(tmp_path, comm, monkeypatch):
         monkeypatch.setattr(sys, "stderr", terminal)
         monkeypatch.setenv("TERM", "xterm")
         monkeypatch.setenv("COLUMNS", "100")
-        go(small(tmp_path, comm), tmp_path / "out", comm, 0.0)
+        go(small(tmp_path, comm), tmp_path / "out", comm)
         os.set_blocking(there, False)
         said = os.read(there, 1 << 20).decode()
     os.close(there)
@@ -200,8 +204,9 @@ def test_a_terminal_has_a_bar(tmp_path, comm, monkeypatch):
 
 
 @pytest.mark.serial
-def test_a_long_step_is_seen_to_go_on(capfd):
-    with Screen(Console(stderr=True), "a run", 0.02) as screen:
+def test_a_long_step_is_seen_to_go_on(capfd, monkeypatch):
+    monkeypatch.setattr("fracflow.cli.progress.INTERVAL", 0.02)
+    with Screen(Console(stderr=True), "a run") as screen:
         screen.show("stage 1 of 1 (shock): dynamic, step 4 of 10", 0.4)
         time.sleep(0.1)
     assert capfd.readouterr().err.splitlines()[-1].endswith("step 4 of 10, and this for 0 s")

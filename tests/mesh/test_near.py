@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fracflow.errors import InputError
-from fracflow.mesh.plane.near import HEAD, MOST, told
+from fracflow.mesh.plane.near import HEAD, MOST, near_miss_lines
 from fracflow.mesh.plane.traces import FRACTION, natural_snap
 from fracflow.mesh.read import GeometrySpec, build_mesh, network_of
 from fracflow.mesh.split import split, summary
@@ -73,7 +73,7 @@ def test_what_meets_or_stays_away_is_no_near_miss(trace):
 
 def test_many_near_misses_are_counted():
     comb = [[[x, 50.4], [x, 60 + x / 10]] for x in np.linspace(12, 88, MOST + 5)]
-    lines = told(misses_of([ALONG, *comb], snap=0.1))
+    lines = near_miss_lines(misses_of([ALONG, *comb], snap=0.1))
     assert lines[0] == HEAD + f"{MOST + 5} do not meet, by no more than 5 times geometry.snap"
     assert len(lines) == MOST + 2 and lines[-1] == "near miss: 5 more, up to 0.4 apart"
 

@@ -8,7 +8,7 @@ import pytest
 import fracflow
 from fracflow.mesh.store import load_mesh
 from fracflow.output.events import read_events
-from fracflow.output.slip_at_crossings import lines_of
+from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.scene.scene import Scene
 
 pytestmark = pytest.mark.serial
@@ -62,7 +62,7 @@ def test_where_slip_begins_by_a_neighbour_is_told_and_logged(runs):
 
 def test_a_fracture_that_runs_at_once_or_first_is_not_told(runs):
     rows, mesh = slips(runs[10.0]), load_mesh(runs[10.0].folder / "mesh.h5")
-    assert " from " in lines_of(rows, mesh, {})[0]
-    assert lines_of([row for row in rows if row["fracture"] == "A"], mesh, {}) == []
+    assert " from " in crossing_lines(rows, mesh, {})[0]
+    assert crossing_lines([row for row in rows if row["fracture"] == "A"], mesh, {}) == []
     at_once = [{**row, "start": min(other["start"] for other in rows)} for row in rows]
-    assert lines_of(at_once, mesh, {}) == []
+    assert crossing_lines(at_once, mesh, {}) == []

@@ -19,9 +19,10 @@ from fracflow.errors import InputError
 from fracflow.mesh.store import load_mesh
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
 from fracflow.output.checkpoint import read_notes, write_checkpoint
+from fracflow.output.drawing.axes import suited_unit
 from fracflow.output.profiles import MOST, ProfileFile, Timetable, read_profiles
 from fracflow.run_report import write_report
-from fracflow.run_report.data import number, read_run, thinned, unit_for
+from fracflow.run_report.data import number, read_run, thinned
 from fracflow.run_report.map import _traces, read_frames
 from fracflow.simulation.run import resume, run
 from fracflow.storage.sealed import read_sealed
@@ -358,11 +359,11 @@ def test_ends_of_pieces_are_put_in_the_order_of_their_trace():
 
 
 def test_units_and_numbers_are_those_a_person_would_choose():
-    shown = [(unit.name, round(unit.factor * size, 9)) for dimension, size in (
+    shown = [(name, round(factor * size, 9)) for dimension, size in (
         ("time", 30 * DAYS), ("time", 3 * 3600.0), ("force/length**2", 17.3e6), ("length", 0.087), ("length", 2000.0),
-        ("length**3/time", 1e-4)) for unit in [unit_for(dimension, SI, size)]]  # fmt: skip
+        ("length**3/time", 1e-4)) for factor, name in [suited_unit(dimension, size, SI)]]  # fmt: skip
     assert shown == [("days", 30.0), ("h", 3.0), ("MPa", 17.3), ("mm", 87.0), ("m", 2000.0), ("L/s", 0.1)]
-    assert unit_for("length", {"length": "ft", "force": "lbf", "time": "s"}, 0.087).name == "ft"
+    assert suited_unit("length", 0.087, {"length": "ft", "force": "lbf", "time": "s"})[1] == "ft"
     texts = [number(value) for value in (1764.0, 0.25, -1.5, 1.2345678e-6, 2e10, 0.0, 99999.0)]
     assert texts == ["1764", "0.25", "−1.5", "1.235×10⁻⁶", "2×10¹⁰", "0", "1×10⁵"]
 

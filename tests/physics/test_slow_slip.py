@@ -17,6 +17,7 @@ from fracflow.errors import Interrupted
 from fracflow.output import read_events, read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
+from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import resume, run
 from fracflow.solve.request import StepRequest
 
@@ -102,11 +103,11 @@ def test_a_rupture_is_an_event_and_its_trials_are_counted(scene, comm):
     """A fall of strength over 0.1 mm is steeper than the rock unloads, mu/H = 1 GPa/m: from 37.02 s there is no equilibrium."""
     folder, told = scene.parent / "out", []
 
-    def watch(step):
-        pass
+    class Watch(Observer):
+        def trial(self, time, length, why):
+            told.append((time, length, why))
 
-    watch.trial = lambda time, length, why: told.append((time, length, why))
-    totals = run(load(scene, RUPTURE), folder, comm, watch)
+    totals = run(load(scene, RUPTURE), folder, comm, Watch())
     comm.barrier()
     history, log = read_history(folder / "history.h5"), (folder / "log.txt").read_text()
     events = [row for row in read_events(folder / "events.csv") if row["kind"] == "event"]

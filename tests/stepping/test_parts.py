@@ -105,16 +105,17 @@ def test_gives_up_by_name():
 
 
 def test_another_cause_of_earlier_substeps_is_said():
+    """Of another kind: that it is the same in another fracture is not said."""
     causes = {
-        1.0: "time 1: no support in x; hold it",
-        0.5: "time 0.5: too long for it",
-        0.25: "time 0.25: too long for it",
+        1.0: NotConverged("time 1: no support in x; hold it", kind="floating"),
+        0.5: NotConverged("time 0.5: fault A is too long for it"),
+        0.25: NotConverged("time 0.25: fault B is too long for it"),
     }
 
     def attempt(state, begin, end, may_stop):
-        raise NotConverged(causes[end - begin])
+        raise causes[end - begin]
 
-    said = r"0.25: too long for it \(after 2 halvings of the step\); before that: time 1: no support in x$"
+    said = r"0.25: fault B is too long for it \(after 2 halvings of the step\); before that: time 1: no support in x$"
     with pytest.raises(NotConverged, match=said):
         taken(attempt, Rules(2))
 

@@ -92,7 +92,7 @@ def near_misses(network: TraceNetwork, traces: Sequence[str], sides: Sequence[st
     return sorted(found, key=lambda miss: miss.kind == "end beyond")
 
 
-def lines_of(misses: Sequence[NearMiss]) -> list[str]:
+def near_miss_lines(misses: Sequence[NearMiss]) -> list[str]:
     """How many near misses there are, a line for each, and one for how many more."""
     if not misses:
         return []

@@ -20,6 +20,7 @@ from fracflow.scene.units import (
     STRESS,
     SURFACE_ENERGY,
     TIME,
+    TIME_UNITS,
     VELOCITY,
     VISCOSITY,
     VOLUME,
@@ -30,15 +31,13 @@ from fracflow.scene.units import (
 Floats = NDArray[np.float64]
 Ladder = tuple[tuple[float, float, str], ...]
 
-ROUND_OFF = 1e-8  # of the largest value: a line that varies less is constant
+LINE_ROUND_OFF = 1e-8  # of the largest value: a line that varies less is constant
 NARROW = 1e-2  # of the largest value: lines that span less are drawn as differences from a round number
 _LEAST, _MOST = 5e-2, 1e4  # numbers that need no power of ten
 _NONE = 1e-250  # smaller numbers are zero in a picture
 
-_TIMES: Ladder = (
-    (2.0 * 365.25 * 86400.0, 365.25 * 86400.0, "years"), (2.0 * 86400.0, 86400.0, "days"), (7200.0, 3600.0, "h"),
-    (180.0, 60.0, "min"), (0.5, 1.0, "s"), (5e-4, 1e-3, "ms"), (0.0, 1e-6, "µs"),
-)  # fmt: skip
+_FEWEST = {"years": 2.0, "days": 2.0, "h": 2.0, "min": 3.0, "s": 0.5, "ms": 0.5, "µs": 0.0}  # of a unit of time
+_TIMES: Ladder = tuple((fewest * TIME_UNITS[name], TIME_UNITS[name], name) for name, fewest in _FEWEST.items())
 
 
 def _metric(unit: str, *prefixes: str) -> Ladder:
@@ -131,9 +130,12 @@ def _in_thousands(factor: float, unit: str, size: float) -> tuple[float, str]:
     if _LEAST <= size < _MOST:
         return factor, unit
     power = 3 * floor(log10(size) / 3.0)
-    sign = "⁻" if power < 0 else ""
-    power_text = f"10{sign}" + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(abs(power)))
-    return factor * 10.0**-power, f"{power_text} {unit}".rstrip()
+    return factor * 10.0**-power, f"{power_of_ten(power)} {unit}".rstrip()
+
+
+def power_of_ten(power: int) -> str:
+    """10⁻⁶."""
+    return "10" + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(sign)] if sign.isdigit() else "⁻" for sign in str(power))
 
 
 def axis_of(dimension: str, lines: Sequence[ArrayLike], units: Mapping[str, str], noise: float = 0.0) -> Axis:
@@ -147,7 +149,7 @@ def axis_of(dimension: str, lines: Sequence[ArrayLike], units: Mapping[str, str]
     largest = max((float(np.abs(array).max()) for array in known), default=0.0)
     if largest <= max(noise, _NONE):
         return Axis(1.0, unit_for(dimension, 0.0, units)[1], is_constant=True, noise=noise)
-    if all(float(np.ptp(array)) <= max(ROUND_OFF * largest, noise) for array in known):
+    if all(float(np.ptp(array)) <= max(LINE_ROUND_OFF * largest, noise) for array in known):
         return Axis(*unit_for(dimension, largest, units), is_constant=True)
     low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
     if high - low >= NARROW * largest:

@@ -116,7 +116,8 @@ class FixedPoint:
             problem.evaluate()
             why = describe_divergence(self.scene, problem, self.whole_matrix, prediction, changes, lost.left, str(lost))
             if not hands_over:  # a smaller time step may help the solid, where it was the solid that failed
-                raise (NotConverged if str(lost) and not is_hopeless else SolveError)(why) from lost
+                is_solid = bool(str(lost)) and not is_hopeless
+                raise (NotConverged(why, kind="fixed point") if is_solid else SolveError(why)) from lost
             report = replace(self._hand_over(problem).after(lost.cost), cycles=len(changes), handed_over=why)
         return replace(report, predicted=prediction.factor, measured=measured_factor(changes))
 
