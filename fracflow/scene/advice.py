@@ -24,7 +24,7 @@ TRANSITS = 8  # of shear waves through cells: over so many, ringing of single ce
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
 USUAL = {
-    "rock": {"youngs_modulus": (STRESS, 1e7, 1e12), "density": (DENSITY, 500.0, 1e4)},
+    "rock": {"youngs_modulus": (STRESS, 1e8, 1e12), "density": (DENSITY, 500.0, 1e4)},
     "fracture": {
         "normal_stiffness": (STIFFNESS, 1e6, 1e16),
         "shear_stiffness": (STIFFNESS, 1e5, 1e16),

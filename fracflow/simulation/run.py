@@ -29,6 +29,7 @@ from fracflow.output.status import ENDED, FAILED, STOPPED, Status
 from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
+from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.notices import watches_spurious
@@ -114,7 +115,7 @@ def _begun(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in (*notes, *whole.placed.notes):
+    for line in (*(f"note: {each}" for each in advice(scene)), *notes, *whole.placed.notes):
         recorder.log(line)
     if watches_spurious(scene):
         recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')

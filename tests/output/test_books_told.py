@@ -63,8 +63,10 @@ def test_advice_has_the_keys_of_the_stages(still):
 
 
 def test_a_run_is_replaced_only_by_a_scene_that_can_run(still, monkeypatch, capfd):
+    """What is unusual in the scene stands on the terminal and in the log."""
     scene = still.parent / "scene.toml"
     words = ["fracflow", "run", str(scene), "-o", str(still), "--set", "stage.0.steps=1"]
+    words += ["--set", "rock.rock.youngs_modulus=50 MPa"]
     for more, is_told in ((["--set", "load=[]"], False), ([], True)):
         monkeypatch.setattr("sys.argv", words + more)
         with pytest.raises(SystemExit) as end:
@@ -72,6 +74,8 @@ def test_a_run_is_replaced_only_by_a_scene_that_can_run(still, monkeypatch, capf
         said = capfd.readouterr()
         assert (end.value.code or 0) == (0 if is_told else 2), said.err
         assert said.out.count("is replaced") == is_told
+    unusual = "note: rock.rock.youngs_modulus = 5e+07 N/m**2 is unusually small: is its unit right?"
+    assert unusual in said.out and unusual in (still / "log.txt").read_text()
 
 
 def test_what_is_larger_is_told(still):
