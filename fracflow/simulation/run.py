@@ -25,7 +25,7 @@ from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
-from fracflow.output.status import ENDED, FAILED, STOPPED, Status
+from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
@@ -82,6 +82,7 @@ class _Begun:
     recorder: Recorder
     step: Step
     clock: float
+    folder: str | Path
 
 
 def _begun(
@@ -122,7 +123,7 @@ def _begun(
     step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)
-    return _Begun(model, recorder, step, began)
+    return _Begun(model, recorder, step, began, folder)
 
 
 def resume(
@@ -156,7 +157,7 @@ def resume(
         recorder = Recorder(model, facts, folder, comm, notes)
         done = recorder.totals.steps
         recorder.log(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks")
-        undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began)
+        undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began, folder)
     else:
         # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
@@ -218,7 +219,8 @@ def _go(begun: _Begun, progress: OnStep | None) -> Totals:
         recorder.end()
         recorder.log_slip_at_crossings()
         word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
-        recorder.finish(clock.perf_counter() - begun.clock, Status(word, str(failure or "")))
+        line = "" if failure is None else last_line(failure, begun.folder)
+        recorder.finish(clock.perf_counter() - begun.clock, Status(word, line))
         if failure is None:  # last of all: after a kill before it the run can be resumed
             recorder.save(step, finished=True)
         recorder.check()
