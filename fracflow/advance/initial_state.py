@@ -10,14 +10,15 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.elements import facet
 from fracflow.errors import InputError
 from fracflow.laws.base import HELD
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.facets import outer_besides
 from fracflow.model.balance import static_balance
 from fracflow.model.energy import close_initial_balance, dissipated, empty_balance, update_balance
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.joints import implied_tractions
 from fracflow.model.operators import Operators
 from fracflow.model.properties import body_force, initial_pressure, initial_stress
-from fracflow.model.setup import Model
+from fracflow.model.setup import Model, on_root
 from fracflow.model.solid import nodal_force
 from fracflow.model.state import Forces, Motion, Sections, State
 from fracflow.scene.materials import InitialMotion
@@ -45,7 +46,7 @@ def refuse_imbalance(model: Model) -> None:
     model.loads.standing().release(balance)
     bad = np.abs(balance.getArray()) > EQUILIBRIUM * ops.scales.force + np.abs(allowed.getArray())
     count = ops.blocks.comm.allreduce(int(bad.sum()))
-    names = _names_at(ops, np.flatnonzero(bad))
+    names = [*_names_at(ops, np.flatnonzero(bad)), *(_unnamed_at(model, np.flatnonzero(bad)) if count else ())]
     if not count and allowed.norm() > 0.0:
         ops.prestress.axpy(-1.0, balance)
     destroy(balance, allowed)
@@ -53,7 +54,8 @@ def refuse_imbalance(model: Model) -> None:
         raise InputError(
             f"{model.scene.source}: initial state: out of balance at {count} unknowns,"
             f" at {', '.join(names) or 'nodes inside the rock'}: a side that"
-            ' carries initial stress needs a [[support]], [[absorbing]], or a [[load]] with traction = "initial-stress"; on a'
+            " carries initial stress needs a name, and a [[support]], [[absorbing]], or a [[load]] with traction ="
+            ' "initial-stress"; on a'
             " fracture the initial tractions must be those of initial_stress and fluid.initial_pressure, or"
             ' initial_stress.unbalanced = "carried"; a [body_force] must balance the'
             f" gradient of initial_stress{_uncarried(model.scene)}; or let a first [[stage]] with kind = 'equilibrate' find"
@@ -195,10 +197,36 @@ def _slack(model: Model) -> PETSc.Vec:
     return nodal_force(ops.blocks, faces, share.copy(), ops.expand)
 
 
+def _nodes_of(ops: Operators, bad: np.ndarray) -> Ints:
+    """Nodes (n,) of this rank that have the given unknowns."""
+    block, starts = ops.blocks.solid, ops.blocks.solid.unknown_starts[ops.blocks.comm.rank]
+    return np.flatnonzero(np.isin(block.unknown[: block.owned] - starts, bad).any(axis=1))
+
+
+def _unnamed_at(model: Model, bad: np.ndarray) -> tuple[str, ...]:
+    """Outer curves without a name, and a place on them, where given unknowns of this rank lie on any. Collective."""
+    block, comm, joints = model.operators.blocks.solid, model.operators.blocks.comm, model.operators.blocks.joints
+    nodes = _nodes_of(model.operators, bad)
+    named = np.concatenate([facets.ravel() for facets in (block.side_facets, joints.bottom, joints.top)])
+    there = block.points[np.setdiff1d(nodes, named)[:1]]
+    spots = np.concatenate(comm.allgather(there))
+
+    def unnamed() -> tuple[str, ...]:
+        mesh = model.mesh
+        if mesh is None or not len(spots):
+            return ()
+        known = np.concatenate([mesh.side_facets, mesh.joint_bottom, mesh.joint_top])
+        outer = mesh.points[outer_besides(mesh.cells, known)].reshape(-1, spots.shape[1])
+        on = spots[(spots[:, None] == outer).all(axis=2).any(axis=1)]
+        return tuple(f"outer curves without a name, as at ({x:.6g}, {y:.6g})" for x, y in on[:1, :2])
+
+    found: tuple[str, ...] = comm.bcast(on_root(comm, unnamed), root=0)
+    return found
+
+
 def _names_at(ops: Operators, bad: np.ndarray) -> list[str]:
     """Sides and fractures at which the given unknowns of this rank lie, of all ranks. Collective."""
-    block, starts = ops.blocks.solid, ops.blocks.solid.unknown_starts[ops.blocks.comm.rank]
-    nodes = np.flatnonzero(np.isin(block.unknown[: block.owned] - starts, bad).any(axis=1))
+    block, nodes = ops.blocks.solid, _nodes_of(ops, bad)
     sides = {block.sides[s] for s in block.side_of[np.isin(block.side_facets, nodes).any(axis=1)]}
     faces = np.concatenate([ops.blocks.joints.bottom, ops.blocks.joints.top], axis=1)
     cut = {ops.blocks.joints.fractures[f] for f in ops.blocks.joints.fracture[np.isin(faces, nodes).any(axis=1)]}

@@ -32,8 +32,11 @@ def wave_step(model: Model, state: State, stage: Stage) -> tuple[float, float]:
     period = longest_period(model.operators, model.loads, state.sections)
     least = stage.dynamic_time_step or min(transit(model), period / PARTS)
     if not math.isfinite(least + period):
+        moduli = [rock.youngs_modulus for rock in deforming(model) if rock.youngs_modulus is not None]
+        soft = f"a youngs_modulus of the right unit, where the smallest is {min(moduli):g}, and " if moduli else ""
         raise SolveError(
-            f"stage {stage.title}: nothing has mass and can move, so that there are no dynamics to change to"
+            f"stage {stage.title}: no longest period of vibration was found, so that there are no dynamics to change to: give"
+            f" {soft}a density to a rock that supports do not hold everywhere, or use kind = 'quasi-static'"
         )
     return least, period
 

@@ -102,10 +102,11 @@ def run_command(
     if output is None and folder.is_symlink():  # the user has not named it: files beside a scene may come from anybody
         raise InputError(f"{folder}: is a link; name the run folder with -o")
     on_root(comm, lambda: check_folder(folder))
-    if (folder / "history.h5").exists():
-        console.print(f"note: the run that was in {folder} is replaced", soft_wrap=True, markup=False)
+    replaces = (folder / "history.h5").exists()
 
     def show_card(numbers: list[Number]) -> None:
+        if replaces:  # not before: a scene that is refused replaces nothing
+            say(f"the run that was in {folder} is replaced")
         report_checks(as_records(numbers), console)
 
     def say(line: str) -> None:

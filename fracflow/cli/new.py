@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from string import Template
 import numpy as np
 
 from fracflow.errors import DiskError, InputError
+from fracflow.mesh.facets import outer_besides
 from fracflow.mesh.interpret import EVERY
 from fracflow.mesh.read import network_of, read_mesh
 from fracflow.model.setup import geometry_of
@@ -147,6 +149,13 @@ def _of_mesh(file: Path, path: Path, trust: bool) -> SceneParts:
         )
     if not raw.sides:
         raise InputError(f"{file}: no side has a name; give the outer curves physical curves, or sets of edges")
+    if len(outer := outer_besides(raw.cells, raw.side_facets)):
+        x, y = raw.points[outer[0], :2].mean(axis=0)
+        warnings.warn(
+            f"{file}: {len(outer)} outer edges have no name, as at ({x:.6g}, {y:.6g}): nothing can hold or load them, and a run"
+            " under initial stress is refused; give their curves physical curves",
+            stacklevel=2,
+        )
     ends = raw.points[raw.fracture_facets]
     lengths = np.bincount(raw.fracture_of, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), len(raw.fractures))
     order = [raw.fractures[n] for n in np.argsort(-lengths, kind="stable")]

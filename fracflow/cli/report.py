@@ -23,6 +23,7 @@ from fracflow.output.fracture_table import COLUMNS, fracture_table
 from fracflow.output.history import read_attributes, read_history, read_units
 from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.scene.quantities import quantities
+from fracflow.scene.scene import load
 from fracflow.scene.units import LENGTH, TIME, VOLUME
 from fracflow.storage.files import shown_plain
 
@@ -52,9 +53,20 @@ def _nearest(folder: Path) -> str:
     name = json.loads(about["fractures"])[int(np.asarray(at_cells["fracture"])[nearest // 2])]
     x, y = points[nearest, :2]
     return (
-        f"; nearest to it at the end is {name} at ({x:.6g}, {y:.6g}), |f_s|/f_sy = {share[nearest]:.4g}: more steps,"
-        " more pressure or a larger increment_per_step may reach it"
+        f"; nearest to it at the end is {name} at ({x:.6g}, {y:.6g}), |f_s|/f_sy = {share[nearest]:.4g}:"
+        f" {_further(folder)} may reach it"
     )
+
+
+def _further(folder: Path) -> str:
+    """Changes of the stages of a run that lead it further, by the keys that its stages have."""
+    scene = load(folder / "scene.toml")
+    last = scene.stage[-1]
+    ways = ["a larger increment_per_step"] if any(stage.increment_per_step for stage in scene.stage) else []
+    if any(well.flow_rate is not None or well.pressure is not None for well in scene.well):
+        ways.append("more pressure")
+    longer = "a later end" if last.end is not None else "more steps"
+    return f"{', '.join([longer, *ways[:-1]])} or {ways[-1]}" if ways else longer
 
 
 def _balance_lines(left: float, closed: float, most: float, noise: float) -> Iterator[str]:

@@ -41,6 +41,7 @@ def run_with_progress(
     """Do a job with a progress bar, then report and draw its results. Raises the errors of the job. Collective."""
     from fracflow.cli.progress import RunProgress, Screen
     from fracflow.model.setup import on_root
+    from fracflow.output.status import last_line
     from fracflow.solve.options import forget
 
     totals, failure = None, None
@@ -51,16 +52,14 @@ def run_with_progress(
         except SolveError as error:
             failure = error
         except Interrupted as error:
-            raise Interrupted(f"{error}; go on with: fracflow resume {folder}") from error
+            raise Interrupted(last_line(error, folder)) from error
         finally:
             forget()
     if is_shown or failure is not None:
         on_root(comm, lambda: show(folder, console, scene.output.pictures, failure is not None))
     comm.barrier()  # all ranks end together, in whichever way
     if failure is not None:
-        raise SolveError(
-            f"{failure}; what was reached is in {folder}: change its scene.toml, then: fracflow resume {folder}"
-        )
+        raise SolveError(last_line(failure, folder))
     if totals is not None:
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts + totals.besides(), soft_wrap=True)

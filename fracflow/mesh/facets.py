@@ -115,6 +115,13 @@ def count_cells_at(cells: Ints, facets: Ints) -> Ints:
     return match(half_facets(near(cells, facets), min(facets.shape[1], 3)), facets).count
 
 
+def outer_besides(cells: Ints, facets: Ints) -> Ints:
+    """Facets (u, k) of only one of cells (m, n), without those of ``facets`` (f, k)."""
+    nodes = half_facets(cells, min(facets.shape[1], 3)).nodes
+    number, known = number_facets(nodes, facets)
+    return nodes[(np.bincount(number)[number] == 1) & ~np.isin(number, known)]
+
+
 def near(cells: Ints, facets: Ints) -> Ints:
     """Those of cells (m, k) with at least as many nodes among those of ``facets`` (f, dim) as a facet has."""
     return cells[rows_near(cells, facets, facets.shape[1])]

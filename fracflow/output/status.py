@@ -8,7 +8,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from fracflow.errors import InputError
+from fracflow.errors import InputError, Interrupted, SolveError
 from fracflow.output.folder import MARKER, RunFolder
 from fracflow.storage.files import open_own, read_text
 
@@ -25,6 +25,13 @@ class Status:
 
     word: str = ""
     line: str = ""
+
+
+def last_line(failure: Exception, folder: str | Path) -> str:
+    """The message of what ended the run in a folder, with what to do."""
+    if isinstance(failure, SolveError):
+        return f"{failure}; what was reached is in {folder}: change its scene.toml, then: fracflow resume {folder}"
+    return f"{failure}; go on with: fracflow resume {folder}" if isinstance(failure, Interrupted) else str(failure)
 
 
 def write_status(folder: RunFolder, status: Status) -> None:

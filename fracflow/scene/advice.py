@@ -24,7 +24,7 @@ TRANSITS = 8  # of shear waves through cells: over so many, ringing of single ce
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
 USUAL = {
-    "rock": {"youngs_modulus": (STRESS, 1e7, 1e12), "density": (DENSITY, 500.0, 1e4)},
+    "rock": {"youngs_modulus": (STRESS, 1e8, 1e12), "density": (DENSITY, 500.0, 1e4)},
     "fracture": {
         "normal_stiffness": (STIFFNESS, 1e6, 1e16),
         "shear_stiffness": (STIFFNESS, 1e5, 1e16),
@@ -43,6 +43,7 @@ def advice(scene: Scene) -> list[str]:
     """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
     return [
         *_idle(scene),
+        *_backward(scene),
         *_reflecting(scene),
         *_too_long(scene),
         *_ringing(scene),
@@ -70,6 +71,28 @@ def _idle(scene: Scene) -> Iterator[str]:
     for option in scene.petsc:
         if not reaches_a_solver(option):
             yield f"petsc.{option} reaches no solver: begin it with the name of one and _: {', '.join(SOLVERS)}"
+
+
+def _backward(scene: Scene) -> Iterator[str]:
+    """Wells whose limit lies beyond the pressure at the start, so that they flow against the sign of their rate."""
+    fluid = scene.fluid
+    if fluid is None or fluid.pressure_gradient:
+        return
+    given_start = None if scene.initial is None else scene.initial.pressure
+    start = fluid.initial_pressure if given_start is None else given_start
+    unit = scene.unit_system.behind(STRESS)
+    for well in scene.well:
+        rates = well.flow_rate.values if well.flow_rate is not None else ()
+        for sign, key, side, does, change in (
+            (1.0, "maximum_pressure", "below", "draw fluid out", "raise"),
+            (-1.0, "minimum_pressure", "above", "let fluid in", "lower"),
+        ):
+            limit = getattr(well, key)
+            if limit is not None and sign * (start - limit) > 0.0 and any(sign * rate > 0.0 for rate in rates):
+                yield (
+                    f"well.{well.name}.{key} = {limit:.6g}{unit} is {side} the pressure at the start, {start:.6g}{unit}: the"
+                    f" well will {does}, against the sign of its flow_rate: {change} it"
+                )
 
 
 def _reflecting(scene: Scene) -> Iterator[str]:

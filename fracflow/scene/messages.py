@@ -30,10 +30,14 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
 def one_line(error: ValidationError, data: Mapping[str, Any], model: type[BaseModel]) -> str:
     """Turn the errors of a scene into ``key = value: what is wrong``: the first, and how many more.
 
-    Unknown keys come first and missing ones last: a misspelt key is both, and its spelling is what helps.
+    Unknown keys come first and missing ones last: a misspelt key is both, and its spelling is what helps. An unknown law comes
+    before its keys.
     """
     order = {"extra_forbidden": 0, "missing": 2}
-    errors = sorted(error.errors(include_url=False), key=lambda entry: order.get(entry["type"], 1))
+    errors = sorted(
+        error.errors(include_url=False),
+        key=lambda entry: -1 if entry["loc"][-1:] == ("law",) else order.get(entry["type"], 1),
+    )
     first = errors[0]
     path: Path = first["loc"]
     context = first.get("ctx", {})

@@ -247,7 +247,7 @@ class Domain(Annotation):
             if left >= right or bottom >= top:
                 raise fault("must be [xmin, ymin, xmax, ymax] with xmin < xmax and ymin < ymax")
             return (left, bottom), (right, bottom), (right, top), (left, top)
-        if isinstance(value, list) and len(value) >= 3:
+        if isinstance(value, list) and len(value) >= 3 and any(isinstance(part, list) for part in value):
             return read_points(value, info)
         raise fault("must be [xmin, ymin, xmax, ymax] or at least three points [x, y]")
 

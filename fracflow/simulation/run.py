@@ -25,10 +25,11 @@ from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
-from fracflow.output.status import ENDED, FAILED, STOPPED, Status
+from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_mesh import watch_locked
 from fracflow.reduction.prepare import prepare
+from fracflow.scene.advice import advice
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
 from fracflow.simulation.notices import watches_spurious
@@ -80,6 +81,7 @@ class _Begun:
     recorder: Recorder
     step: Step
     clock: float
+    folder: str | Path
 
 
 def _begun(
@@ -113,14 +115,14 @@ def _begun(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in (*notes, *whole.placed.notes):
+    for line in (*(f"note: {each}" for each in advice(scene)), *notes, *whole.placed.notes):
         recorder.log(line)
     if watches_spurious(scene):
         recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')
     step = Step(state, 0, 0.0, StepReport(), {"fresh": 1.0})
     recorder.record(step)
     recorder.save(step)
-    return _Begun(model, recorder, step, began)
+    return _Begun(model, recorder, step, began, folder)
 
 
 def resume(
@@ -154,7 +156,7 @@ def resume(
         recorder = Recorder(model, facts, folder, comm, notes)
         done = recorder.totals.steps
         recorder.log(f"resumed after {done} steps, at time {state.time:.6g}, on {comm.size} ranks")
-        undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began)
+        undone, ready = notes["totals"]["undone"], _Begun(model, recorder, step, began, folder)
     else:
         # the folder alone suffices: the mesh file may have moved or changed
         path = folder / "mesh.h5"
@@ -217,7 +219,8 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
         recorder.end()
         recorder.log_slip_at_crossings()
         word = ENDED if failure is None else STOPPED if isinstance(failure, Interrupted) else FAILED
-        recorder.finish(clock.perf_counter() - begun.clock, Status(word, str(failure or "")))
+        line = "" if failure is None else last_line(failure, begun.folder)
+        recorder.finish(clock.perf_counter() - begun.clock, Status(word, line))
         if failure is None:  # last of all: after a kill before it the run can be resumed
             recorder.save(step, finished=True)
         recorder.check()

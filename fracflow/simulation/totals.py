@@ -24,6 +24,7 @@ class Totals:
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
     doubts    lines of the log that say that a result may be wrong
     profiles  where the ``Timetable`` of the profiles stands
+    at_limit  wells that were held at a limit of their pressure, as name/key, and those that flowed backward there
     undone    decisions of the plan that were taken back: "part, stage" -> when and why
     """
 
@@ -45,6 +46,7 @@ class Totals:
     sucked: int = 0
     widening: float = 1.0
     doubts: list[str] = field(default_factory=list)
+    at_limit: list[str] = field(default_factory=list)
     undone: dict[str, str] = field(default_factory=dict)
     profiles: dict[str, Any] = field(default_factory=dict)
 

@@ -48,6 +48,20 @@ def test_of_your_own_mesh(tmp_path):
     assert set_up(scene)[0]["joints"] > 0
 
 
+def test_outer_curves_without_a_name_are_told(tmp_path):
+    """Those at x = 4 and at y = 4, of two edges each."""
+    lines = [line for line in MSH.splitlines() if not line.startswith(("1 4", "1 5"))]
+    named = [line for line in lines if len(line.split()) != 7 or line.split()[3] not in ("4", "5")]
+    elements = named.index("$Elements") + 1
+    named[elements] = str(len(named) - elements - 2)
+    named[named.index("$PhysicalNames") + 1] = "4"
+    (tmp_path / "square.msh").write_text("\n".join(named) + "\n")
+    with pytest.warns(UserWarning, match=r"4 outer edges have no name, as at \("):
+        path = write_scene(tmp_path / "mine.toml", mesh=tmp_path / "square.msh")
+    with pytest.raises(InputError, match=r"out of balance at .*outer curves without a name, as at \("):
+        set_up(load(path))
+
+
 def test_names_and_places_of_any_kind(tmp_path, monkeypatch):
     (tmp_path / "odd.csv").write_text(AWKWARD)
     monkeypatch.chdir(tmp_path)

@@ -5,6 +5,7 @@ import pytest
 from rich.console import Console
 
 from fracflow._petsc import MPI
+from fracflow.cli.app import main
 from fracflow.cli.report import report
 from fracflow.output import HistoryFile, read_history
 from fracflow.output.history import read_rows
@@ -51,6 +52,30 @@ def test_round_off_is_no_open_book(still):
     assert entries["energy/residual"] > 1e-6 * max(entries.values())  # open, were the largest entry the scale
     said = told(still)
     assert "! energy balance" not in said and "all entries are round-off" in said
+
+
+def test_advice_has_the_keys_of_the_stages(still):
+    """Neither pressure, which nothing here pumps, nor increment_per_step of controls, which a stage auto does not have."""
+    assert ": more steps may reach it" in told(still)
+    longer = STILL.replace("steps = 10", "end = 1e-3").replace('kind = "dynamic"', 'kind = "auto"')
+    (still / "scene.toml").write_text(longer)
+    assert ": a later end may reach it" in told(still)
+
+
+def test_a_run_is_replaced_only_by_a_scene_that_can_run(still, monkeypatch, capfd):
+    """What is unusual in the scene stands on the terminal and in the log."""
+    scene = still.parent / "scene.toml"
+    words = ["fracflow", "run", str(scene), "-o", str(still), "--set", "stage.0.steps=1"]
+    words += ["--set", "rock.rock.youngs_modulus=50 MPa"]
+    for more, is_told in ((["--set", "load=[]"], False), ([], True)):
+        monkeypatch.setattr("sys.argv", words + more)
+        with pytest.raises(SystemExit) as end:
+            main()
+        said = capfd.readouterr()
+        assert (end.value.code or 0) == (0 if is_told else 2), said.err
+        assert said.out.count("is replaced") == is_told
+    unusual = "note: rock.rock.youngs_modulus = 5e+07 N/m**2 is unusually small: is its unit right?"
+    assert unusual in said.out and unusual in (still / "log.txt").read_text()
 
 
 def test_what_is_larger_is_told(still):

@@ -120,6 +120,9 @@ def test_a_failed_solve_leaves_its_last_state_and_says_so(tmp_path):
     assert 1 < last < LAST and steps_of(folder) == [0, last]
     data = load_run_data(folder)
     assert data.status.word == "failed" and "no support" in data.status.line
+    assert data.status.line.endswith(
+        f"; what was reached is in {folder}: change its scene.toml, then: fracflow resume {folder}"
+    )
     assert data.account == f"Failed after {data.at(21600.0 * last)}: no state beyond it was found"
 
 

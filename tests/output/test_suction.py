@@ -3,6 +3,7 @@
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.scene.advice import advice
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
 
@@ -36,9 +37,23 @@ def test_suction_is_told_once(start, least, shared_tmp, comm):
     done = run(Scene.from_data(data(start, least)), shared_tmp / "out", MPI.COMM_WORLD)
     log = comm.bcast((shared_tmp / "out" / "log.txt").read_text() if comm.rank == 0 else None)
     found = [line for line in done.doubts if "below zero" in line]
+    held = [line for line in done.doubts if "is held at its minimum_pressure = 0" in line]
+    assert len(held) == (least is not None) and all(line.startswith("time 5 s: well.out is held") for line in held)
+    assert log.count("is held at its") == len(held)
     if not start or least is not None:
         assert not found and "below zero" not in log
         return
     (line,) = found
     assert line.startswith("time 5 s: the pressure in seam at (10, 5) m falls to -8e+04 ")
     assert "minimum_pressure" in line and log.count("below zero") == 1
+
+
+@pytest.mark.parametrize(("least", "is_told"), [(2e6, True), (0.0, False)])
+def test_a_limit_beyond_the_pressure_at_the_start_is_told_before_and_during_a_run(least, is_told, shared_tmp):
+    """Held at 2 MPa between outlets of 1 MPa, a well that should draw lets fluid in: with no step from its rate."""
+    scene = Scene.from_data(data(1e6, least))
+    lines = [line for line in advice(scene) if "well.out.minimum_pressure = 2e+06" in line and "lower it" in line]
+    assert len(lines) == is_told
+    if is_told:
+        done = run(scene, shared_tmp / "out", MPI.COMM_WORLD)
+        assert sum("well.out lets fluid in, against the sign of its flow_rate" in line for line in done.doubts) == 1

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from fracflow.errors import SolveError
+
 from .conftest import HELD, ROCK
 
 RIGID = (
@@ -101,3 +103,9 @@ steps = 1
     )
     slid = np.array([event["x"] for event in found.events])
     assert len(slid) >= 4 and slid.max() < 4.1
+
+
+def test_a_stage_auto_of_what_cannot_move_says_what_to_give(run_scene):
+    stage = 'kind = "auto"\ntime_step = 1\nend = 2\n'
+    with pytest.raises(SolveError, match=r"no longest period of vibration .*: give a density to a rock"):
+        run_scene(RIGID.replace('kind = "steady"\ntime_step = 1\nsteps = 2\n', stage) + ENDS)

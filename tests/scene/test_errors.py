@@ -43,6 +43,8 @@ CASES = {
     "fracture.fault={normal_stiffness=1,shear_stiffness=1,friction_angle_deg=1}": "fracture.fault.aperture: missing",
     "fracture.fault={law='linear',normal_stiffness=1,shear_stiffness=1}": "fracture.fault.aperture: missing; the fluid needs it",
     "fracture.fault.law=coulomb": 'did you mean "hyperbolic-coulomb"?',
+    "fracture.fault={law='of-mine',closure_length=1}": "a law from outside is known only to the script that registers it (and",
+    "geometry={domain=[0,0,1000]}": "geometry.domain = [0, 0, 1000]: must be [xmin, ymin, xmax, ymax] or at least three points",
     "rock.granite={poissons_ratio=0.2}": "rock.granite.youngs_modulus: missing; a rock needs it unless rigid = true",
     "rock.granite={youngs_modulus=1,poissons_ratio=0.2}": "rock.granite.density: missing; dynamic stages need it",
     "well.node2.control=pumpin": 'well.node2.control = "pumpin": no [control] of that name; did you mean "pumping"?',
