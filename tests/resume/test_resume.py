@@ -17,6 +17,7 @@ import pytest
 
 from fracflow.errors import InputError
 from fracflow.output import list_steps, read_events, read_history, read_step
+from fracflow.output.status import STOPPED, read_status
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 
@@ -142,14 +143,21 @@ def test_signals_save_and_stop(tmp_path, whole, number):
     same(folder, whole)
 
 
-@pytest.mark.parametrize(("before", "after"), [(1, 2), (3, 1), (2, 2)])
-def test_on_another_number_of_ranks(tmp_path, whole, before, after):
-    """The same events; histories to 1e-12 of each field's size; on the same number bit by bit."""
+@pytest.mark.parametrize(
+    ("before", "after", "number"), [(1, 2, signal.SIGTERM), (3, 1, signal.SIGTERM), (2, 2, signal.SIGUSR2)]
+)
+def test_on_another_number_of_ranks(tmp_path, whole, before, after, number):
+    """The same events; histories to 1e-12 of each field's size; on the same number bit by bit.
+
+    mpirun passes USR2 on and waits. After TERM it waits a second or two, which is enough for these steps.
+    """
     folder, undisturbed = tmp_path / "out", whole
     process = start(folder, ranks=before)
     wait_for_rows(folder, 25, process)
-    process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=PATIENCE)
+    process.send_signal(number)
+    _, complaint = process.communicate(timeout=PATIENCE)
+    if number == signal.SIGUSR2:
+        assert (process.returncode, read_status(folder).word) == (130, STOPPED), complaint
     assert 25 <= len(read_history(folder / "history.h5")["time"])
     go_on(folder, ranks=after)
     one, other = read_history(folder / "history.h5"), read_history(undisturbed / "history.h5")
