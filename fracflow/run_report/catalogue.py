@@ -89,10 +89,13 @@ def _moments(run: RunReport, charts: Charts, events: list[dict[str, Any]]) -> st
         Series("each event", unit.factor * volume, each, "dots"),
     ]
     note = "Moments are those of the plane model times output.event_length."
-    if (modulus := _shear_modulus(run)) is not None and volume.max() > 0.0:
-        reach = np.linspace(0.0, volume.max(), 60)[1:]
-        series.append(Series("G ΔV", unit.factor * reach, largest_moment(modulus, reach), "dash"))
-        note += f" Dashed: McGarr's bound of the largest moment, G ΔV with G = {run.shown(modulus, STRESS, 3)}."
+    if run.scene is not None and (modulus := _shear_modulus(run)) is not None and volume.max() > 0.0:
+        reach, share = np.linspace(0.0, volume.max(), 60)[1:], depth / run.scene.flow_depth
+        series.append(Series("G ΔV", unit.factor * reach, largest_moment(modulus, share * reach), "dash"))
+        note += f" Dashed: McGarr's bound of the largest moment, G ΔV with G = {run.shown(modulus, STRESS, 3)}"
+        if share != 1.0:
+            note += f" and ΔV = {number(share, 3)} times the volume shown, which is that of fluid.flow_depth"
+        note += "."
     name = (
         "N m"
         if run.units.get("force") == "N"

@@ -19,6 +19,7 @@ from fracflow.scene.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, ST
 from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
+LASTS = 0.5  # of a pressure that is given at the start: a smaller share that the first step leaves is told
 AT_ONCE = 1e-3  # of a pressure: less is no jump
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
@@ -49,6 +50,7 @@ def advice(scene: Scene) -> list[str]:
         *_ringing(scene),
         *_let_go(scene),
         *_bouncing(scene),
+        *_fading(scene),
         *_growing(scene),
         *_jagged(scene),
         *(_unusual(scene) if scene.units != "none" else ()),
@@ -191,6 +193,37 @@ def _bouncing(scene: Scene) -> Iterator[str]:
                 " walls bounce on their joints, whose normal traction swings by as much from step to step, long after: let it"
                 " rise from the pressure at the start over some steps"
             )
+
+
+def _fading(scene: Scene) -> Iterator[str]:
+    """A pressure at the start that no stored volume carries: walls start undeformed, and few fluids are compressible enough.
+
+    Walls on springs k_n move by p/k_n, and fluid between walls d apart gives c_f d p: without what blocks add, the share
+    c_f d k_n/(1 + c_f d k_n) of the difference from p0 stays.
+    """
+    fluid, given = scene.fluid, scene.initial
+    if fluid is None or given is None or given.pressure is None or not scene.has_flow:
+        return
+    if given.pressure == fluid.initial_pressure and not fluid.pressure_gradient:
+        return
+    tables, moves = scene.fracture.values(), (given, *given.rock.values())
+    if any(each.displacement or each.displacement_gradient for each in moves) or all(t.pressure for t in tables):
+        return
+    if fluid.compressibility and all(rock.rigid for rock in scene.rock.values()):
+        return
+    stores = [fluid.compressibility * _most(t.aperture) * _most(t.normal_stiffness) for t in tables if t.pressure is None]
+    share = max(stores) / (1.0 + max(stores))
+    if share < LASTS:
+        kept = f", but for about {share:.1g} of the difference" if share else ""
+        yield (
+            f"initial.pressure = {given.pressure:.6g}{scene.unit_system.behind(STRESS)} does not last: pressure follows from"
+            " the volume that fractures hold, whose walls start undeformed, and the first step returns it to"
+            f" fluid.initial_pressure{kept}: give fluid.initial_pressure instead, or prescribe it as fracture.NAME.pressure"
+        )
+
+
+def _most(given: float | Profile | None) -> float:
+    return max(given.values) if isinstance(given, Profile) else given or 0.0
 
 
 def _growing(scene: Scene) -> Iterator[str]:

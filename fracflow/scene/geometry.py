@@ -109,7 +109,7 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
         if row.name in known or row.name == "default":
             why = "is drawn in [[geometry.fracture]] too" if row.name in known else "is kept for [fracture.default]"
             raise InputError(f'{path}: line {row.line}: name = "{row.name}": {why}; choose another name')
-        if row.properties:
+        if row.properties and isinstance(tables.get(row.name, {}), Mapping):  # the scene refuses what is no table
             more[row.name] = _table(row, tables, f"{path}: line {row.line}", data.get("units", "SI"))
     inside["fracture"] = [*drawn, *({"name": row.name, "points": row.points} for row in rows)]
     return {**data, "geometry": inside, **({"fracture": {**tables, **more}} if tables or more else {})}
@@ -117,10 +117,9 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 def _table(row: TraceRow, tables: Mapping[str, Any], where: str, units: Any) -> dict[str, Any]:
     """The table of a fracture with the properties of its row; raises InputError if they do not fit it."""
-    own = tables.get(row.name, {})
+    own: Mapping[str, Any] = tables.get(row.name, {})
     shut = {key for pair in ALTERNATIVES if set(pair) & set(row.properties) for key in pair}
-    table = {key: value for key, value in own.items() if key not in shut} if isinstance(own, Mapping) else {}
-    table |= row.properties
+    table = {key: value for key, value in own.items() if key not in shut} | row.properties
     given = {"fracture": {"default": tables.get("default"), row.name: table}}
     filled = with_default_fracture(given)["fracture"][row.name]
     try:

@@ -73,6 +73,12 @@ def test_criticality_is_that_of_mohrs_circle(scene):
     assert of("glued", found.tendency, mesh) == pytest.approx(0.25)
     assert of("glued", found.rise, mesh) == pytest.approx(4e6)  # cohesion holds until it opens
     assert np.isnan(of("tied", found.rise, mesh)).all()
+    deep = criticality(load(scene, ["fluid.pressure_gradient='10 kPa/m'", "fluid.datum=100"]), mesh)
+    assert of("flat", deep.rise, mesh) == pytest.approx(20e6 - 20 * 10e3)  # it lies at y = 80
+    points = mesh.points[mesh.joint_bottom[mesh.joint_fracture == mesh.fractures.index("a $ b")]]
+    below = 0.01 * (100.0 - points[..., 1])
+    assert of("a $ b", deep.tendency, mesh) == pytest.approx(shear / (pressed - below))
+    assert of("a $ b", deep.rise, mesh) == pytest.approx(1e6 * (pressed - below - shear / 0.6))
 
 
 def test_a_fault_past_its_strength_has_no_rise_left(scene):

@@ -22,6 +22,7 @@ from fracflow.output.checkpoint import read_notes, write_checkpoint
 from fracflow.output.drawing.axes import suited_unit
 from fracflow.output.profiles import MOST, ProfileFile, Timetable, read_profiles
 from fracflow.run_report import write_report
+from fracflow.run_report.catalogue import events_of
 from fracflow.run_report.data import number, read_run, thinned
 from fracflow.run_report.map import _traces, read_frames
 from fracflow.simulation.run import resume, run
@@ -136,6 +137,23 @@ def test_every_plot_is_there_and_the_slider_moves_the_map(tmp_path, browser):
     assert browser.value("document.title").startswith("Made up </script>")  # as text, which does not run
     assert not browser.value("document.querySelectorAll('img').length")
     assert browser.faults == []
+
+
+def test_mcgarrs_bound_has_the_depth_of_the_moments(tmp_path):
+    """Fluid fills flow_depth = 4 m, events are event_length = 100 m wide: G ΔV 100/4, G = 30/(2 (1 + 1/4)) GPa."""
+    folder, charts = made_up(tmp_path), {}
+    (folder / "scene.toml").write_text("""
+output.event_length = 100
+fluid = {viscosity = 1e-3, flow_depth = 4}
+geometry = {domain = [0, 0, 9, 9], size = 3, fracture = [{name = "F0", points = [[1, 1], [5, 5]]}]}
+rock.rock = {youngs_modulus = "30 GPa", poissons_ratio = 0.25}
+fracture.default = {normal_stiffness = 1e9, shear_stiffness = 1e9, aperture = 1e-3, friction_coefficient = 0.6}
+stage = [{kind = "steady", time_step = 1, steps = 1}]
+""")
+    events_of(read_run(folder), charts)
+    chart = charts["moment-volume"]
+    assert np.max(chart.series[-1].y) == pytest.approx(12e9 * 290.0 * 25.0)
+    assert np.max(chart.series[-1].x) == pytest.approx(290.0) and "25 times the volume shown" in chart.note
 
 
 @pytest.mark.parametrize("width", [320, 390])

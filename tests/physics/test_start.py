@@ -145,7 +145,7 @@ steps = 30
     )
     pressure = run_scene(scene).probe("far", "pressure")
     assert pressure[0] == 2e6 and np.all(np.diff(pressure) <= 1e-6)
-    assert pressure[-1] == pytest.approx(1e6, rel=1e-3)
+    assert pressure[1:] == pytest.approx(1e6, rel=1e-3)  # in the first step: walls that have not moved store nothing
 
 
 def test_events_are_of_the_fracture_that_slips(run_scene):

@@ -50,12 +50,13 @@ def test_a_well_between_two_drains(run_scene):
 
 
 THIN = "fluid.compressibility=4.5e-10"
+TWINS = CRACK + '[[well]]\nname = "twin"\nat = [0, 1]\npressure = 2e6\n'  # at the node of "in"
 
 
 @pytest.mark.parametrize(
     ("scene", "stages", "settings"),
     [
-        (CRACK, QUASI, ["method.flow_integrator=backward-euler", "fluid.flow_depth=3"]),
+        (TWINS, QUASI, ["method.flow_integrator=backward-euler", "fluid.flow_depth=3"]),
         (CRACK, QUASI, ["method.flow_integrator=bdf2", THIN]),
         (RATED, QUASI, ["method.flow_integrator=bdf2"]),
         (RATED, QUASI, ["method.flow_integrator=trapezoid"]),
@@ -64,7 +65,7 @@ THIN = "fluid.compressibility=4.5e-10"
     ],
 )
 def test_the_volumes_of_all_wells_are_what_the_network_stores(run_scene, scene, stages, settings):
-    """To round-off at every step, whatever the rule; the rate times dt adds up to the volume."""
+    """To round-off at every step, whatever the rule; the rate times dt adds up to the volume. Twins bring half each."""
     found = run_scene(scene + stages, *settings).history
     size = found["volume/injected"].max() + found["volume/withdrawn"].max()
     assert size > 0.0 and np.abs(found["volume/stored"]).max() > 0.0
@@ -72,6 +73,8 @@ def test_the_volumes_of_all_wells_are_what_the_network_stores(run_scene, scene, 
     for name in ("in", "out"):
         steps = found[f"well/{name}/rate"] * found["step/dt"]
         assert found[f"well/{name}/volume"] == pytest.approx(np.cumsum(np.r_[0.0, steps[1:]]), abs=1e-12 * size)
+    if scene is TWINS:
+        assert found["well/twin/volume"][-1] == found["well/in/volume"][-1] == found["volume/injected"][-1] / 2
 
 
 def test_a_well_at_its_limit_brings_what_it_can(run_scene):

@@ -111,6 +111,22 @@ def test_an_option_that_reaches_no_solver_is_told(make):
     assert line.startswith("petsc.ksp_type reaches no solver: ") and "monolithic, whole-lu, solid, flow" in line
 
 
+def test_a_pressure_at_the_start_that_nothing_stores_is_told(make):
+    """Springs leave c_f d k_n/(1 + c_f d k_n) of it; moved walls, or a pressure that is prescribed, keep it."""
+    start, stiff = "initial={pressure=2e5}", "fracture.fault={%s}"
+    joint = "normal_stiffness=1e8, shear_stiffness=1e8, aperture=1e-3, friction_coefficient=0.6"
+    given = [start, stiff % joint]
+
+    def told(*more):
+        return [line for line in advice(make(*given, *more)) if line.startswith("initial.pressure")]
+
+    (line,), (some,) = told(), told("fluid.compressibility=1e-6")
+    assert "does not last" in line and "give fluid.initial_pressure instead" in line and "of the difference" not in line
+    assert "but for about 0.09 of the difference" in some  # 0.1/1.1
+    assert not told("fluid.compressibility=1e-4") and not told("fluid.initial_pressure=2e5")
+    assert not told("initial.displacement=[0, 0.001]") and not told(f"fracture.fault={{{joint}, pressure=2e5}}")
+
+
 def test_names_paths_and_flow(make, tmp_path):
     scene = make()
     assert scene.mesh_path == (tmp_path / "fault.geo").resolve() and scene.folder == tmp_path

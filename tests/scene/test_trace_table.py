@@ -155,6 +155,8 @@ def test_tables_that_make_no_sense(write, text, message):
         ('fractures_csv = "traces.csv"\n[fracture.Clara]\nnormal_stiffness = 1\nshear_stiffness = 1\nlaw = "linear"',
          "fracture.Clara.*: no fracture of that name in .geometry."),
         ('fractures_csv = "traces.csv"\nfracture = 3', "geometry.fracture = 3: must be"),
+        ('fractures_csv = "traces.csv"\n[fracture]\n"Änne" = 7', "fracture.Änne = 7: must be a table"),
+        ('fractures_csv = "traces.csv"\n[fracture]\n"Änne" = []', r"fracture.Änne = \[\]: must be a table"),
     ],
 )  # fmt: skip
 def test_scenes_that_make_no_sense(write, change, message):
