@@ -32,7 +32,7 @@ ELSEWHERE = {  # lines as patterns -> why they are not run here as they stand
     "scripts/figures report *": "tests/report/test_figures.py",
     "scripts/figures plan *": "tests/plan/test_twins.py",
     "scripts/bench NAME": "NAME is any",
-    "scripts/bench rupture *": "minutes; tests/bench/test_rupture_triangles.py runs its scene",
+    "python -m ruff format *": "would write into the checkout",
     "python scripts/write_pages.py": "would write into the checkout: tests/test_paper.py compares",
     "python tests/test_docstrings.py": "tests/test_docstrings.py counts the same",
 }
