@@ -211,7 +211,9 @@ def _fading(scene: Scene) -> Iterator[str]:
         return
     if fluid.compressibility and all(rock.rigid for rock in scene.rock.values()):
         return
-    stores = [fluid.compressibility * _most(t.aperture) * _most(t.normal_stiffness) for t in tables if t.pressure is None]
+    stores = [
+        fluid.compressibility * _most(t.aperture) * _most(t.normal_stiffness) for t in tables if t.pressure is None
+    ]
     share = max(stores) / (1.0 + max(stores))
     if share < LASTS:
         kept = f", but for about {share:.1g} of the difference" if share else ""
