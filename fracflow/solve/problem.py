@@ -149,7 +149,7 @@ class StepProblem:
         if ops.flow is not None:
             ops.flow.pressure_load.mult(p, term)
             add(-1.0)
-            flow_terms = self._flow_balance()
+            flow_terms = self._flow_balance(speed)
         solid.axpy(-1.0, self.load)
         destroy(acceleration, speed, term)
         self.loads.release(solid)
@@ -209,10 +209,9 @@ class StepProblem:
         result.setArray(self.taken_up)
         return result
 
-    def _flow_balance(self) -> list[float]:
+    def _flow_balance(self, speed: PETSc.Vec) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
-        speed = self.velocity()
         size = CANCELLATION * self.alphas.a1 * np.abs(network.swept(self.displacement))
         terms, rows = [largest_of(size), largest(self.source)], size + np.abs(self.source.getArray(readonly=True))
         network.storage_coupling.multTranspose(speed, flow)
@@ -232,7 +231,6 @@ class StepProblem:
             leaving = network.at_nodes(np.abs(self.conduction.leaving.rate))
             rows += leaving
             terms.append(largest_of(leaving))
-        speed.destroy()
         self._close()
         through, runs = flow_sizes(self.conduction, self._before, self.state.max_overpressure, self.alphas.b1)
         self._carried = max(*terms, runs)
