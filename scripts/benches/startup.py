@@ -58,7 +58,7 @@ def main() -> None:
     """Measure, print and judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=7)
-    parser.add_argument("--most", type=float, default=2.5)
+    parser.add_argument("--most", type=float, default=1.5)
     parser.add_argument("--modules", action="store_true")
     given = parser.parse_args()
     ways = {
