@@ -29,7 +29,7 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.accept import accept, remember
 from fracflow.solve.explicit import ExplicitProblem
 from fracflow.solve.flow_round_off import check_digits
-from fracflow.solve.problem import Guess, StepProblem
+from fracflow.solve.problem import Guess, StepProblem, Work
 from fracflow.solve.request import StepRequest, begins_anew, rule_of
 
 Progress = Mapping[str, float]
@@ -79,6 +79,7 @@ class Stepping:
     def __init__(self, model: Model, log: Log = lambda line: None) -> None:
         """Make the solvers that the stages need when they first need them; ``log`` takes lines about them."""
         self.model, self.log = model, log
+        self.work = Work()  # of all steps and trials
         self.network = FlowNetwork(model, log)
         self.couplings = Couplings(model, log)
         self._network_version = 0
@@ -228,6 +229,7 @@ class SingleStep:
                 trial = problem.initial_guess()
                 continue
             finally:
+                solvers.work.add(problem.work)
                 problem.destroy()
             depth = solvers.model.scene.flow_depth
             now = full | (reached_after(request, rule, reached, new, depth) if loads.limits else reached)

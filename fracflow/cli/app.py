@@ -26,6 +26,7 @@ while (_free := os.open(os.devnull, os.O_RDWR)) <= 2:  # a closed terminal's num
     pass
 os.close(_free)
 sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # pydantic would look through all packages for them
 WIDTH = None if sys.stdout.isatty() else 100  # columns of tables in a file
 BEGIN = "Begin with: fracflow new first"
 USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, wherever typer has it from

@@ -79,6 +79,7 @@ class EventLog:
         self.path = Path(path)
         self.nodes = nodes
         self.rows: list[dict[str, Any]] = []
+        self._lines: dict[int, str] = {}  # of rows that have ended, which stay as they are
         self._plastic_slip = np.zeros(self._shape) if plastic_slip is None else self._vectors(plastic_slip)
         count = len(nodes.node)
         self._running = {kind: _Running(np.full(count, -1), np.zeros(self._shape), np.zeros(count)) for kind in _KINDS}
@@ -154,7 +155,7 @@ class EventLog:
 
     def remember(self, memory: Mapping[str, Any]) -> None:
         """Go on from what ``memory`` gave."""
-        self.rows = [dict(row) for row in memory["rows"]]
+        self.rows, self._lines = [dict(row) for row in memory["rows"]], {}
         self._plastic_slip = self._vectors(memory["plastic_slip"])
         for kind, found in memory["running"].items():
             row, peak_rate = np.array(found["row"], dtype=np.int64), np.array(found["peak_rate"], dtype=float)
@@ -186,7 +187,16 @@ class EventLog:
         text = io.StringIO()
         table = csv.DictWriter(text, columns_of(self._shape[1]), lineterminator="\n")
         table.writeheader()
-        table.writerows([*self.rows, *besides])
+        under_way = {int(i) for running in self._running.values() for i in running.row}
+        for number, row in enumerate(self.rows):
+            if number in self._lines:
+                text.write(self._lines[number])
+                continue
+            begin = text.tell()
+            table.writerow(row)
+            if number not in under_way:
+                self._lines[number] = text.getvalue()[begin:]
+        table.writerows(besides)
         write_atomic(self.path, text.getvalue())
 
 

@@ -95,8 +95,31 @@ class OnFracture:
     """Motion (dim,) of the walls at a probe: of the top one, and the displacement of the bottom one."""
 
     def __init__(self, place: FracturePlace, snapshot: Snapshot) -> None:
-        self.displacement, self.velocity, self.acceleration = _combined(place, snapshot, 1)
-        self.bottom = _combined(place, snapshot, 0)[0]
+        self._place, self._snapshot = place, snapshot
+
+    @cached_property
+    def _top(self) -> Floats:
+        return _combined(self._place, self._snapshot, 1)
+
+    @property
+    def displacement(self) -> Floats:
+        """(dim,) of the top wall [length]."""
+        return np.asarray(self._top[0])
+
+    @property
+    def velocity(self) -> Floats:
+        """(dim,) of the top wall [length/time]."""
+        return np.asarray(self._top[1])
+
+    @property
+    def acceleration(self) -> Floats:
+        """(dim,) of the top wall [length/time^2]."""
+        return np.asarray(self._top[2])
+
+    @cached_property
+    def bottom(self) -> Floats:
+        """(dim,) displacement of the bottom wall [length]."""
+        return np.asarray(_combined(self._place, self._snapshot, 0)[0])
 
 
 def _combined(place: FracturePlace, snapshot: Snapshot, wall: int) -> Floats:

@@ -310,6 +310,8 @@ def _steps(run: RunReport, charts: Charts) -> str:
         log_y=True,
     )
     text = figure(charts, "step-length", chart)
+    if work := next((line for line in reversed(run.log) if line.startswith("work in all:")), ""):
+        text += f"<p>{safe(work[0].upper() + work[1:])}.</p>"
     series = [
         Series(word, steps, run.history[f"step/{key}"])
         for key, word in (("slipping", "slipping"), ("open", "open"))

@@ -24,7 +24,7 @@ LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dro
 _ROUTINE = re.compile(
     r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.(snap|size))"
     r"|^geometry\.growth = \S+: rock far"
-    r"|^(incipient failure|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
+    r"|^(incipient failure|work in all:|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
 )
 MOST_SEEN = 12  # rows of a long table that are seen at once
 

@@ -56,7 +56,7 @@ def _with_meanings(schema: dict[str, Any], table: type[BaseModel]) -> None:
 class Table(BaseModel):
     """A table of a scene: frozen, and refuses keys it does not know; the docstring of a key is its meaning."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra=_with_meanings)
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra=_with_meanings, defer_build=True)
 
     def _refuse(self, why: str, *keys: str) -> None:
         """Raise the fault of the first of some keys that is given."""

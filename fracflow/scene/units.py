@@ -58,6 +58,30 @@ TIME_UNITS = {
     "years": 31557600.0, "days": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "µs": 1e-6,
 }  # fmt: skip
 """Names of units of time -> their seconds."""
+USUAL = {
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-06, "µm": 1e-06, "km": 1000.0},
+    "s": {
+        "s": 1.0,
+        "ms": 0.001,
+        "us": 1e-06,
+        "min": 60.0,
+        "h": 3600.0,
+        "d": 86400.0,
+        "days": 86400.0,
+        "years": 31557600.0,
+    },
+    "N/m**2": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "bar": 1e5},
+    "m**2/N": {"1/Pa": 1.0, "1/MPa": 1e-06, "1/GPa": 1e-09},
+    "N/m**3": {"Pa/m": 1.0, "kPa/m": 1e3, "MPa/m": 1e6, "GPa/m": 1e9, "MPa/mm": 1e9, "N/m^3": 1.0, "kN/m^3": 1e3},
+    "N*s**2/m**4": {"kg/m^3": 1.0},
+    "N*s/m**2": {"Pa s": 1.0, "mPa s": 0.001},
+    "m**3/s": {"m^3/s": 1.0, "L/s": 0.0010000000000000002, "l/s": 0.0010000000000000002},
+    "N/m": {"N/m": 1.0, "kN/m": 1e3, "MN/m": 1e6},
+    "m/s": {"m/s": 1.0, "mm/s": 0.001, "km/s": 1e3},
+    "m/s**2": {"m/s^2": 1.0},
+    "degree": {"deg": 1.0},
+}
+"""Factors of usual units to those of SI, as pint gives them to the last bit: its registry costs more CPU than a small run."""
 HUGE = 1e100  # beyond it the square of a number may be none; no quantity of the field comes near
 LONGEST = 100  # of a number and its unit, as text
 _UNIT = re.compile(
@@ -172,6 +196,8 @@ def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False
 @lru_cache(maxsize=1000)
 def _factor(unit: str, target: str) -> float:
     """The factor from one unit to another. Raises LookupError for an unknown one, TypeError for another dimension."""
+    if unit in (usual := USUAL.get(target, {})):
+        return usual[unit]
     import pint
 
     if not _UNIT.fullmatch(unit):  # pint would work out any arithmetic

@@ -263,6 +263,7 @@ def _steps(
                             observer.trial(made.trial.time, made.trial.length, made.trial.why)
                             continue
                         step = made
+                        recorder.totals.spend(stepping.work)
                         recorder.record(step)
                         watch_locked(stepping.model, step.state)
                         if recorder.slipping_and_open is not None:
@@ -296,6 +297,7 @@ def _steps(
                 recorder.totals.give_up(error)
                 failure = of_stage(stage, error)
             recorder.log(f"stopped: {failure}")
+    recorder.totals.spend(stepping.work)
     if not isinstance(failure, Interrupted):
         step = replace(step, state=state)
         recorder.last(step)

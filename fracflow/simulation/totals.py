@@ -10,6 +10,7 @@ import numpy as np
 
 from fracflow.errors import SolveError
 from fracflow.model.state import StepReport
+from fracflow.solve.problem import Work
 
 EARLIER = {"told_factor": "reported_factor"}  # names in checkpoints of earlier versions
 NARROW = 1e-9  # a decision on a status nearer to its threshold than this is not settled by arithmetic
@@ -21,6 +22,7 @@ class Totals:
 
     injected  net volume that wells have brought, as in the last state [length^3]
     rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
+    evaluations of both balances, and ``factored`` matrices, in all: for rejected trials too
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
     doubts    lines of the log that say that a result may be wrong
     profiles  where the ``Timetable`` of the profiles stands
@@ -42,6 +44,8 @@ class Totals:
     injected: float = 0.0
     rejected: int = 0
     wasted: int = 0
+    evaluations: int = 0
+    factored: int = 0
     strained: int = 0
     sucked: int = 0
     widening: float = 1.0
@@ -74,6 +78,11 @@ class Totals:
         self.rejected += failure.trials
         self.wasted += failure.newton
 
+    def spend(self, work: Work) -> None:
+        """Count the work since the last time, and let it be counted."""
+        self.evaluations, self.factored = self.evaluations + work.evaluations, self.factored + work.factorisations
+        work.evaluations = work.factorisations = 0
+
     def besides(self) -> str:
         """The rejected trials, in words; empty without any."""
         if not self.rejected:
@@ -99,6 +108,11 @@ class Totals:
             )
         if self.handed_over:
             yield f"{self.handed_over} steps were handed over to the monolithic solver"
+        if self.evaluations:
+            yield (
+                f"work in all: {self.evaluations} evaluations of the balances, {self.factored} factorisations;"
+                f" {self.evaluations / max(self.newton, 1):.1f} evaluations for each iteration of an accepted step"
+            )
         yield (
             f"{self.steps} steps, {self.newton} Newton iterations, {self.factorisations} factorisations"
             f"{self.besides()} in {seconds:.2f} s"

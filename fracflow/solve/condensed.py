@@ -263,6 +263,7 @@ class Condensed:
         if kept is None:
             if len(self._kept) == MOST_KEPT:
                 self._free(next(iter(self._kept)))
+            problem.work.factorisations += 1
             rock = CondensedRock(self.full.matrix, self.loads, problem.alphas, self._elastic)
             kept = rock, CondensedSections(self.scene, self.operators, rock.clusters, self._elastic)
         self._kept[key] = kept

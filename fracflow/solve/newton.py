@@ -81,6 +81,13 @@ class Newton:
 
     def solve(self, problem: StepProblem) -> NewtonReport:
         """Bring the trial of ``problem`` into balance. Raises SolveError, on every rank. Collective."""
+        before = self.factors.made
+        try:
+            return self._solve(problem)
+        finally:
+            problem.work.factorisations += self.factors.made - before
+
+    def _solve(self, problem: StepProblem) -> NewtonReport:
         self.problem, self._krylov, self._step = problem, 0, np.inf
         self._restless, self._is_filled, self._out_of_balance = np.zeros(0, dtype=bool), False, []
         made, iterations, comm = self.factors.made, 0, self.matrix.layout.comm

@@ -7,7 +7,7 @@ flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a co
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,19 @@ from fracflow.solve.residual import (
 Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
 
 
+@dataclass
+class Work:
+    """Evaluations of both balances and factorisations, whatever became of the trials that they were made for."""
+
+    evaluations: int = 0
+    factorisations: int = 0
+
+    def add(self, other: Work) -> None:
+        """Count the work of another as well."""
+        self.evaluations += other.evaluations
+        self.factorisations += other.factorisations
+
+
 class StepProblem:
     """One step from ``state``: what is given, and the balances at a trial. Writes nothing into the state."""
 
@@ -55,6 +68,7 @@ class StepProblem:
         """
         self.operators, self.state, self.request, self.rule, layout = operators, state, request, rule, operators.layout
         self.loads, self.alphas, self.time, self.controls = request.loads, rule.alphas, request.time, request.controls
+        self.work = Work()
         self.tried, self.load, self.source = 0, layout.solid_vector(), layout.flow_vector()
         loads, time, controls, unapplied, rates = self.loads, self.time, self.controls, request.unapplied, rule.rates
         loads.force(time, controls, self.load, rule.adjacent, rates if rates is not None and rates.of_forces else None)
@@ -110,6 +124,7 @@ class StepProblem:
         Collective.
         """
         ops, u, p = self.operators, self.displacement, self.pressure
+        self.work.evaluations += 1
         # jumps of this step added to those of the last state: a common motion of walls costs no digits afterwards
         strain = self.state.sections.strain + ops.joints.strain(self.increment)
         self.accept(self.evaluate_joints(strain, hold))
@@ -134,7 +149,7 @@ class StepProblem:
         if ops.flow is not None:
             ops.flow.pressure_load.mult(p, term)
             add(-1.0)
-            flow_terms = self._flow_balance()
+            flow_terms = self._flow_balance(speed)
         solid.axpy(-1.0, self.load)
         destroy(acceleration, speed, term)
         self.loads.release(solid)
@@ -194,10 +209,9 @@ class StepProblem:
         result.setArray(self.taken_up)
         return result
 
-    def _flow_balance(self) -> list[float]:
+    def _flow_balance(self, speed: PETSc.Vec) -> list[float]:
         flow, network = self.flow_balance, self.operators.flow
         assert network is not None
-        speed = self.velocity()
         size = CANCELLATION * self.alphas.a1 * np.abs(network.swept(self.displacement))
         terms, rows = [largest_of(size), largest(self.source)], size + np.abs(self.source.getArray(readonly=True))
         network.storage_coupling.multTranspose(speed, flow)
@@ -217,7 +231,6 @@ class StepProblem:
             leaving = network.at_nodes(np.abs(self.conduction.leaving.rate))
             rows += leaving
             terms.append(largest_of(leaving))
-        speed.destroy()
         self._close()
         through, runs = flow_sizes(self.conduction, self._before, self.state.max_overpressure, self.alphas.b1)
         self._carried = max(*terms, runs)

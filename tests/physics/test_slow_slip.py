@@ -120,6 +120,9 @@ def test_a_rupture_is_an_event_and_its_trials_are_counted(scene, comm):
     lengths = [length for _, length, _ in told]
     assert max(lengths) <= 200.0 and min(lengths) < 1e-3
     assert f"besides {totals.rejected} trials rejected, on which {totals.wasted} Newton iterations were spent" in log
+    # one evaluation where an iteration begins, one after each: of rejected trials too
+    assert totals.evaluations > totals.newton + totals.wasted and totals.factored > totals.factorisations
+    assert f"work in all: {totals.evaluations} evaluations of the balances, {totals.factored} factorisations" in log
     (begins,) = re.findall("an event begins.*", log)
     assert "trials rejected" in begins and "does not resolve nucleation length / 5 in fault" in begins
 

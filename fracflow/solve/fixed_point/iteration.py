@@ -130,6 +130,7 @@ class FixedPoint:
         for number in range(1, (most or accuracy.max_cycles) + 1):
             problem.trial_status = problem.state.sections.history  # no section slips for a pressure that was on its way
             try:
+                problem.work.factorisations += 1
                 added = self._added(problem, prediction)
                 cycles = cycles.then(problem.pressure.getArray().copy(), added)
                 step, share = rule(cycles, self._together)

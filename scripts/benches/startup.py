@@ -1,0 +1,83 @@
+"""CPU before the first step, beside that of the packages that a run cannot do without.
+
+    scripts/bench startup [--pairs N] [--most RATIO] [--modules]
+
+The base is a Python that imports NumPy, mpi4py, petsc4py and h5py, and ends. In each pair it takes turns with
+``fracflow run`` of a small scene, up to the record of its initial state, and with ``fracflow --help``. CPU is that of the user
+and the system, without Gmsh, which runs in a process of its own. Medians are printed. Bytecode is kept, as pip does. Exit 1
+where the ratio of the run is above --most.
+
+    --modules  lists what has been imported at the first step, by package
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from statistics import median
+
+ROOT = Path(__file__).parents[2]
+SCENE = ROOT / "meshes/r01_inclined_joint/scene.toml"
+BASE = "import os, numpy, mpi4py.MPI, petsc4py.PETSc, h5py; os._exit(shown())"
+RUN = """
+from fracflow.simulation.recorder import Recorder
+Recorder.record = lambda *_: os._exit(shown())
+from fracflow.cli.app import main
+main()
+"""
+HELP = "import atexit; atexit.register(shown)\nfrom fracflow.cli.app import main\nmain()"
+SHOWN = """
+import os, sys
+def shown():
+    each = os.times()
+    os.write(2, f"\\n{each.user + each.system} {' '.join(sys.modules)}".encode())
+    return 0
+"""
+
+
+def cpu(code: str, words: list[str], kept: str) -> tuple[float, list[str]]:
+    """CPU [s] of a Python that ends in ``shown``, and the modules that it has imported."""
+    from fracflow._petsc import find_petsc_dir
+
+    given = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+    given |= {"PYTHONPYCACHEPREFIX": kept, "PYTHONPATH": str(ROOT), "PETSC_DIR": find_petsc_dir() or ""}
+    given = given if given["PETSC_DIR"] else {key: value for key, value in given.items() if key != "PETSC_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", SHOWN + code, *words], env=given, cwd=kept, capture_output=True, text=True, check=True
+    )
+    time, *modules = done.stderr.splitlines()[-1].split()
+    return float(time), modules
+
+
+def main() -> None:
+    """Measure, print and judge."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pairs", type=int, default=7)
+    parser.add_argument("--most", type=float, default=1.5)
+    parser.add_argument("--modules", action="store_true")
+    given = parser.parse_args()
+    ways = {
+        "base": (BASE, []),
+        "run, to its first step": (RUN, ["run", str(SCENE), "-o", "run"]),
+        "--help": (HELP, ["--help"]),
+    }
+    with tempfile.TemporaryDirectory() as kept:
+        found = {name: cpu(*way, kept)[1] for name, way in ways.items()}  # which compiles
+        times = {name: median(each) for name, each in zip(ways, zip(*(  # one way after another
+            [cpu(*way, kept)[0] for way in ways.values()] for _ in range(given.pairs)
+        ), strict=True), strict=True)}  # fmt: skip
+    for name, seconds in times.items():
+        print(f"{name:24s} {seconds:6.3f} s {seconds / times['base']:6.2f}")
+    if given.modules:
+        packages = Counter(name.partition(".")[0] for name in found["run, to its first step"])
+        print(*(f"{count:5d} {name}" for name, count in packages.most_common(20)), sep="\n")
+    sys.exit(times["run, to its first step"] > given.most * times["base"])
+
+
+if __name__ == "__main__":
+    main()

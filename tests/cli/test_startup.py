@@ -1,0 +1,35 @@
+"""A run imports no more than it needs: start-up is most of the cost of a small one."""
+
+import subprocess
+import sys
+
+import pytest
+from pages import ROOT
+
+from fracflow.scene.units import USUAL, _registry
+
+LATE = {"matplotlib", "PIL", "pint", "pandas", "gmsh", "meshio", "IPython"}
+"""Packages without which a run in SI units comes to its pictures."""
+TO_PICTURES = """
+import sys, fracflow.cli.run
+fracflow.cli.run.show = lambda *_: print(*{name.partition(".")[0] for name in sys.modules})
+from fracflow.cli.app import main
+main()
+"""
+
+
+@pytest.mark.serial
+def test_a_run_comes_to_its_pictures_without_these_packages(tmp_path):
+    """Its process imports PETSc, SciPy and HDF5, none of the packages that draw, convert units or mesh."""
+    words = ["run", str(ROOT / "meshes/r01_inclined_joint/scene.toml"), "-o", "run"]
+    done = subprocess.run([sys.executable, "-c", TO_PICTURES, *words], cwd=tmp_path, capture_output=True, text=True)
+    found = {word for line in done.stdout.splitlines() for word in line.split()}
+    assert {"petsc4py", "h5py", "scipy"} <= found and not found & LATE, done.stderr
+
+
+def test_factors_of_usual_units_are_those_of_pint():
+    """To the last bit."""
+    pint = _registry()
+    for target, factors in USUAL.items():
+        for unit, factor in factors.items():
+            assert float(pint.Quantity(1.0, pint.parse_units(unit)).to(target).magnitude) == factor, (unit, target)
