@@ -253,7 +253,9 @@ class StepProblem:
         own = flow_residual(balance, rows, flow_terms, (closure.row for closure in self.loads.closures), comm)
         self.residual = Residual(solid, flow, self.solid_balance.norm(PETSc.NormType.NORM_2), own, noise, least)
         if not np.isfinite(solid + flow):
-            raise NotConverged(f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}", kind="not finite")
+            raise NotConverged(
+                f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}", kind="not finite"
+            )
 
     def flow_scale(self) -> float:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""
