@@ -18,6 +18,7 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_history, read_units
 from fracflow.output.quakeml import export_quakeml
 from fracflow.output.status import read_status
+from fracflow.scene.quantities import REGIMES
 from fracflow.storage.files import read_text
 
 if TYPE_CHECKING:
@@ -64,6 +65,11 @@ class Run:
     def steps(self) -> Arrays:
         """Cost and outcome of each step, (n,) each: dt, stage, kind, newton, ...; meanings in ``scene.quantities``."""
         return self._part("step/")
+
+    @property
+    def regimes(self) -> NDArray[np.str_]:
+        """Regime (n,) of each step: steady, quasi-static, dynamic (with inertia) or equilibrate."""
+        return np.array(REGIMES)[self.history["step/kind"].astype(int)]
 
     @property
     def probes(self) -> tuple[str, ...]:

@@ -67,6 +67,7 @@ def test_a_scene_is_loaded_run_and_opened(scene, shared_tmp):
             run.energy["rock_strain"], 0.5 * SHEAR * (0.01 * run.times) ** 2 * 2, rtol=1e-9, atol=1e-9
         )
         assert set(run.probe("right")) == {"stress"} and run.probes == ("right", "top/left, é")
+        assert set(run.regimes) == {"quasi-static"}
         assert run.steps["dt"].tolist() == [0, 1, 1, 1] and run.history["step/dt"].shape == (4,)
         assert run.events.shape == (0,) and run.events["start"].dtype == float
         assert {"part", "left_out"} <= set(run.plan[0])

@@ -19,14 +19,14 @@ from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.plot_style import plain
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
-from fracflow.scene.quantities import dimension_of
+from fracflow.scene.quantities import REGIMES, dimension_of
 from fracflow.scene.units import ENERGY, LENGTH, STRESS, TIME, VELOCITY
 from fracflow.storage.files import steers
 
 Floats = NDArray[np.float64]
 FieldProfile = tuple[Floats, Floats | None, Floats]
 
-_DYNAMIC, _EQUILIBRATE = 2, 3
+_DYNAMIC, _EQUILIBRATE = REGIMES.index("dynamic"), REGIMES.index("equilibrate")
 SLIP_ROUND_OFF = 1e-15  # of the size of the domain
 STRESS_ROUND_OFF = 1e-13  # of the largest stress: it is a difference of large ones, summed up over steps
 LARGEST = 1e300  # of a number in a picture: axes take differences and margins

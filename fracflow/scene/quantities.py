@@ -49,6 +49,8 @@ Kind = Literal["scalar", "shear", "vector", "tensor"]
 Missing = Callable[[Any, Sequence[Any]], str]
 
 TENSOR = {4: ("xx", "yy", "zz", "xy"), 6: ("xx", "yy", "zz", "xy", "yz", "xz")}
+REGIMES = ("steady", "quasi-static", "dynamic", "equilibrate")
+"""Names of the numbers of ``step/kind``."""
 
 
 def _everywhere(scene: Any, fractures: Sequence[Any]) -> str:
@@ -175,7 +177,7 @@ _ROWS = (
     Q("time", TIME, "run", of("step.state.time"), "of the state"),
     Q("step/dt", TIME, "run", of("step.dt"), "length of the step"),
     Q("step/stage", PLAIN, "run", of("step.stage"), "number of the stage, from 0"),
-    Q("step/kind", PLAIN, "run", of("kind"), "0 steady, 1 quasi-static, 2 dynamic, 3 equilibrate"),
+    Q("step/kind", PLAIN, "run", of("kind"), ", ".join(f"{n} {name}" for n, name in enumerate(REGIMES))),
     Q("step/newton", PLAIN, "run", of("step.report.newton"), "Newton iterations"),
     Q("step/krylov", PLAIN, "run", of("step.report.krylov"), "iterations of linear solvers"),
     Q("step/coupling", PLAIN, "run", of("step.report.cycles"), "cycles between rock and flow"),

@@ -36,7 +36,7 @@ from fracflow.output.status import FAILED, RUNNING, Status, write_status
 from fracflow.output.vtkhdf import VtkHdf
 from fracflow.reduction import Decision, ReductionInput, as_records, decide, factorisations
 from fracflow.reduction import as_lines as plan_lines
-from fracflow.scene.quantities import quantities
+from fracflow.scene.quantities import REGIMES, quantities
 from fracflow.simulation.notices import Notices, watches_spurious
 from fracflow.simulation.totals import Totals
 from fracflow.storage.files import read_bytes
@@ -70,7 +70,8 @@ def scene_seal(folder: Path) -> str:
     return digest(read_bytes(folder / "scene.toml", AGAIN)).hex()
 
 
-KINDS = {"steady": 0, "quasi-static": 1, "dynamic": 2, "equilibrate": 3, "auto": 1}  # auto begins without inertia
+KINDS = {name: number for number, name in enumerate(REGIMES)} | {"auto": REGIMES.index("quasi-static")}
+"""Regime, or kind of a stage, -> number of ``step/kind``; a stage auto begins without inertia."""
 
 
 class Recorder:

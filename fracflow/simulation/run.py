@@ -57,7 +57,7 @@ def run(
 
     show      is given the pre-run checks before the first step, on rank 0
     say       is given lines to be read before it: on wells in separate network components, and near misses
-    progress is given each step; an ``Observer`` also rejected trials, checkpoints and numbers of joint ends
+    progress is given each step. An ``Observer`` is given rejected trials, checkpoints and numbers of joint ends too
 
     Where a part that the plan left out turns out to matter, the run begins anew with it. The steps of the first try are
     removed, and ``progress`` is called for those of both. Raises InputError, SolveError, DiskError and Interrupted, on every
