@@ -34,6 +34,9 @@ ELSEWHERE = {  # lines as patterns -> why they are not run here as they stand
     "scripts/bench NAME": "NAME is any",
     "python -m ruff format *": "would write into the checkout",
     "python scripts/write_pages.py": "would write into the checkout: tests/test_paper.py compares",
+    "python -m build": "tests/test_package.py builds both",
+    "pip install *": "tests/test_package.py installs the wheel",
+    "sbatch *": "needs Slurm: tests/test_package.py runs the job script",
     "python tests/test_docstrings.py": "tests/test_docstrings.py counts the same",
 }
 PAGES_ELSEWHERE = {

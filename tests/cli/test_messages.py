@@ -10,8 +10,8 @@ from pages import ROOT
 pytestmark = pytest.mark.serial
 RAISED = {"InputError", "SolveError", "fault"}
 REMEDY = re.compile(
-    r"\b(?:must|give|name|remove|rename|leave|choose|use|set|take|raise|lower|change|close|correct|shorten|write|save|join|put|"
-    r"allowed|did you mean|needs?|required|such as|decimals take)\b"
+    r"\b(?:must|give|name (?:another|one|a|the)|missing;.* needs|needs (?:at least|two)|remove|rename|leave|choose|use|set|take|raise|lower|change|close|correct|shorten|write|save|join|put|"
+    r"allowed|did you mean|required|such as|decimals take)\b"
 )
 MADE_ELSEWHERE = {"error", "text", "failure", "why", "found", "fits", "nearest", "one_line", "more", "no_plain_file"}
 
@@ -24,8 +24,10 @@ def literal(node: ast.expr) -> str:
 
 
 def comes_from_elsewhere(node: ast.expr) -> bool:
-    names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
-    names |= {part.attr.lstrip("_") for part in ast.walk(node) if isinstance(part, ast.Attribute)}
+    """Whether a message ends in a text that another function makes, its remedy with it."""
+    end = node.values[-1] if isinstance(node, ast.JoinedStr) else node
+    names = {part.id for part in ast.walk(end) if isinstance(part, ast.Name)}
+    names |= {part.attr.lstrip("_") for part in ast.walk(end) if isinstance(part, ast.Attribute)}
     return bool(names & MADE_ELSEWHERE)
 
 

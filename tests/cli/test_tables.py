@@ -31,7 +31,7 @@ def test_tables_fit_and_lose_nothing(path):
             lines = printed(show, records, width).splitlines()
             table = [line for line in lines if not line.startswith("! ")]
             assert max(map(len, table)) <= NARROW
-        assert "…" not in "".join(lines)
+            assert "…" not in "".join(lines)
     plan = printed(report_plan, as_records(decisions), NARROW)
     for each in as_records(decisions):
         words = f"{each['part']} {each['criterion']} {each['saves']}".split()
