@@ -26,7 +26,9 @@ def known_law(name: str) -> str:
         allowed = ", ".join(JOINT_LAWS)
         near = get_close_matches(name, JOINT_LAWS, n=1, cutoff=0.4)
         meant = f'; did you mean "{near[0]}"?' if near else ""
-        raise fault(f"unknown; allowed: {allowed}{meant}; a law from outside is known only to the script that registers it")
+        raise fault(
+            f"unknown; allowed: {allowed}{meant}; a law from outside is known only to the script that registers it"
+        )
     if name not in KEYS:
         late = "was registered after the keys of scenes were made: register it before"
         raise RuntimeError(f"the joint law {name} {late}")
