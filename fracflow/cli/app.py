@@ -147,7 +147,9 @@ def new_command(
     ],
     traces: Annotated[
         Path | None,
-        typer.Option("--traces", metavar="FILE.csv", help="of the traces of your own table: name,x,y in metres"),
+        typer.Option(
+            "--traces", metavar="FILE.csv", help="of the traces of your own table: name,x,y in metres; or map.geojson"
+        ),
     ] = None,
     mesh: Annotated[
         Path | None, typer.Option("--mesh", metavar="FILE", help="of your own mesh or geometry; it names what is in it")

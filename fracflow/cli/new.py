@@ -17,7 +17,7 @@ from fracflow.mesh.facets import outer_besides
 from fracflow.mesh.interpret import EVERY
 from fracflow.mesh.read import network_of, read_mesh
 from fracflow.model.setup import geometry_of
-from fracflow.scene.geometry import read_traces_csv
+from fracflow.scene.geometry import read_traces
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import parse_toml, write_key, write_value
 from fracflow.storage.files import create_text, read_text, shown_plain
@@ -117,7 +117,7 @@ def _text(parts: SceneParts, path: Path) -> str:
 
 def _of_traces(table: Path, path: Path) -> SceneParts:
     """A domain around the traces of a table. Raises InputError."""
-    rows = read_traces_csv(table)
+    rows = read_traces(table)
     points = [np.asarray(row.points) for row in rows]
     lengths = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in points])
     low, high = (

@@ -34,6 +34,7 @@ from fracflow.model.operators import Operators, assemble
 from fracflow.model.probes import refuse_missing
 from fracflow.model.terms.registry import with_terms
 from fracflow.scene.scene import Scene
+from fracflow.scene.units import LENGTH
 from fracflow.scene.values import AlongFracture, FractureEnd, Position
 
 Result = TypeVar("Result")
@@ -235,16 +236,23 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     refuse_lone_wells(scene, mesh, wells)
     refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
-    spots = {f"well.{name}": mesh.points[mesh.flow_origin[nodes[0]]] for name, nodes in wells.items()}
-    spots |= {f"probe.{name}": found.point for name, found in probes.items()}
+    unit = scene.unit_system.behind(LENGTH)
     return Placed(
         wells,
         probes,
         points,
         tied_components(scene, mesh),
         (
-            *filter(None, (moved(mesh, name, asked[name], spot) for name, spot in spots.items())),
-            *(of_well(mesh, w.name, wells[w.name][0]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
+            *(
+                on_its_fracture(mesh, w.name, wells[w.name][0], asked[f"well.{w.name}"], unit)
+                for w in scene.well
+                if w.name in wells and w.at is not None
+            ),
+            *(
+                f"{name} sits on the fracture at {_shown(found.point, unit)}{away}"
+                for name, found in ((f"probe.{p.name}", probes[p.name]) for p in scene.probe)
+                if (away := moved(mesh, asked[name], found.point, unit))
+            ),
             *meeting_supports(scene, mesh, points),
         ),
     )
@@ -255,11 +263,16 @@ def _fracture_of(at: Position | None) -> str | None:
     return at.fracture if isinstance(at, AlongFracture) else None
 
 
-def of_well(mesh: SplitMesh, name: str, node: int) -> str:
-    """Say on which fractures the physical point of a well lies: Gmsh may have given its number to another point."""
+def on_its_fracture(mesh: SplitMesh, name: str, node: int, asked: Position, unit: str) -> str:
+    """Say on which fractures a well lies: Gmsh may have given the number of its physical point to another one."""
     on = [mesh.fractures[f] for f in np.unique(mesh.joint_fracture[np.any(mesh.joint_flow == node, axis=1)])]
-    x, y = mesh.points[mesh.flow_origin[node]]
-    return f"well.{name} is on {', '.join(on)} at ({x:.6g}, {y:.6g})"
+    spot = mesh.points[mesh.flow_origin[node]]
+    return f"well.{name} is on {', '.join(on)} at {_shown(spot, unit)}{moved(mesh, asked, spot, unit)}"
+
+
+def _shown(spot: Floats, unit: str) -> str:
+    """A place (dim,) with its unit, which has a blank before it."""
+    return f"({spot[0]:.6g}, {spot[1]:.6g}){unit}"
 
 
 def _is_point(asked: object) -> bool:
@@ -267,13 +280,11 @@ def _is_point(asked: object) -> bool:
     return isinstance(asked, tuple) and not isinstance(asked[0], str)
 
 
-def moved(mesh: SplitMesh, name: str, asked: Position, spot: Floats) -> str:
-    """Say at which ``spot`` (dim,) a well or probe sits, and how far from the coordinates asked for; "" if there."""
+def moved(mesh: SplitMesh, asked: Position, spot: Floats, unit: str) -> str:
+    """Say how far from the coordinates asked for a ``spot`` (dim,) is; "" if there."""
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) if _is_point(asked) else 0.0
-    if away <= PLACE_ROUND_OFF * float(np.ptp(mesh.points, axis=0).max()):
-        return ""
-    where = "node" if name.startswith("well.") else "fracture"
-    return f"{name} sits on the {where} at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
+    near = PLACE_ROUND_OFF * float(np.ptp(mesh.points, axis=0).max())
+    return "" if away <= near else f", {away:.3g}{unit} from where it was asked"
 
 
 def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:

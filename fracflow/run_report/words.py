@@ -22,6 +22,7 @@ OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the 
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
 _ROUTINE = re.compile(
+    r"^well\..* is on (?!.* from where it was asked)|"
     r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.(snap|size))"
     r"|^geometry\.growth = \S+: rock far"
     r"|^(incipient failure|work in all:|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"

@@ -1,11 +1,12 @@
-"""Tables of traces: a CSV with named columns becomes entries of [[geometry.fracture]] and [fracture.NAME]."""
+"""Tables of traces: a CSV, or a map in GeoJSON, becomes entries of [[geometry.fracture]] and [fracture.NAME]."""
 
 from __future__ import annotations
 
 import csv
+import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,13 +33,82 @@ class TraceRow:
     name        its name
     points      [[x, y], ...] from its start to its end [length]
     properties  keys of [fracture.NAME] and their values, as the table has them
-    line        where it begins in the file
+    line        where it begins in the file: its line, or of a map its feature
+    part        the word for that
     """
 
     name: str
     points: list[list[float]]
     properties: dict[str, Any]
     line: int
+    part: str = "line"
+
+
+def read_traces(path: str | Path) -> list[TraceRow]:
+    """Read traces from a table, or from a map where the name of the file ends in .geojson. Raises InputError."""
+    return (read_traces_geojson if Path(path).suffix.lower() == ".geojson" else read_traces_csv)(path)
+
+
+def read_traces_geojson(path: str | Path) -> list[TraceRow]:
+    """Read traces from the features of a map, a LineString each, or a MultiLineString of which each part is one.
+
+    The property ``name`` names a fracture; without it, it is "trace" and the number of the feature. Later parts have a number
+    behind the name. Properties named as the keys of [fracture.NAME] are its values, and others are passed over. So are heights.
+    Raises InputError naming file and feature.
+    """
+    path = Path(path)
+    text = read_text(path, "geometry.fractures_csv names a map, from the scene's folder", LARGEST)
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: {error}; give a map in GeoJSON") from None
+    features = found.get("features") if isinstance(found, dict) else None
+    if not isinstance(features, list) or not features:
+        raise InputError(f"{path}: has no features; give a FeatureCollection with at least one trace")
+    traces: dict[str, TraceRow] = {}
+    for number, feature in enumerate(features, 1):
+        for row in _of_feature(feature, number, f"{path}: feature {number}"):
+            if row.name in traces:
+                raise InputError(f'{path}: feature {number}: "{row.name}" was given before; choose another name')
+            if len(traces) == MOST_TRACES:
+                raise InputError(f"{path}: feature {number}: more than {MOST_TRACES} fractures; leave out the shortest")
+            traces[row.name] = row
+    return list(traces.values())
+
+
+def _of_feature(feature: Any, number: int, where: str) -> Iterator[TraceRow]:
+    """The traces of a feature."""
+    shape = feature.get("geometry") if isinstance(feature, dict) else None
+    kind, lines = (shape.get("type"), shape.get("coordinates")) if isinstance(shape, dict) else (None, None)
+    if kind == "LineString":
+        lines = [lines]
+    elif kind != "MultiLineString":
+        raise InputError(
+            f"{where}: its geometry is {write_value(kind) if kind else 'empty'}; a trace must be a LineString"
+        )
+    given = feature.get("properties")
+    given = given if isinstance(given, dict) else {}
+    name = given.get("name")
+    name = f"trace {number}" if name is None or name == "" else str(name)
+    properties = {}
+    for key in PROPERTIES:
+        if (value := given.get(key)) is not None and value != "":
+            if isinstance(value, bool) or not isinstance(value, int | float | str):
+                raise InputError(f"{where}: {key}: must be a number, or a text with a unit")
+            properties[key] = value if isinstance(value, str) else _number(str(value), key, where)
+    for part, line in enumerate(lines if isinstance(lines, list) else [None], 1):
+        if not isinstance(line, list) or len(line) < 2:
+            raise InputError(f"{where}: has fewer than two points; a trace needs two or more")
+        points: list[list[float]] = []
+        for point in line:
+            if not isinstance(point, list) or len(point) < 2:
+                raise InputError(f"{where}: a point is no list of coordinates; give [x, y]")
+            x, y = (_number(str(each), key, where) for each, key in zip(point[:2], POINT, strict=True))
+            if not points:
+                points.append([x, y])
+            else:
+                _extend(points, [x, y], f'{where}: "{name}"')
+        yield TraceRow(name if part == 1 else f"{name} {part}", points, properties, number, "feature")
 
 
 def read_traces_csv(path: str | Path) -> list[TraceRow]:
@@ -97,7 +167,7 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
     if not isinstance(geometry, Mapping) or not isinstance(name, str) or not re.fullmatch(PLAIN_TEXT, name):
         return dict(data)  # validation of the scene finds its faults
     path = Path(os.path.realpath(file.absolute().parent / name))  # of links in a circle too
-    rows = read_traces_csv(path)
+    rows = read_traces(path)
     inside = {key: value for key, value in geometry.items() if key != "fractures_csv"}
     drawn = inside.get("fracture", [])
     tables = data.get("fracture", {})
@@ -108,9 +178,9 @@ def with_traces(data: Mapping[str, Any], file: Path) -> dict[str, Any]:
     for row in rows:
         if row.name in known or row.name == "default":
             why = "is drawn in [[geometry.fracture]] too" if row.name in known else "is kept for [fracture.default]"
-            raise InputError(f'{path}: line {row.line}: name = "{row.name}": {why}; choose another name')
+            raise InputError(f'{path}: {row.part} {row.line}: name = "{row.name}": {why}; choose another name')
         if row.properties and isinstance(tables.get(row.name, {}), Mapping):  # the scene refuses what is no table
-            more[row.name] = _table(row, tables, f"{path}: line {row.line}", data.get("units", "SI"))
+            more[row.name] = _table(row, tables, f"{path}: {row.part} {row.line}", data.get("units", "SI"))
     inside["fracture"] = [*drawn, *({"name": row.name, "points": row.points} for row in rows)]
     return {**data, "geometry": inside, **({"fracture": {**tables, **more}} if tables or more else {})}
 

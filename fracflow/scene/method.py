@@ -202,7 +202,8 @@ class Geometry(Table):
     fracture: tuple[Trace, ...] = ()
     """fracture traces; they may cross, and reach the boundary"""
     fractures_csv: FileName | None = None
-    """file of more traces and their properties, relative to the scene; a loaded scene has them in its place"""
+    """file of more traces and their properties, relative to the scene, a table or a map.geojson; a loaded scene has them in its
+    place"""
     size: Size | None = None
     """mesh size away from fractures [length]; if not given, both sizes follow from the lengths of the scene"""
     size_at_fractures: Size | None = None

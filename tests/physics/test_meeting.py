@@ -79,4 +79,5 @@ def test_a_well_at_a_named_point_says_where_it_is(point, place, shared_tmp):
         meshes / "scene.toml",
         [f"mesh.file={str(shared_tmp / 'fault.geo')!r}", "well.0.at='in'"],
     )
-    assert prepare(scene, MPI.COMM_WORLD).placed.notes == (f"well.node2 is on fault at {place}",)
+    notes = prepare(scene, MPI.COMM_WORLD).placed.notes
+    assert notes[0] == f"well.node2 is on fault at {place} ft" and len(notes) == len(scene.well)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
+from pages import ROOT
 
 from fracflow.errors import InputError
-from fracflow.scene.geometry import read_traces_csv
+from fracflow.scene.geometry import read_traces, read_traces_csv
 from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
@@ -181,3 +183,43 @@ def test_a_property_that_every_trace_has_need_not_be_in_the_default(write):
         InputError, match=r"fracture.(B|default).aperture: missing; the law hyperbolic-coulomb needs it"
     ):
         write(table.format(""), scene)
+
+
+def line_of(coordinates, kind="LineString", **properties):
+    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
+
+
+def test_a_map_is_read_as_its_table(write, tmp_path):
+    """The map of the tutorial; parts of a feature are fractures, which lie apart; heights and other properties are left."""
+    first, *_ = rows = read_traces(ROOT / "meshes/own_traces/map.geojson")
+    assert len(rows) == 7 and first.properties == {"aperture": "0.3 mm"} and first.points[1] == [180.0, 225.0]
+    parts = line_of([[[1, 1, 9], [2, 2, 9]], [[3, 3], [4, 3]]], "MultiLineString", name="Berta", fid=7, aperture=2e-3)
+    (tmp_path / "m.geojson").write_text(json.dumps({"features": [parts, line_of([[1, 5], [3, 5]])]}))
+    scene = write(TABLE, SCENE, "geometry.fractures_csv=m.geojson")
+    assert [(trace.name, trace.points[0]) for trace in scene.geometry.fracture] == [
+        ("Berta", (1, 1)), ("Berta 2", (3, 3)), ("trace 2", (1, 5)),
+    ]  # fmt: skip
+    assert scene.fracture["Berta 2"].aperture == 2e-3
+
+
+@pytest.mark.parametrize(
+    ("features", "message"),
+    [
+        ([], "has no features"),
+        ([line_of([[0, 1], [2, 3]], "Polygon")], 'feature 1: its geometry is "Polygon"; a trace must be a LineString'),
+        ([{"geometry": None}], "feature 1: its geometry is empty"),
+        ([line_of([[0, 1]])], "feature 1: has fewer than two points"),
+        ([line_of([[0, 1], "x"])], "feature 1: a point is no list"),
+        ([line_of([[0, 1], [2, None]])], 'feature 1: y = "None": is no number'),
+        ([line_of([[0, 1], [2, 3]], name="a"), line_of([[0, 5], [2, 5]], name="a")], 'feature 2: "a" was given before'),
+        ([line_of([[0, 1], [2, 3]], name="a", aperture=-1)], 'feature 1: "a": aperture = -1.0: out of range'),
+        ([line_of([[0, 1], [2, 3]], name="a", aperture=[1])], "feature 1: aperture: must be a number"),
+        ("{", "give a map in GeoJSON"),
+    ],
+)
+def test_maps_that_make_no_sense(write, tmp_path, features, message):
+    text = features if isinstance(features, str) else json.dumps({"features": features})
+    (tmp_path / "m.geojson").write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        write(TABLE, SCENE, "geometry.fractures_csv=m.geojson")
+    assert "m.geojson: " in str(caught.value)
