@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
@@ -237,13 +238,15 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
     spots = {f"well.{name}": mesh.points[mesh.flow_origin[nodes[0]]] for name, nodes in wells.items()}
     spots |= {f"probe.{name}": found.point for name, found in probes.items()}
+    away = {name: line for name, spot in spots.items() if (line := moved(mesh, name, asked[name], spot))}
     return Placed(
         wells,
         probes,
         points,
         tied_components(scene, mesh),
         (
-            *filter(None, (moved(mesh, name, asked[name], spot) for name, spot in spots.items())),
+            *away.values(),
+            *meeting_wells(wells, away),
             *(of_well(mesh, w.name, wells[w.name][0]) for w in scene.well if w.name in wells and isinstance(w.at, str)),
             *meeting_supports(scene, mesh, points),
         ),
@@ -274,6 +277,16 @@ def moved(mesh: SplitMesh, name: str, asked: Position, spot: Floats) -> str:
         return ""
     where = "node" if name.startswith("well.") else "fracture"
     return f"{name} sits on the {where} at ({spot[0]:.6g}, {spot[1]:.6g}), {away:.3g} from where it was asked"
+
+
+def meeting_wells(wells: Mapping[str, tuple[int, ...]], away: Container[str]) -> Iterator[str]:
+    """A line for each two wells on one node, at least one of which is ``away`` from where it was asked."""
+    for one, other in combinations(wells, 2):
+        if not {*wells[one]}.isdisjoint(wells[other]) and (f"well.{one}" in away or f"well.{other}" in away):
+            yield (
+                f"well.{one} and well.{other} share a node: for one each, set geometry.snap below their distance, or give a"
+                " [mesh] with a node at each"
+            )
 
 
 def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:
