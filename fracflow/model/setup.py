@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, TypeVar
 
 import numpy as np
@@ -237,6 +238,8 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
     refuse_two_pressures(scene, wells)
     points = {name: np.flatnonzero(mesh.origin == node) for name, node in mesh.named_points.items()}
     unit = scene.unit_system.behind(LENGTH)
+    spots = {name: mesh.points[mesh.flow_origin[nodes[0]]] for name, nodes in wells.items()}
+    displaced = {name for name, spot in spots.items() if moved(mesh, asked[f"well.{name}"], spot, unit)}
     return Placed(
         wells,
         probes,
@@ -253,6 +256,7 @@ def place(scene: Scene, mesh: SplitMesh) -> Placed:
                 for name, found in ((f"probe.{p.name}", probes[p.name]) for p in scene.probe)
                 if (away := moved(mesh, asked[name], found.point, unit))
             ),
+            *meeting_wells(wells, displaced),
             *meeting_supports(scene, mesh, points),
         ),
     )
@@ -285,6 +289,16 @@ def moved(mesh: SplitMesh, asked: Position, spot: Floats, unit: str) -> str:
     away = float(np.linalg.norm(np.asarray(asked, dtype=float) - spot)) if _is_point(asked) else 0.0
     near = PLACE_ROUND_OFF * float(np.ptp(mesh.points, axis=0).max())
     return "" if away <= near else f", {away:.3g}{unit} from where it was asked"
+
+
+def meeting_wells(wells: Mapping[str, tuple[int, ...]], away: Container[str]) -> Iterator[str]:
+    """A line for each two wells on one node, at least one of which is ``away`` from where it was asked."""
+    for one, other in combinations(wells, 2):
+        if not {*wells[one]}.isdisjoint(wells[other]) and (one in away or other in away):
+            yield (
+                f"well.{one} and well.{other} share a node: for one each, set geometry.snap below their distance, or give a"
+                " [mesh] with a node at each"
+            )
 
 
 def tied_components(scene: Scene, mesh: SplitMesh) -> Ints:

@@ -19,7 +19,7 @@ from fracflow.scene.units import COMPRESSIBILITY, DENSITY, LENGTH, STIFFNESS, ST
 from fracflow.scene.values import AlongFracture, FractureEnd
 
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
-LASTS = 0.5  # of a pressure that is given at the start: a smaller share that the first step leaves is told
+LASTS = 0.5  # of a pressure that is given at the start: where the first step leaves less, a line says so
 AT_ONCE = 1e-3  # of a pressure: less is no jump
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
@@ -211,10 +211,8 @@ def _fading(scene: Scene) -> Iterator[str]:
         return
     if fluid.compressibility and all(rock.rigid for rock in scene.rock.values()):
         return
-    stores = [
-        fluid.compressibility * _most(t.aperture) * _most(t.normal_stiffness) for t in tables if t.pressure is None
-    ]
-    share = max(stores) / (1.0 + max(stores))
+    most = max(_most(t.aperture) * _most(t.normal_stiffness) for t in tables if t.pressure is None)
+    share = fluid.compressibility * most / (1.0 + fluid.compressibility * most)
     if share < LASTS:
         kept = f", but for about {share:.1g} of the difference" if share else ""
         yield (

@@ -30,14 +30,14 @@ displacement = {x = [[0, 0], [1, 1e-3], [2, 0]], y = 1e-3}
 )
 
 
-def _notes(folder, *overrides):
+def _notes(folder, *overrides, about="support."):
     file = folder / "scene.toml"
     if MPI.COMM_WORLD.rank == 0:
         first, _, rest = BLOCK.partition("\nfluid")  # tables of a line go before those with a heading
         lines, supports = ("fluid" + rest).split("[[support]]", 1)
         file.write_text(lines + first + "\n[[support]]" + supports, encoding="utf-8")
     MPI.COMM_WORLD.barrier()
-    return [note for note in prepare(load(file, list(overrides)), MPI.COMM_WORLD).placed.notes if "support." in note]
+    return [note for note in prepare(load(file, list(overrides)), MPI.COMM_WORLD).placed.notes if about in note]
 
 
 def test_supports_that_move_a_corner_in_two_ways_are_told(shared_tmp):
@@ -65,6 +65,15 @@ def test_two_pressures_at_one_node_are_refused(shared_tmp, other, is_refused):
             _notes(shared_tmp, wells)
     else:
         assert not np.any(_notes(shared_tmp, wells, "support.1.displacement={x = 0}"))
+
+
+def test_wells_that_come_to_share_a_node_are_told(shared_tmp):
+    """Less than the snap apart they are one node; wells at one place were meant to be."""
+    wells = "well=[{name = 'in', at = [1, 1], pressure = '1 MPa'}, {name = 'too', at = [1, 1], pressure = '1 MPa'},"
+    wells += " {name = 'near', at = [1.001, 1.0005], flow_rate = 1e-6}]"
+    found = _notes(shared_tmp, wells, about="share a node")
+    assert [line.split(" share")[0] for line in found] == ["well.in and well.near", "well.too and well.near"]
+    assert not _notes(shared_tmp, wells, "geometry.snap=1e-4", about="share a node")
 
 
 @pytest.mark.parametrize(("point", "place"), [(5, "(0, -2000)"), (6, "(0, 2000)")])
