@@ -180,7 +180,9 @@ def test_a_job_stops_before_its_limit_and_goes_on_in_the_next(tmp_path):
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
     folder, first = tmp_path / "out", job(tmp_path, "scene.toml", "out")
     log = folder / "log.txt"
+    limit = time.monotonic() + 120
     while first.poll() is None and not (log.exists() and "stage 0" in log.read_text(encoding="utf-8")):
+        assert time.monotonic() < limit, "the run does not begin"
         time.sleep(0.01)
     first.send_signal(signal.SIGUSR2)
     said = first.communicate(timeout=60)[0]

@@ -10,7 +10,8 @@ from pages import ROOT
 pytestmark = pytest.mark.serial
 RAISED = {"InputError", "SolveError", "fault"}
 REMEDY = re.compile(
-    r"\b(?:must|give|name (?:another|one|a|the)|missing;.* needs|needs (?:at least|two)|remove|rename|leave|choose|use|set|take|raise|lower|change|close|correct|shorten|write|save|join|put|"
+    r"\b(?:must|give|name (?:another|one|a|the)|missing;.* needs|needs (?:at least|two)|"
+    r"remove|rename|leave|choose|use|set|take|raise|lower|change|close|correct|shorten|write|save|join|put|"
     r"allowed|did you mean|required|such as|decimals take)\b"
 )
 MADE_ELSEWHERE = {"error", "text", "failure", "why", "found", "fits", "nearest", "one_line", "more", "no_plain_file"}
