@@ -12,6 +12,7 @@ import sys
 import tokenize
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -41,13 +42,18 @@ DIALECT = {  # words of the program's old dialect, and those of the field
 KINDS = ("what", "long", *dict.fromkeys(DIALECT.values()))
 
 
+@cache
+def nodes(source: str) -> tuple[ast.AST, ...]:
+    """All nodes of a source file, parsed once for all tests."""
+    return tuple(ast.walk(ast.parse(source)))
+
+
 def texts(source: str) -> Iterator[str]:
     """Docstrings, also those of attributes, comments and messages of a file, a paragraph or an entry of a list each.
 
     The docstring below a key of a class is its meaning, which messages and the schema have: it counts as a message.
     """
-    tree = ast.parse(source)
-    bodies = [node.body for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    bodies = [node.body for node in nodes(source) if isinstance(node, ast.ClassDef)]
     below = {
         id(line.value)
         for body in bodies
@@ -56,7 +62,7 @@ def texts(source: str) -> Iterator[str]:
     }
     docs = {
         id(node.value): node.value.value
-        for node in ast.walk(tree)
+        for node in nodes(source)
         if isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
         and isinstance(node.value.value, str)
@@ -65,8 +71,8 @@ def texts(source: str) -> Iterator[str]:
     for text in docs.values():
         for paragraph in re.split(r"\n\s*\n", text):
             yield from re.split(r"\n(?=\s*\S+(?:, \S+)*  +\S)", paragraph)
-    skipped = {*docs, *(id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values)}
-    for node in ast.walk(tree):
+    skipped = {*docs, *(id(part) for node in nodes(source) if isinstance(node, ast.JoinedStr) for part in node.values)}
+    for node in nodes(source):
         if isinstance(node, ast.JoinedStr):
             text = "".join(str(part.value) if isinstance(part, ast.Constant) else "x" for part in node.values)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in skipped:
@@ -149,12 +155,11 @@ def test_language_of_the_package():
 
 @pytest.mark.parametrize("folder", ["fracflow", "scripts", "tests"])
 def test_no_docstring_begins_with_what(folder):
-    trees = {path: ast.parse(path.read_text()) for path in sorted((ROOT / folder).rglob("*.py"))}
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     docs = {
-        (path, node): ast.get_docstring(node)
-        for path, tree in trees.items()
-        for node in ast.walk(tree)
+        (path, node): ast.get_docstring(node, clean=False)
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for node in nodes(path.read_text())
         if isinstance(node, kinds)
     }
     found = [f"{path}: {text}" for (path, _), text in docs.items() if re.match(r"\W*What\b", text or "")]

@@ -120,10 +120,7 @@ def _of_traces(table: Path, path: Path) -> SceneParts:
     rows = read_traces(table)
     points = [np.asarray(row.points) for row in rows]
     lengths = np.array([np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in points])
-    low, high = (
-        np.min([each.min(axis=0) for each in points], axis=0),
-        np.max([each.max(axis=0) for each in points], axis=0),
-    )
+    low, high = np.min(np.concatenate(points), axis=0), np.max(np.concatenate(points), axis=0)
     margin = MARGIN * float((high - low).max())
     step = 10.0 ** math.floor(math.log10(margin)) / 2.0
     corners = [*np.floor((low - margin) / step) * step, *np.ceil((high + margin) / step) * step]

@@ -166,7 +166,7 @@ class Method(StepperKeys):
 
 
 class Output(Table):
-    """[output] What a run writes beside its histories."""
+    """[output] Files that a run writes beside its histories."""
 
     fields_every: Annotated[int, Field(strict=True, ge=0)] = 0
     """write whole fields every so many steps; 0 writes the first and the last state only"""

@@ -52,7 +52,7 @@ class Tables(TablesOfLaws):
     accuracy: Accuracy = Field(default_factory=Accuracy)
     """how accurate results are to be; when iterations have converged"""
     output: Output = Field(default_factory=Output)
-    """what a run writes"""
+    """files that a run writes beside its histories"""
     site: Site | None = None
     """where on Earth the scene lies, and when it begins"""
     geometry: Geometry | None = None
@@ -72,7 +72,7 @@ class Tables(TablesOfLaws):
     fluid: Fluid | None = None
     """the fluid in the fractures; without it no flow is modelled"""
     support: tuple[Support, ...] = ()
-    """what is held or moved"""
+    """displacements that are held or given"""
     load: tuple[Load, ...] = ()
     """tractions on sides"""
     tie: tuple[Tie, ...] = ()

@@ -29,10 +29,8 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     figure = Figure(figsize=(13, _height(network)), layout="constrained")
     draw_head(figure, title, below)
     left, right = figure.subplots(1, 2)
-    share, more = (
-        "|τ|/σₙ′, shear over effective normal traction",
-        "pressure above the initial one at which it slips or opens",
-    )
+    share = "|τ|/σₙ′, shear over effective normal traction"
+    more = "pressure above the initial one at which it slips or opens"
     drawn = [
         (left, _draw(left, network, "Slip tendency before the run", tendency, PLAIN, share, "viridis_r")),
         (right, _draw(right, network, "Pressure rise to slip", rise, STRESS, more, "viridis")),
