@@ -54,7 +54,7 @@ def test_steps_sections_and_the_time_left():
         "stage 1 of 1 (shock): dynamic, step 4 of 10, at 40 ms, 3 sections slip, 1 open; about 6 s left"
     )
     assert story.told[-1][1] == 0.4
-    assert "quasi-static, at 1.33 h of 10 days" in Story(AUTO).auto(length=4800.0)
+    assert "quasi-static, at 3.33 h of 10 days" in Story(AUTO).auto(length=12000.0)
 
 
 @pytest.mark.serial
