@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from rich.text import Text
 
 from fracflow.advance.substeps import SubstepCursor
-from fracflow.output.drawing.axes import shown
+from fracflow.output.drawing.axes import shown, unit_for
 from fracflow.scene.boundary import Stage
 from fracflow.scene.units import TIME, TIME_UNITS
 from fracflow.simulation.observer import Observer
@@ -96,8 +96,10 @@ class RunProgress(Observer):
         return start
 
     def _shown(self, time: float) -> str:
-        """A time in a unit that suits it."""
-        return shown_plain(shown(TIME, time, self.scene.unit_names, 6))
+        """A time in a unit that suits it, with three digits, or more where those before the point are more."""
+        names = self.scene.unit_names
+        whole = int(abs(unit_for(TIME, time, names)[0] * time))
+        return shown_plain(shown(TIME, time, names, max(3, len(str(whole)))))
 
     def _where(self, stage: Stage, step: Step) -> str:
         """How far a stage is: its step and the part of it, its control, its regime and its time."""
@@ -129,7 +131,7 @@ class RunProgress(Observer):
             return ""
         low, high = (spoken(each) for each in found)
         if stage.kind == "auto":
-            return f"at least {low} left{rest}, without events to come"
+            return f"{low} left{rest} + events"
         if stage.until is not None:
             return f"at most {high} left{rest}"
         return f"about {low} left{rest}" if found[1] <= STEADY * found[0] else f"{low} to {high} left{rest}"

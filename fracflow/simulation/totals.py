@@ -21,8 +21,8 @@ class Totals:
     """Counts over the run.
 
     injected  net volume that wells have brought, as in the last state [length^3]
-    rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them
-    evaluations of both balances, and ``factored`` matrices, in all: for rejected trials too
+    rejected  trials of steps that were thrown away, and ``wasted`` Newton iterations on them.
+    evaluations of both balances, and ``factored`` matrices, in all. Those for rejected trials count too.
     widening  largest factor by which an aperture grew in a step, as the log last reported it; 1 where it reported none
     doubts    lines of the log that say that a result may be wrong
     profiles  where the ``Timetable`` of the profiles stands

@@ -55,6 +55,7 @@ def test_steps_sections_and_the_time_left():
         "stage 1 of 1 (shock): dynamic, step 4 of 10, at 40 ms, 3 sections slip, 1 open; about 6 s left"
     )
     assert story.told[-1][1] == 0.4
+    assert "quasi-static, at 3.33 h of 10 days" in Story(AUTO).auto(length=12000.0)
 
 
 @pytest.mark.serial
@@ -90,9 +91,7 @@ def test_an_event_has_no_time_left_and_does_not_count_afterwards():
     story = Story(AUTO)
     for _ in range(60):
         line = story.auto()
-    assert line == (
-        "stage 1 of 1 (weeks): quasi-static, at 2.5 days of 10 days; at least 3 min left, without events to come"
-    )
+    assert line == ("stage 1 of 1 (weeks): quasi-static, at 2.5 days of 10 days; 3 min left + events")
     begun = story.time
     for _ in range(500):  # ten minutes at a standing clock
         line = story.auto("dynamic", length=1e-3, takes=1.2, begun=begun)
@@ -100,7 +99,7 @@ def test_an_event_has_no_time_left_and_does_not_count_afterwards():
     assert line.endswith("; the time left is not known during an event")
     for _ in range(20):
         line = story.auto()
-    assert line.endswith("; at least 2.7 min left, without events to come")
+    assert line.endswith("; 2.7 min left + events")
 
 
 @pytest.mark.serial

@@ -63,7 +63,7 @@ def test_advice_has_the_keys_of_the_stages(still):
 
 
 def test_a_run_is_replaced_only_by_a_scene_that_can_run(still, monkeypatch, capfd):
-    """Unusual values of a scene stand on the terminal and in the log."""
+    """Notes on unusual values stand on the terminal and in the log."""
     scene = still.parent / "scene.toml"
     words = ["fracflow", "run", str(scene), "-o", str(still), "--set", "stage.0.steps=1"]
     words += ["--set", "rock.rock.youngs_modulus=50 MPa"]
