@@ -81,7 +81,7 @@ def row(name: str, group: Sequence[Outcome]) -> str:
         ", ".join(orders),
         ", ".join(asked(worst)),
         ", ".join(bars if len(set(bars)) > 1 else bars[:1]) + (f"; order {min(least)}" if least else ""),
-        "ok" if all(o.ok for o in group) else "**missed**",
+        "**missed**" if not all(o.ok for o in group) else "ok" if all(o.reaches for o in group) else "not reached",
     )
     return "| " + " | ".join(cells) + " |"
 

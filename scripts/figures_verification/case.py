@@ -26,8 +26,8 @@ class Bar(NamedTuple):
 
     @property
     def theory(self) -> int:
-        """Order of the method; 0 where there is none."""
-        return int(np.ceil(self.order or 0.0))
+        """Order of the method; 0 where there is none, or where no theory says it: the least order is below a half there."""
+        return int(np.ceil(self.order)) if self.order and self.order >= 0.5 else 0
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,11 @@ class Outcome(NamedTuple):
         slow = least is not None and (self.order is None or self.order < least)
         return bool(self.errors[-1] <= self.most) and not slow
 
+    @property
+    def reaches(self) -> bool:
+        """Whether the error is what was asked for, where something was."""
+        return self.bar.asked is None or bool(self.errors[-1] <= self.bar.asked)
+
 
 def measure(case: Case, quick: bool = False) -> list[Outcome]:
     """Run a case; at quick sizes an error of an order may be larger as its order, the whole number above its bar, has it."""
@@ -81,6 +86,6 @@ def measure(case: Case, quick: bool = False) -> list[Outcome]:
     for bar, values in zip(case.bars, errors.T, strict=True):
         ratio = sizes[-2:] if bar.order is not None and len(sizes) > 1 and values[-1] > 0 else None
         order = None if ratio is None else float(np.log(values[-2] / values[-1]) / np.log(ratio[0] / ratio[1]))
-        most = bar.most * (sizes[-1] / case.sizes[-1]) ** bar.theory
+        most = bar.most * (sizes[-1] / case.sizes[-1]) ** np.ceil(bar.order or 0.0)
         found.append(Outcome(case.name, bar, case.by, sizes, values, order, most))
     return found

@@ -184,7 +184,7 @@ def errors(mean: str, aperture: float) -> Callable[[float], tuple[float, ...]]:
     return at
 
 
-BARS = (Bar("opening", 0.035, 0.3), Bar("net pressure", 0.04, 0.3), Bar("length", 0.028, 0.2))
+BARS = (Bar("opening", 0.035, 0.3, 0.01), Bar("net pressure", 0.04, 0.3, 0.01), Bar("length", 0.028, 0.2, 0.01))
 CASES = (
     Case("R16 KGD, viscosity, d0 0.5 um", BARS, errors("report", 5e-7), (0.2, 0.1, 0.05), (0.2, 0.1), "h and dt"),
 )  # fmt: skip
