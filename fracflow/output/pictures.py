@@ -69,7 +69,7 @@ def _overview(run: RunData) -> Figure:
     slip, energy, pressure = right.subplots(3, 1)
     named = {}
     if run.probes_with("slip"):
-        _draw_probes(slip, run, QUANTITIES["slip"], "Slip at the probes")
+        _draw_probes(slip, run, QUANTITIES["slip"], "Slip at the probes, with its elastic part")
     else:
         named[slip] = _draw_profiles(slip, run, QUANTITIES["plastic_slip"], by_size=True)
     _draw_energy(energy, run)
