@@ -15,6 +15,13 @@ SHORT = {name: ["stage.1.steps=3"] for name in ("crossings", "report_5_3")}
 MESHES = Path(__file__).parents[1] / "meshes"
 
 
+@pytest.fixture(autouse=True)
+def nothing_left_before():
+    """No object of an earlier test may be collected in one of these."""
+    gc.collect()
+    PETSc.garbage_cleanup()
+
+
 @pytest.mark.parametrize(
     "name, overrides",
     [

@@ -70,7 +70,7 @@ def clocked() -> Any:
     with ExitStack() as stack:
         for module, name in HASHING:
             stack.enter_context(patch.object(module, name, clock.around(getattr(module, name))))
-        is_seal = lambda _set, _row, values: values.dtype == np.uint8  # noqa: E731
+        is_seal = lambda _set, values, *_place: values.dtype == np.uint8  # noqa: E731
         stack.enter_context(patch.object(history, "_append", clock.around(history._append, is_seal)))
         yield clock
 

@@ -69,7 +69,7 @@ def test_it_does_not_matter_which_node_gives_way(shared_tmp, monkeypatch):
 
 
 def test_inflow_that_cannot_go_anywhere_is_named(shared_tmp):
-    with pytest.raises(SolveError, match=r"flow rates of in, out add up to 5e-06 m\*\*3/s in sealed \(.* nodes around"):
+    with pytest.raises(SolveError, match=r"flow rates of in, out add up to 5e-06 m\^3/s in sealed \(.* nodes around"):
         history(shared_tmp / "run", "well.in.flow_rate=2.5e-5")
     with pytest.raises(InputError, match=r"well.in: a steady stage pumps into sealed, which no .* drains"):
         history(shared_tmp / "run", "well.out.at=[2, 3]")
@@ -82,7 +82,7 @@ def test_rates_that_jump_as_a_step_ends_balance_as_they_are_before(shared_tmp):
     constant = history(shared_tmp / "constant", stage)
     found = history(shared_tmp / "run", stage, rate.replace("VALUES", "2e-5, 4e-5"))
     assert found["probe/in/pressure"] == pytest.approx(constant["probe/in/pressure"], rel=1e-12)
-    with pytest.raises(SolveError, match=r"flow rates of in, out add up to 1e-05 m\*\*3/s in sealed"):
+    with pytest.raises(SolveError, match=r"flow rates of in, out add up to 1e-05 m\^3/s in sealed"):
         history(shared_tmp / "refused", stage, rate.replace("VALUES", "3e-5, 1e-5"))
 
 

@@ -56,7 +56,7 @@ def test_with_storage_fluid_holds_it_open(shared_tmp, film, coupling):
 
 
 def test_pumping_on_is_named(shared_tmp):
-    with pytest.raises(SolveError, match=r"time 3: flow rates of in add up to 1e-05 m\*\*3/s in cut, slot \(3 nodes"):
+    with pytest.raises(SolveError, match=r"time 3: flow rates of in add up to 1e-05 m\^3/s in cut, slot \(3 nodes"):
         run(load(SCENE, ["output.pictures=false", "well.in.flow_rate=1e-5"]), shared_tmp / "run")
 
 
@@ -103,7 +103,7 @@ def test_apertures_over_four_decades_conduct(shared_tmp, kind):
     assert found == pytest.approx(12e-3 * 2 * 1e-12 / 2.5e-6**3, rel=2e-3)  # eps d_1^3/d_2^3 is 1.1e-4
     thinner = ["fracture.thin.aperture='20 nm'", "output.pictures=false"]
     with pytest.raises(
-        SolveError, match=r"1e-12 m\*\*3/s in thin, wide \(5 nodes around \(2, 1\)\), which no pressure drains"
+        SolveError, match=r"1e-12 m\^3/s in thin, wide \(5 nodes around \(2, 1\)\), which no pressure drains"
     ):
         run(load(shared_tmp / "scene.toml", thinner), shared_tmp / "thinner")
 
