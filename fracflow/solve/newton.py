@@ -240,13 +240,15 @@ class Newton:
         is_coupled = problem.conduction is not None and self.only is None and not self.method.weakness
         if fraction < 1.0 and is_coupled and not self._is_held:
             newton = step.copy(), strains, fraction
-            self._hold_conductances(problem, step)
-            strains, fraction = self._strains(step)
-            if fraction < newton[2]:
-                newton[0].copy(step)
-                _, strains, fraction = newton
-                self._is_held = False
-            newton[0].destroy()
+            try:
+                self._hold_conductances(problem, step)
+                strains, fraction = self._strains(step)
+                if fraction < newton[2]:
+                    newton[0].copy(step)
+                    _, strains, fraction = newton
+                    self._is_held = False
+            finally:
+                newton[0].destroy()
         self._is_held = self._is_held and self._widens(problem, strains)
         if fraction == 1.0:
             self._refuse_flight(problem, strains)

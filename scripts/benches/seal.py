@@ -63,6 +63,11 @@ class Clock:
         return timed
 
 
+def _is_seal(_set: Any, values: Any, *_place: Any) -> bool:
+    """Whether rows that are appended to a history are seals."""
+    return bool(values.dtype == np.uint8)
+
+
 @contextmanager
 def clocked() -> Any:
     """A clock around all that makes and writes seals; none of these functions calls another."""
@@ -70,8 +75,7 @@ def clocked() -> Any:
     with ExitStack() as stack:
         for module, name in HASHING:
             stack.enter_context(patch.object(module, name, clock.around(getattr(module, name))))
-        is_seal = lambda _set, values, *_place: values.dtype == np.uint8  # noqa: E731
-        stack.enter_context(patch.object(history, "_append", clock.around(history._append, is_seal)))
+        stack.enter_context(patch.object(history, "_append", clock.around(history._append, _is_seal)))
         yield clock
 
 
