@@ -12,7 +12,7 @@ from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
-from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through, well_step
+from fracflow.advance.wells import one_changed, reached_after, reached_before, refuse_cycle, through, well_step
 from fracflow.errors import NotConverged, SolveError
 from fracflow.integrators import Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools
@@ -35,6 +35,7 @@ from fracflow.solve.request import StepRequest, begins_anew, rule_of
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
+TRIES_A_LIMIT = 6  # as many more for each limit: at its flow_rate, kept at the limit, shut, and back
 DONE: Progress = {"done": 1.0}
 
 
@@ -193,7 +194,8 @@ class SingleStep:
             finally:
                 destroy(begun)
             report = again.after(report)
-            if set(state.wells_at_limit) <= set(new.wells_at_limit):
+            limited_wells = set(new.wells_at_limit)
+            if set(state.wells_at_limit) <= limited_wells and set(state.wells_shut) <= limited_wells | {*new.wells_shut}:
                 break
         return new, report
 
@@ -207,8 +209,8 @@ class SingleStep:
         if ops.flow is not None:
             network.update(state)
         trial: Guess | None = None
-        failed, spent, is_same = None, 0, False
-        for _ in range(MOST_TRIES + 2 * len(loads.limits)):
+        failed, spent, is_same, cycles, tried = None, 0, False, False, {reached}
+        for _ in range(MOST_TRIES + TRIES_A_LIMIT * len(loads.limits)):
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
             problem = (ExplicitProblem if stepper.explicit else StepProblem)(ops, state, asked, rule, trial)
@@ -232,13 +234,15 @@ class SingleStep:
                 solvers.work.add(problem.work)
                 problem.destroy()
             depth = solvers.model.scene.flow_depth
-            now = full | (reached_after(request, rule, reached, new, depth) if loads.limits else reached)
+            now = full | (reached_after(problem, request, reached, new, depth) if loads.limits else reached)
             if now == reached and is_same:
                 totals = self._totals(stepper, problem, replace(request, loads=limited), now, new)
                 return replace(new, **totals), replace(report, digits=digits)
             new.destroy()
             spent += report.newton
-            reached, failed = now, None
+            cycles = is_same and (cycles or now in tried)
+            reached, failed = one_changed(reached, now) if cycles else now, None
+            tried.add(reached)
         if is_same and not failed:
             refuse_cycle(reached, request.time, spent)
         raise NotConverged(
@@ -290,7 +294,8 @@ class SingleStep:
         pumps = self.solvers.counts_volume
         return {
             "energy": update_balance(ops, state, new, dt, scheme),
-            "wells_at_limit": tuple(sorted(limit.well for limit in reached)),
+            "wells_at_limit": tuple(sorted(limit.well for limit in reached if not limit.is_shut)),
+            "wells_shut": tuple(sorted(limit.well for limit in reached if limit.is_shut)),
             "friction": dissipated(state, new),
             "injected": state.injected + (brought(ops, loads, state, new, dt, scheme, depth) if pumps else 0.0),
             "left": {name: state.left.get(name, 0.0) + value for name, value in lost.items()},
