@@ -140,9 +140,7 @@ class FlowNetwork:
                 limits = [
                     each
                     for each in loads.limits
-                    if each.node in inside
-                    and each.sign * total > 0.0
-                    and problem.rule.pushes(asked, each)
+                    if each.node in inside and each.sign * total > 0.0 and problem.rule.pushes(asked, each)
                 ]
                 if not limits:
                     self._refuse(part, wells, rates, gives, problem.time)

@@ -194,8 +194,8 @@ class SingleStep:
             finally:
                 destroy(begun)
             report = again.after(report)
-            limited_wells = set(new.wells_at_limit)
-            if set(state.wells_at_limit) <= limited_wells and set(state.wells_shut) <= limited_wells | {*new.wells_shut}:
+            kept, stay = set(new.wells_at_limit), {*new.wells_at_limit, *new.wells_shut}
+            if kept.issuperset(state.wells_at_limit) and stay.issuperset(state.wells_shut):
                 break
         return new, report
 
