@@ -1,11 +1,11 @@
 """Wells with a limit of their pressure: they bring their flow rate, or what the limit lets in, or nothing.
 
-A well with a rate q_0 > 0 and a highest pressure p_max brings a rate q at a pressure p with
+A well with a rate q_0 > 0 and a highest pressure p_max brings a rate q at a pressure p:
 
-    q = q_0 where p < p_max,  0 <= q <= q_0 where p = p_max,  q = 0 where p > p_max,
+    q = q_0 where p < p_max,  0 <= q <= q_0 where p = p_max,  q = 0 where p > p_max
 
-and one that draws at a lowest pressure is its mirror image. A rate of the other sign has nothing to do with the limit. A step
-is repeated until the wells at their limits, and those that are shut, agree with its end.
+One that draws at a lowest pressure is its mirror image. A rate of the other sign has nothing to do with the limit. A step is
+repeated until the wells at their limits, and those that are shut, agree with its end.
 """
 
 from __future__ import annotations

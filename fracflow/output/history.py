@@ -231,9 +231,9 @@ def shut_times(history: Mapping[str, NDArray[Any]], well: str) -> list[tuple[flo
     return [(float(times[max(first - 1, 0)]), float(times[end - 1])) for first, end in changes.reshape(-1, 2)]
 
 
-def shut_line(history: Mapping[str, NDArray[Any]], well: str, tell: Callable[[float], str]) -> str:
-    """A line on when a well was shut, with times as ``tell`` writes them; empty if it never was."""
-    spans = [f"from {tell(begin)} to {tell(end)}" for begin, end in shut_times(history, well)]
+def shut_line(history: Mapping[str, NDArray[Any]], well: str, as_text: Callable[[float], str]) -> str:
+    """A line on when a well was shut, with times as ``as_text`` writes them; empty if it never was."""
+    spans = [f"from {as_text(begin)} to {as_text(end)}" for begin, end in shut_times(history, well)]
     more = f" and {len(spans) - MOST_SPANS} times more" if len(spans) > MOST_SPANS else ""
     return f"well.{well} was shut by a limit of its pressure {', '.join(spans[:MOST_SPANS])}{more}" if spans else ""
 

@@ -114,6 +114,20 @@ def test_two_wells_with_limits_that_feed_each_other(run_scene):
     assert len({*map(tuple, seen.tolist())}) >= 5 and found.closes()
 
 
+@pytest.mark.parametrize("compressible", [False, True])
+def test_with_inertia_it_is_shut_from_the_first_instant(run_scene, compressible):
+    """Its full rate at the first instant would count half in the first step of a trapezoid."""
+    stage, far = "stage=[{kind='dynamic', time_step=1, steps=3}]", ["near", "far"]
+    if compressible:
+        found, far = run_scene(CLOSED, stage, "fluid.initial_pressure=2e5"), ["other", "relief"]
+    else:
+        found = run_scene(IN_LINE, stage, "well.far.flow_rate=1e-3", "well.near.flow_rate=9e-3")
+        assert found.history["well/near/rate"][1:] == pytest.approx(6e4 / HALF, rel=1e-9)
+        assert found.history["well/near/limit"][1:].tolist() == [1, 1, 1]
+    assert not found.history[f"well/{far[1]}/rate"].any()
+    assert found.history[f"well/{far[1]}/limit"][1:].tolist() == [2, 2, 2] and found.closes()
+
+
 def test_a_shut_well_is_told_kept_and_taken_up_again(shared_tmp, comm):
     """In log, page and terminal; a run cut while it is shut goes on to the last bit."""
     scene = shared_tmp / "scene.toml"
