@@ -123,8 +123,8 @@ def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoRetur
     found = [sorted({limit.well for limit in reached if limit.is_shut == shut}) for shut in (False, True)]
     at_limit, shut = (", ".join(names) or "none" for names in found)
     raise NotConverged(
-        f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
-        f" {at_limit}; shut: {shut}): move their limits apart, or take a smaller time_step",
+        f"time {time:.6g}: wells keep changing between flow_rate, limit and shut (now at a limit: {at_limit}; shut: {shut}):"
+        " move their limits apart, or take a smaller time_step",
         newton,
         kind="wells",
     )

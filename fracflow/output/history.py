@@ -225,14 +225,14 @@ def read_table(path: str | Path, key: str, attrs: Mapping[str, Any] | None = Non
 
 
 def shut_times(history: Mapping[str, NDArray[Any]], well: str) -> list[tuple[float, float]]:
-    """When a well was shut by a limit of its pressure: begin and end of each such time, ascending [time]."""
+    """When a well was shut by a limit of its pressure, from histories (n,): begin and end of each such time [time]."""
     shut = history.get(f"well/{well}/limit", np.zeros(0)) == SHUT
     times, changes = history["time"], np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]]).astype(int)))
     return [(float(times[max(first - 1, 0)]), float(times[end - 1])) for first, end in changes.reshape(-1, 2)]
 
 
 def shut_line(history: Mapping[str, NDArray[Any]], well: str, as_text: Callable[[float], str]) -> str:
-    """A line on when a well was shut, with times as ``as_text`` writes them; empty if it never was."""
+    """A line on when a well was shut, from histories (n,), with times as ``as_text`` writes them; empty if it never was."""
     spans = [f"from {as_text(begin)} to {as_text(end)}" for begin, end in shut_times(history, well)]
     more = f" and {len(spans) - MOST_SPANS} times more" if len(spans) > MOST_SPANS else ""
     return f"well.{well} was shut by a limit of its pressure {', '.join(spans[:MOST_SPANS])}{more}" if spans else ""
