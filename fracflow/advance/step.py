@@ -326,7 +326,7 @@ class SingleStep:
         }
 
 
-def _names(reached: frozenset[Limit]) -> dict[str, tuple[str, ...]]:
+def _names(reached: frozenset[Limit]) -> dict[str, Any]:
     """Members of a state whose wells are kept at limits, or shut by them."""
     kept, shut = (tuple(sorted(limit.well for limit in reached if limit.is_shut == each)) for each in (False, True))
     return {"wells_at_limit": kept, "wells_shut": shut}

@@ -43,8 +43,8 @@ def reached_after(
     """Limits at which wells have to be kept, or shut, once a trial of a step is known. Collective.
 
     A well reaches a limit when its pressure passes it. There it goes back to its flow_rate when more would flow, and is shut
-    when fluid would flow the other way. A shut well opens when the pressure comes back to the limit. Of wells at one node one
-    is kept at a limit, the first to come to it; where the scene gives the pressure of the node, none is.
+    when fluid would flow the other way. A shut well opens when the pressure comes back to the limit. Of wells at one node
+    only the first to come to its limit is kept there. Where the scene gives the pressure of the node, none is.
     """
     rule, now = problem.rule, dict[int, Limit]()
     shut = list[Limit]()

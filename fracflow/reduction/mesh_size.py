@@ -27,7 +27,10 @@ PER_LENGTH = 16  # joints along a fracture that ends in the rock
 PER_SPACING = 4  # joints, in the mean distance of fractures
 PER_FRONT = 8  # joints, in the reach of a pressure
 PER_WAVE = 10  # cells: lumped mass and trapezoid are 4.6 % slow there (where each wave takes one step through a cell)
-CARRIED, FAR = 2.0, 0.1  # cells over joints, in so much of the area, from which on waves of single joints do not get out
+CARRIED, FAR = (
+    2.0,
+    0.1,
+)  # cells over joints, in so much of the area, from which on waves of single joints do not get out
 PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures

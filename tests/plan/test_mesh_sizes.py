@@ -119,12 +119,16 @@ def test_cells_that_keep_the_waves_of_drops_are_told():
 
     def said(size, drop, **method):
         sizes = {"size": size, "size_at_fractures": 2.0, "growth": 0.5}
-        scene = scene_of([[[40, 50], [60, 50]]], fracture={"stick_slip_ratio": drop}, method=method, geometry={}, **more)
+        scene = scene_of(
+            [[[40, 50], [60, 50]]], fracture={"stick_slip_ratio": drop}, method=method, geometry={}, **more
+        )
         scene = scene.with_geometry(sizes)
         return [line for line in mesh_sizes.unresolved(scene, read_split(scene), {}) if "a tenth of the rock" in line]
 
     (told,) = said(6.0, 0.95)
-    assert "over 2 times the joints of 2 m" in told and "or have cells below 4 m" in told and "generalised-alpha" in told
+    assert (
+        "over 2 times the joints of 2 m" in told and "or have cells below 4 m" in told and "generalised-alpha" in told
+    )
     assert said(3.0, 0.95) == said(6.0, 1.0) == said(6.0, 0.95, stepper="generalised-alpha") == []
 
 
