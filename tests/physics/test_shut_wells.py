@@ -1,11 +1,14 @@
 """Wells with limits are valves: where the pressure around is beyond a limit they are shut, and fluid never flows back."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
+from fracflow.advance.wells import one_changed
 from fracflow.api import open as opened
+from fracflow.model.loads import Limit
 from fracflow.output.checkpoint import read_notes
 from fracflow.output.history import shut_line, shut_times
 from fracflow.run_report.page import write_report
@@ -157,6 +160,15 @@ def test_a_shut_well_is_told_kept_and_taken_up_again(shared_tmp, comm):
     if comm.rank == 0:
         page, _ = write_report(shared_tmp / "whole")
         assert "well.relief was shut by a limit of its pressure from 2 s to 9 s" in page.read_text(encoding="utf-8")
+
+
+def test_of_states_that_cycle_one_changes_at_a_time():
+    """The first by its name, whichever way: from given to the limit, from there to shut, and back."""
+    first, last = (Limit(name, 1.0, 1e5, node, np.zeros(0, dtype=int)) for node, name in enumerate(("a", "b")))
+    none, shut = frozenset[Limit](), replace(first, is_shut=True)
+    assert one_changed(none, frozenset([last, first])) == {first}
+    assert one_changed(frozenset([first]), frozenset([last, shut])) == {shut}
+    assert one_changed(frozenset([shut, last]), none) == {last} and one_changed(frozenset([last]), none) == none
 
 
 def test_a_limit_below_the_pressure_at_the_start_is_told_before_a_run(shared_tmp, comm):
