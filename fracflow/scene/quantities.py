@@ -167,6 +167,8 @@ _ROWS = (
     Q("well/rate", FLOW_RATE, "well", of("rate"), "that a well brings, mean over the step; negative where it draws"),
     Q("well/volume", VOLUME, "well", of("volume"), "that it has brought since the start, the sum of rate times dt"),
     Q("well/injectivity", INJECTIVITY, "well", of("injectivity"), "rate over pressure less initial pressure"),
+    Q("well/limit", PLAIN, "well", of("limit"),
+      "of a well with one: 0 it brings its flow rate, 1 its pressure is kept at a limit, 2 it is shut", drawn=False),
     Q("volume/injected", VOLUME, "network", of("volumes.into"), "what wells have brought, over the whole flow_depth"),
     Q("volume/withdrawn", VOLUME, "network", of("volumes.out_of"), "what they have drawn"),
     Q("volume/stored", VOLUME, "network", of("volumes.stored"), "what fractures have taken up, but for steady stages"),

@@ -273,6 +273,12 @@ class Files:
         # a history that an earlier version began goes on as it is
         is_known = begun is None or not begun.rows or "volume/injected" in begun.rows
         self.has_wells = model.operators.flow is not None and bool(points) and is_known
+        self.limited = {
+            well.name
+            for well in model.scene.well
+            if (well.maximum_pressure is not None or well.minimum_pressure is not None)
+            and (begun is None or not begun.rows or f"well/{well.name}/limit" in begun.rows)
+        }
         self.history = HistoryFile.after(file, begun.rows, begun.attrs) if begun else HistoryFile(file, about)
         written = notes["totals"].get("profiles", {}) if notes is not None else {}
         self.profiles = ProfileFile(self.folder.path, written.get("rows", 0))
@@ -331,7 +337,8 @@ class Files:
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
-        notes |= {"limited": list(state.wells_at_limit), "last_step": state.previous_step.time_step}
+        notes |= {"limited": list(state.wells_at_limit), "shut": list(state.wells_shut)}
+        notes |= {"last_step": state.previous_step.time_step}
         notes |= {"through": dict(state.previous_step.through)}
         notes |= {"drive": state.max_overpressure, "power": state.max_dissipation, "injected": state.injected}
         notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.adjacent_steps)}
@@ -354,7 +361,8 @@ class Files:
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}
         record |= {f"volume/{name}": value for name, value in state.left.items()}
-        record |= well_record(self.scene, state, snapshot, self.at_rest) if self.has_wells else {}
+        wells = (snapshot, self.at_rest, self.limited)
+        record |= well_record(self.scene, state, *wells) if self.has_wells else {}
         places = self.placed.probes
         self.history.append(record | probe_record(self.scene, self.mesh, places, self.measured, snapshot))
 

@@ -15,7 +15,7 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.model.balance import static_balance, static_balance_of
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.dirichlet import PrescribedValues
@@ -40,6 +40,7 @@ from fracflow.solve.residual import (
     round_off_of_rock,
 )
 
+SOLVED = 1e-10  # of the terms of the balance at a node: the solver leaves less
 Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
 
 
@@ -283,6 +284,12 @@ class StepProblem:
         scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
         scale = max(scale, self.alphas.b1 * holds * scales.pressure)
         return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
+
+    def undetermined(self, nodes: Ints) -> float:
+        """Part of what nodes (n,) of this rank draw that is round-off, or left by the solver [volume rate per thickness]."""
+        if self._flow_rows is None:
+            return 0.0
+        return float(self._flow_noise[nodes].sum() + SOLVED * self._flow_rows[nodes].sum())
 
     def change_statuses(self) -> np.ndarray:
         """Give every section that has left its status the next one; return which (s,) of this rank did."""

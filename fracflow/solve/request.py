@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas, Stepper
-from fracflow.model.loads import Loads
+from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import PreviousStep, State
 from fracflow.scene.time_table import AT_ONCE, JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
 
@@ -150,6 +150,15 @@ class StepRule:
     def demanded(self, request: StepRequest, well: str) -> float:
         """Flow rate that a well demands in a step, over the whole depth [volume rate]."""
         return request.loads.demanded(well, request.time, request.controls, self.adjacent, self.rates)
+
+    def shut(self, request: StepRequest, well: str) -> float:
+        """Flow rate at the end of a step over which a well brings nothing, over the whole depth [volume rate]."""
+        rates = self.rates or Rates(around=self.adjacent)
+        return rates.of(TimeTable.constant(0.0), request.time, None, request.controls, well)
+
+    def pushes(self, request: StepRequest, limit: Limit) -> bool:
+        """Whether a well's flow rate in a step drives its pressure towards a limit."""
+        return limit.sign * (self.demanded(request, limit.well) - self.shut(request, limit.well)) > 0.0
 
 
 def to_next(times: Sequence[float], now: float, length: float) -> float:
