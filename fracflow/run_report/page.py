@@ -188,7 +188,7 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
         for name, (x, y) in run.wells.items()
     ]  # fmt: skip
     if rows:
-        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows, "small")
+        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows)
     for quantity, lines in histories.items():
         dimension = _OF_WELLS[quantity]
         unit = run.unit(dimension, np.concatenate([np.zeros(1), *(values for _, values in lines.values())]))
