@@ -117,7 +117,7 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
 
 
 def shape_of(rock: Sequence[Floats]) -> float:
-    """Height over width of all cells; 1 for none."""
+    """Height over width of all cells, each with corners (k, 2); 1 for none."""
     points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in rock)])
     wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
     return float(high / wide) if wide > 0.0 and high > 0.0 else 1.0
