@@ -50,6 +50,7 @@ _MAX_LINES = 7
 _MOST_FIRST = 5  # more than these at once show no place of the onset
 _LEAST_SLIP = 1e-6  # of the largest, that is drawn
 _WIDEST = 6.0  # line of slip [points]
+_WIDE = 10.0  # figure [inches]: letters are read where a page is 760 pixels wide
 
 
 def draw(folder: str | Path) -> list[Path]:
@@ -72,12 +73,12 @@ def _overview(run: RunData) -> Figure:
 
     shape = max(shape_of(run.rock or []), FLATTEST)
     if shape > FLAT:
-        figure = Figure(figsize=(12, float(np.clip(5.2 * shape + 2.2, 6.2, 7.6))), layout="constrained")
+        figure = Figure(figsize=(_WIDE, float(np.clip(4.3 * shape + 2.0, 5.6, 7.0))), layout="constrained")
         left, right = figure.subfigures(1, 2, width_ratios=[1.1, 1])
         slip, energy, pressure = right.subplots(3, 1)
     else:
-        figure = Figure(figsize=(12, 11.0 * shape + 4.9), layout="constrained")
-        left, right = figure.subfigures(2, 1, height_ratios=[11.0 * shape + 1.9, 3.0])
+        figure = Figure(figsize=(_WIDE, 9.0 * shape + 4.9), layout="constrained")
+        left, right = figure.subfigures(2, 1, height_ratios=[9.0 * shape + 1.9, 3.0])
         slip, energy, pressure = right.subplots(1, 3)
     draw_head(figure, run.title, run.account)
     named = {}
@@ -283,15 +284,15 @@ def _draw_profiles(
     """
     fractures, word = run.fractures, row.axis.capitalize()
     if fractures is None or not fractures.has(row.name) or not len(fractures.segments):
-        axes.set_title(f"{word} along the fractures")
+        axes.set_title(f"{word} along fractures")
         _say_nothing(axes)
         return {}
     profiles = fractures.profiles(row.name, _MAX_LINES, by_size)
     which = f"{len(profiles)} with most" if by_size else f"the {len(profiles)} longest"
-    of = "the fractures" if len(profiles) == len(fractures.names) else which
+    of = "fractures" if len(profiles) == len(fractures.names) else which
     both = [np.ravel(line) for _, before, after in profiles.values() for line in (before, after) if line is not None]
     scale = axis_of(row.dimension, [np.concatenate(both)], run.units, run.noise.get(row.dimension, 0.0))
-    first = f"{run.at(fractures.begins)} (dashed) and " if fractures.has_before else ""
+    first = f"{run.at(fractures.begins)} dashed, " if fractures.has_before else ""
     when = "" if scale.is_constant else f": {first}{run.at(fractures.time)}"
     axes.set_title(f"{word} along {of}{when}")
     s = axis_of(LENGTH, [along for along, _, _ in profiles.values()], run.units)
@@ -357,7 +358,7 @@ def _sheet(run: RunData, of: str, count: int) -> tuple[Figure, list[Axes]]:
 
     columns = 3 if count == 3 else 2
     rows = -(-count // columns)
-    figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
+    figure = Figure(figsize=(_WIDE, 0.6 + 2.3 * rows), layout="constrained")
     draw_head(figure, f"{run.title}: {of}", run.account.partition(". Map")[0])
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in grid[count:]:

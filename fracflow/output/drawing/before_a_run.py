@@ -38,7 +38,7 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
 
     shape = max(shape_of(network.rock), FLATTEST)
     is_flat = shape <= FLAT
-    figure = Figure(figsize=(12 if is_flat else 13, 9), layout="constrained")
+    figure = Figure(figsize=(10 if is_flat else 11, 8), layout="constrained")
     draw_head(figure, title, below)
     left, right = figure.subplots(2, 1) if is_flat else figure.subplots(1, 2)
     share = "|τ|/σₙ′, shear over effective normal traction"
@@ -48,8 +48,8 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
         (right, _draw(right, network, "Pressure rise to slip", rise, STRESS, more, "viridis")),
     ]
     bars = len(figure.axes) - len(drawn)
-    beside = np.clip(5.8 * shape + 1.6 + 0.7 * bool(bars), 4.5, 9.0)
-    figure.set_figheight(22.0 * shape + 2.5 + 0.7 * bars if is_flat else beside)
+    beside = np.clip(4.9 * shape + 1.6 + 0.7 * bool(bars), 4.2, 8.0)
+    figure.set_figheight(18.0 * shape + 2.5 + 0.7 * bars if is_flat else beside)
     if not is_flat:
         right.set_ylabel("")
     handles, labels = left.get_legend_handles_labels()

@@ -23,7 +23,7 @@ Places = Mapping[str, tuple[float, float]]
 
 MOST_NAMES = 150  # fractures that are named, the longest
 MOST_CELLS = 40_000  # whose edges are drawn
-SMALL, HALO = 7.0, 2.0  # size of names, and width of the white around them [points]
+SMALL, HALO = 7.5, 2.0  # size of names, and width of the white around them [points]
 AIR = 3.0  # between names, and between a name and the mark of another, where there is room [points]
 FLAT = 0.3  # height over width of a map that has the whole width of a figure
 FLATTEST, TALLEST = 0.1, 4.0  # height over width of a map: a domain beyond is drawn stretched
