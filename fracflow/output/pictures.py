@@ -122,9 +122,9 @@ def _most_telling(run: RunData, names: Sequence[str]) -> OutputQuantity:
 
 def _most_telling_profile(run: RunData, names: Sequence[str]) -> OutputQuantity:
     """The first of these fields of the fractures that is not the same at every place and time, else the first."""
-    fields = run.fractures
-    rows = [QUANTITIES[name] for name in names if fields is not None and fields.has(name)]
-    lines = ((row, [each[row.name] for each in (fields.before, fields.after) if row.name in each]) for row in rows)
+    steps = [run.fractures.before, run.fractures.after] if run.fractures is not None else []
+    rows = [QUANTITIES[name] for name in names if any(name in each for each in steps)]
+    lines = ((row, [each[row.name] for each in steps if row.name in each]) for row in rows)
     telling = (row for row, each in lines if not _axis_of(run, row, [np.concatenate(each)]).is_constant)
     return next(telling, QUANTITIES[names[0]])
 
@@ -163,12 +163,13 @@ def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:
         if axis.is_constant:
             return scales
         axes.set_title(f"Pressure at {run.at(fractures.time)}: no fracture had slipped{later}")
-        moved, widths, low, word = np.isfinite(pressure), 2.5, float(np.nanmin(axis(pressure))), "pressure"
-        shown, top = axis(pressure[moved]), float(np.nanmax(axis(pressure)))
+        moved, word = np.isfinite(pressure), "pressure"
+        shown = axis(pressure[moved])
+        low, top, widths = float(shown.min()), float(shown.max()), np.full(len(shown), 2.5)
     else:
-        moved, low, word = axis(slip) > _LEAST_SLIP * top, 0.0, "plastic slip"
+        moved, word = axis(slip) > _LEAST_SLIP * top, "plastic slip"
         shown = axis(slip[moved])
-        widths = 2.0 + (_WIDEST - 2.0) * shown / top
+        low, widths = 0.0, 2.0 + (_WIDEST - 2.0) * shown / top
     lines = coloured(axes, scaled(network.segments[moved], *scales), shown, widths, "viridis_r", (low, top))
     label = axis.label(f"{word} at {run.at(fractures.time)}")
     look: dict[str, Any] = dict(location="bottom", shrink=0.7, aspect=40, pad=0.03, panchor=False)
