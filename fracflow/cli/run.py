@@ -89,7 +89,7 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
     """Run a scene level by level, and report the finest run and its errors by comparison of levels."""
     from fracflow.output.convergence_plot import tell
-    from fracflow.scene.levels import order_in_time
+    from fracflow.simulation.levels import order_in_time
     from fracflow.simulation.refinement import check_levels, converge, has_tips
 
     def each(level: Level) -> None:

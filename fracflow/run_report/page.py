@@ -189,7 +189,7 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
         for name, (x, y) in run.wells.items()
     ]  # fmt: skip
     if rows:
-        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows, "small")
+        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows)
     shut = [shut_line(run.history, name, run.clock_text) for name in run.wells] if len(run.times) else []
     text += "".join(f"<p>{safe(line)}.</p>" for line in shut if line)
     for quantity, lines in histories.items():

@@ -116,11 +116,11 @@ def suited_unit(dimension: str, largest: float, units: Mapping[str, str]) -> tup
     ladder = _SI.get(dimension, ()) if is_si else ()
     if dimension == TIME and units.get("time") == "s":
         ladder = _TIMES
+    base = next((name for _, each, name in ladder if each == 1.0), own)
     if not _NONE < size < np.inf:
-        return 1.0, own
+        return 1.0, base
     if dimension == TIME and (stated := stated_time(units.get("shown_time"), size)):
         return stated
-    base = next((name for _, each, name in ladder if each == 1.0), own)
     fits = ((1.0 / each, name) for least, each, name in ladder if size >= least * (1.0 - 1e-12))
     return next(fits, (1.0, base))
 
