@@ -133,15 +133,20 @@ def start() -> float:
 
 
 def clocked(scene: str | Path, *settings: str, mesh: str = "") -> tuple[Found, float]:
-    """Run a scene; CPU seconds from the start of a process to what was read of its results."""
+    """Run a scene; see ``timed``."""
+    return timed(lambda: solve(scene, *settings, mesh=mesh))
+
+
+def timed(run: Callable[[], Found]) -> tuple[Found, float]:
+    """The results of a run, and its CPU seconds from the start of a process to their reading."""
     before = start()
     began = time.process_time()
-    found = solve(scene, *settings, mesh=mesh)
+    found = run()
     return found, before + time.process_time() - began
 
 
 def table_of(name: str) -> dict[str, Floats]:
-    """Columns of a table of data/, of which lines that begin with # tell the source."""
+    """Columns of a table of data/, without the lines of its source, which begin with #."""
     with (DATA / name).open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}

@@ -1,4 +1,4 @@
-"""Pictures of all public problems: error against CPU on one sheet, and what was found over what is published."""
+"""Pictures of all public problems: error against CPU on one sheet, and results over published numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, PINK, save, sheet
 
-from figures_benchmarks.benchmark import Other, Result, front
+from figures_benchmarks.benchmark import Result, front
 
 KINDS = {
     "cracks": (BLUE, ("T of two fractures", "Sneddon", "friction crack")),
@@ -23,6 +23,7 @@ KINDS = {
 """Kind -> colour and the problems of it, each with a marker of its own."""
 MARKS = "os^D"
 LEAST = 5e-5  # errors below are drawn at the foot, with their number
+WRITTEN = {"fontsize": 8.5, "path_effects": HALO}
 OTHERS = {"OpenGeoSys": "s", "PorePy": "^", "boundary elements": "D"}
 
 
@@ -76,7 +77,7 @@ def chart(results: Sequence[Result], folder: Path, command: str) -> None:
 
 
 def keys(results: Sequence[Result]) -> list[Line2D]:
-    """What colours and shapes mean."""
+    """The meaning of colours and shapes."""
     style = {"ls": "-", "marker": "o", "ms": 5, "lw": 1.4}
     shown = [Line2D([], [], color=colour, label=kind, **style) for kind, (colour, _) in KINDS.items()]
     shown.append(Line2D([], [], color=INK, label="filled: fracflow", **style))
@@ -104,8 +105,8 @@ def place(
                 (7, -8, "left", "top"), (7, 8, "left", "bottom"), (-7, -8, "right", "top"), (-7, 8, "right", "bottom"),
             ):  # fmt: skip
                 text = axis.annotate(
-                    name, end, (dx, dy), textcoords="offset points", ha=across, va=up, fontsize=8.5, color=colour, path_effects=HALO,
-                )  # fmt: skip
+                    name, end, (dx, dy), textcoords="offset points", ha=across, va=up, **WRITTEN, color=colour
+                )
                 box = text.get_window_extent()
                 covered = sum(box.overlaps(other) for other in taken)
                 covered += 5 * (box.x0 < frame.x0 or box.x1 > frame.x1 + 2 or box.y0 < frame.y0)
@@ -120,7 +121,7 @@ def place(
 
 
 def curves(results: Sequence[Result], folder: Path, command: str) -> None:
-    """What the finest runs found, lines, over what is published or exact, circles."""
+    """Lines of the finest runs, over circles of published or exact numbers."""
     shown = [(result, line) for result in results for line in result.runs[-1].lines]
     wide = min(4, len(shown))
     rows = [

@@ -70,7 +70,7 @@ def injected(step: float) -> Ran:
 
 
 def opengeosys(case: str, observable: str, most: int) -> Callable[[Path], list[Other]]:
-    """Runs of OpenGeoSys, in every way that ``scripts/bench peers`` has, but for grids beyond ``most`` of each; none without it."""
+    """OpenGeoSys in every way that ``scripts/bench peers`` has, on the first ``most`` grids of each."""
 
     def run(folder: Path) -> list[Other]:
         try:

@@ -99,7 +99,7 @@ def limit() -> tuple[float, float]:
 
 
 def run(size: float, far: float = FAR, growth: float = GROWTH) -> Ran:
-    """On joints of ``size`` metres, in a box of ``far`` to each side; cells away from the fault must become smaller with them."""
+    """On joints of ``size`` metres, in a box of ``far`` to each side; cells away from the fault shrink with them."""
     nodes, times = np.linspace(-HALF, HALF, round(2 * HALF / size) + 1), instants()
     values = [[float(f"{p:.7g}") for p in pressure(nodes, at)] for at in times]
     scene = SCENE.format(

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
 from figures_verification.case import Bar
 from figures_verification.cases import r07, r08, r16
 from figures_verification.runs import Found
 
-from figures_benchmarks.benchmark import Benchmark, Floats, Line, Ran, start, table_of
+from figures_benchmarks.benchmark import Benchmark, Floats, Line, Ran, table_of, timed
 
 MICRO = 1e6
-
-
-def clocked(run: Callable[[], Found]) -> tuple[Found, float]:
-    """What a run of figures_verification found, and its CPU seconds with those of the start."""
-    before, began = start(), time.process_time()
-    found = run()
-    return found, before + time.process_time() - began
 
 
 def sorted_along(found: Found, quantity: str, scale: float = 1.0) -> tuple[Floats, Floats]:
@@ -32,7 +22,7 @@ def sorted_along(found: Found, quantity: str, scale: float = 1.0) -> tuple[Float
 def sneddon(size: float) -> Ran:
     """Under pressure in a row of cracks, on cells size^2 at the tips."""
     period = 10.0
-    found, seconds = clocked(lambda: r07.loaded("blown", period, size))
+    found, seconds = timed(lambda: r07.loaded("blown", period, size))
     x = np.linspace(0, r07.HALF, 13)
     right = r07.opening(x, period, r07.PRESSURE) * MICRO
     line = Line("opening", "x [m]", "opening [µm]", sorted_along(found, "opening", MICRO), (x, right))
@@ -42,7 +32,7 @@ def sneddon(size: float) -> Ran:
 def viesca(size: float) -> Ran:
     """Slip by a well of constant pressure, T = 0.5, on cells ``size`` of the rupture at the end, in 1/size steps."""
     stress = 0.5
-    found, seconds = clocked(lambda: r08.pushed(stress, size, coupled=True, steps=round(1 / size)))
+    found, seconds = timed(lambda: r08.pushed(stress, size, coupled=True, steps=round(1 / size)))
     x = np.linspace(-1, 1, 25)
     right = r08.FRICTION * r08.PUMPED * r08.LENGTH / r08.OUTER * r08.slip(np.abs(x), stress)
     places, slid = sorted_along(found, "plastic_slip", 1e3)
@@ -53,20 +43,20 @@ def viesca(size: float) -> Ran:
 
 def kgd(size: float) -> Ran:
     """A fracture driven by a viscous fluid, 40 s, on joints ``size`` of its half length, in 1/size steps a stage."""
-    found, seconds = clocked(lambda: r16.driven(size, round(1 / size)))
+    found, seconds = timed(lambda: r16.driven(size, round(1 / size)))
     x = np.linspace(0, 0.999, 15)
     openings, pressures = r16.similarity().profiles(x)
     place, opening = sorted_along(found, "opening", 1e3)
     _, pressure = sorted_along(found, "pressure", 1e-6)
     near = np.abs(place) < 1.2 * r16.LENGTH
-    print_ = table_of("kgd.csv")
-    at = print_["t_s"] == r16.END
+    printed = table_of("kgd.csv")
+    at = printed["t_s"] == r16.END
     right = r16.OPENING * 1e3 * openings / openings[0], r16.NET / 1e6 * pressures / pressures[0]
     lines = (
         Line("opening (square: printed coefficients)", "x [m]", "opening [mm]", (place[near], opening[near]),
-             (np.append(x * r16.LENGTH, 0.0), np.append(right[0], print_["w0_m"][at] * 1e3))),
+             (np.append(x * r16.LENGTH, 0.0), np.append(right[0], printed["w0_m"][at] * 1e3))),
         Line("net pressure", "x [m]", "net pressure [MPa]", (place[near], pressure[near] - r16.STRESS / 1e6),
-             (np.append(x * r16.LENGTH, 0.0), np.append(right[1], print_["p0_Pa"][at] / 1e6))),
+             (np.append(x * r16.LENGTH, 0.0), np.append(right[1], printed["p0_Pa"][at] / 1e6))),
     )  # fmt: skip
     return Ran(tuple(abs(error) for error in r16.errors_of(found)), seconds, lines)
 
@@ -75,14 +65,15 @@ BENCHMARKS = (
     Benchmark(
         "Crack under pressure (Sneddon)", "Sneddon",
         "Sneddon 1946; a row of cracks: Tada, Paris, Irwin, The Stress Analysis of Cracks Handbook, 7.1",
-        "nothing", (Bar("opening in the middle", 1.4e-3, 1.7, 0.01), Bar("opening, x < 0.9 a", 2e-3, 1.6), Bar("volume", 2.6e-3, 1.7)),
+        "nothing",
+        (Bar("opening in the middle", 1.4e-3, 1.7, 0.01), Bar("opening, x < 0.9 a", 2e-3, 1.6), Bar("volume", 2.6e-3, 1.7)),
         sneddon, (0.2, 0.1, 0.05), (0.2, 0.1), "cells",
     ),
     Benchmark(
         "Slip by injection (Viesca)", "Viesca",
         "Viesca 2021, J. Fluid Mech. 928, A29: lambda(T) and slip at T = 0.5, by quadrature",
-        "nothing", (Bar("slip", 2e-3, 0.5, 0.02), Bar("lambda", 2e-3, None, 0.02)),
-        lambda size: (ran := viesca(size))._replace(errors=ran.errors[::-1]), (0.1, 0.05, 0.025), (), "cells and steps",
+        "nothing", (Bar("slip", 3e-3, None, 0.02), Bar("lambda", 2e-3, None, 0.02)),
+        lambda size: (ran := viesca(size))._replace(errors=ran.errors[::-1]), (0.15, 0.1, 0.05), (), "cells and steps",
     ),
     Benchmark(
         "KGD, viscosity-dominated", "KGD",
