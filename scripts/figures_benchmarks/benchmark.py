@@ -69,6 +69,7 @@ class Benchmark:
     run        at a size: of cells or time steps (``by``), in the case's own unit
     sizes      falling; ``quick`` are those of the tests
     others     other programs, given the folder that one of them is installed in
+    own_limit  errors are against finer runs of the program, for no numbers to be held against were at hand
     """
 
     name: str
@@ -81,6 +82,7 @@ class Benchmark:
     quick: tuple[float, ...]
     by: str
     others: Callable[[Path], list[Other]] = lambda _: []
+    own_limit: bool = False
 
 
 class Result(NamedTuple):

@@ -22,6 +22,7 @@ KINDS = {
 }
 """Kind -> colour and the problems of it, each with a marker of its own."""
 MARKS = "os^D"
+STARRED = "*: against its own limit"
 LEAST = 5e-5  # errors below are drawn at the foot, with their number
 WRITTEN = {"fontsize": 8.5, "path_effects": HALO}
 OTHERS = {"OpenGeoSys": "s", "PorePy": "^", "boundary elements": "D"}
@@ -33,6 +34,11 @@ def look(short: str) -> tuple[str, str]:
         if short in names:
             return colour, MARKS[names.index(short)]
     return INK, "P"
+
+
+def called(result: Result) -> str:
+    """Name on a picture."""
+    return result.benchmark.short + ("*" if result.benchmark.own_limit else "")
 
 
 def chart(results: Sequence[Result], folder: Path, command: str) -> None:
@@ -48,7 +54,7 @@ def chart(results: Sequence[Result], folder: Path, command: str) -> None:
         axis.plot(seconds, errors, "-", marker=mark, ms=6, lw=1.4, color=colour, zorder=3)
         points += list(zip(seconds, errors, strict=True))
         told = result.outcomes[0].errors[-1]
-        name = result.benchmark.short + (f": {told:.0e} ↓" if told < LEAST else "")
+        name = called(result) + (f": {told:.0e} ↓" if told < LEAST else "")
         labels.append((name, colour, list(zip(seconds, errors, strict=True))[::-1]))
         for program, sign in OTHERS.items():
             for here in (True, False):
@@ -68,7 +74,7 @@ def chart(results: Sequence[Result], folder: Path, command: str) -> None:
                     points += there
     axis.set_ylim(LEAST * 0.7, None)
     axis.legend(handles=keys(results), fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    note = f"First observable of each problem, joined over sizes of cells or steps. {command}"
+    note = f"First observable of each problem, joined over sizes of cells or steps; {STARRED}. {command}"
     figure.supxlabel(note, fontsize=7.5, color=PALE, x=0.012, ha="left")
     figure.draw_without_rendering()
     place(axis, labels, points)
@@ -128,7 +134,7 @@ def curves(results: Sequence[Result], folder: Path, command: str) -> None:
         [f"{k}" if k < len(shown) else "." for k in range(begin, begin + wide)] for begin in range(0, len(shown), wide)
     ]
     figure, axes = sheet(
-        "Public problems", "Lines: fracflow, its finest run. Circles: published numbers, or the exact solution.", rows,
+        "Public problems", f"Lines: the finest run of fracflow. Circles: published numbers, exact solutions; {STARRED}.", rows,
         (3.3 * wide, 2.5 * len(rows) + 0.9),
     )  # fmt: skip
     for number, (result, line) in enumerate(shown):
@@ -136,7 +142,7 @@ def curves(results: Sequence[Result], folder: Path, command: str) -> None:
         scattered = line.title.startswith(("rupture times", "pressure at ends"))
         axis.plot(*line.found, "x" if scattered else "-", color=colour, lw=1.3, ms=5, zorder=3)
         axis.plot(*line.right, "o", ms=4, mfc="none", color=INK, mew=0.7)
-        axis.set_title(result.benchmark.short, fontsize=9)
+        axis.set_title(called(result), fontsize=9)
         axis.set_xlabel(line.x_label, fontsize=8)
         axis.set_ylabel(line.y_label, fontsize=8)
         axis.tick_params(labelsize=7.5)
