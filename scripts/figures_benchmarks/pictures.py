@@ -15,7 +15,7 @@ from sheets import BLUE, GREEN, HALO, INK, ORANGE, PALE, PINK, save, sheet
 from figures_benchmarks.benchmark import Result, front
 
 KINDS = {
-    "cracks": (BLUE, ("T of two fractures", "Sneddon", "friction crack")),
+    "cracks": (BLUE, ("T junction", "Sneddon", "friction crack")),
     "flow that opens fractures": (GREEN, ("KGD", "Task B", "Wijesinghe", "Sotra network")),
     "slip that fluid drives": (ORANGE, ("Viesca", "BP6, constant friction")),
     "waves": (PINK, ("rupture", "absorbing side")),
@@ -24,6 +24,12 @@ KINDS = {
 MARKS = "os^D"
 STARRED = "*: against its own limit"
 LEAST = 5e-5  # errors below are drawn at the foot, with their number
+AROUND = (
+    (9, 0, "left", "center"), (0, -9, "center", "top"), (0, 9, "center", "bottom"), (8, -7, "left", "top"),
+    (8, 7, "left", "bottom"), (-9, 0, "right", "center"), (-8, -7, "right", "top"), (-8, 7, "right", "bottom"),
+)  # fmt: skip
+"""Offsets of a name from a point, in points, and its alignment."""
+Points = Sequence[tuple[float, float]]
 WRITTEN = {"fontsize": 8.5, "path_effects": HALO}
 OTHERS = {"OpenGeoSys": "s", "PorePy": "^", "boundary elements": "D"}
 
@@ -46,13 +52,13 @@ def chart(results: Sequence[Result], folder: Path, command: str) -> None:
     figure = Figure(figsize=(8.8, 5.6), layout="constrained")
     axis = figure.subplots()
     axis.set(xscale="log", yscale="log", xlabel="CPU seconds of the whole process", ylabel="relative error")
-    points, labels = [], []
+    drawn, labels = [], []
     for result in results:
         colour, mark = look(result.benchmark.short)
         errors = np.maximum(result.outcomes[0].errors, LEAST)
         seconds = np.array([ran.seconds for ran in result.runs])
         axis.plot(seconds, errors, "-", marker=mark, ms=6, lw=1.4, color=colour, zorder=3)
-        points += list(zip(seconds, errors, strict=True))
+        drawn.append(list(zip(seconds, errors, strict=True)))
         told = result.outcomes[0].errors[-1]
         name = called(result) + (f": {told:.0e} ↓" if told < LEAST else "")
         labels.append((name, colour, list(zip(seconds, errors, strict=True))[::-1]))
@@ -71,13 +77,13 @@ def chart(results: Sequence[Result], folder: Path, command: str) -> None:
                         color=colour,
                         zorder=2,
                     )
-                    points += there
+                    drawn.append(there)
     axis.set_ylim(LEAST * 0.7, None)
     axis.legend(handles=keys(results), fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     note = f"First observable of each problem, joined over sizes of cells or steps; {STARRED}. {command}"
     figure.supxlabel(note, fontsize=7.5, color=PALE, x=0.012, ha="left")
     figure.draw_without_rendering()
-    place(axis, labels, points)
+    place(axis, labels, drawn)
     folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / "benchmarks.png")
 
@@ -90,40 +96,43 @@ def keys(results: Sequence[Result]) -> list[Line2D]:
     for program, sign in OTHERS.items():
         ran = {each.here for result in results for each in result.others if each.program.startswith(program)}
         for here in ran:
-            label = program + ("" if here else ",\nas published, not run here")
+            label = program + ("" if here else ",\nmeasured earlier, not here")
             shown.append(
                 Line2D([], [], color=INK, ls="--" if here else ":", marker=sign, ms=5, lw=0.9, mfc="white", label=label)
             )
     return shown
 
 
-def place(
-    axis: Axes, labels: Sequence[tuple[str, str, list[tuple[float, float]]]], points: Sequence[tuple[float, float]]
-) -> None:
-    """Put each name beside a point of its curve where it covers no point and no other name."""
-    taken = [Bbox.from_bounds(x - 5, y - 5, 10, 10) for x, y in axis.transData.transform(points)]
+def place(axis: Axes, labels: Sequence[tuple[str, str, Points]], drawn: Sequence[Points]) -> None:
+    """Put each name beside a point of its curve where it covers no curve and no other name, the last point if it can."""
+    taken = []  # boxes, and how much it matters that they stay free
+    for curve in drawn:
+        corners = axis.transData.transform(curve)
+        at = np.linspace(0, len(curve) - 1, 24 * len(curve))
+        steps = np.stack([np.interp(at, np.arange(len(curve)), column) for column in corners.T], axis=1)
+        taken += [(0.4, Bbox.from_bounds(x - 2, y - 2, 4, 4)) for x, y in steps]
+        taken += [(4.0, Bbox.from_bounds(x - 11, y - 11, 22, 22)) for x, y in corners]
     frame = axis.get_window_extent()
     for name, colour, curve in labels:
-        best: tuple[int, Bbox, object] | None = None
-        for end in curve:
-            for dx, dy, across, up in (
-                (8, 0, "left", "center"), (0, -9, "center", "top"), (0, 9, "center", "bottom"), (-8, 0, "right", "center"),
-                (7, -8, "left", "top"), (7, 8, "left", "bottom"), (-7, -8, "right", "top"), (-7, 8, "right", "bottom"),
-            ):  # fmt: skip
-                text = axis.annotate(
-                    name, end, (dx, dy), textcoords="offset points", ha=across, va=up, **WRITTEN, color=colour
-                )
+        tried = []
+        for far, end in enumerate(curve):
+            for dx, dy, across, up in AROUND:
+                where = {"xytext": (dx, dy), "textcoords": "offset points", "ha": across, "va": up}
+                text = axis.annotate(name, end, **where, **WRITTEN, color=colour)
                 box = text.get_window_extent()
-                covered = sum(box.overlaps(other) for other in taken)
-                covered += 5 * (box.x0 < frame.x0 or box.x1 > frame.x1 + 2 or box.y0 < frame.y0)
-                if best is None or covered < best[0]:
-                    if best:
-                        best[2].remove()  # type: ignore[attr-defined]
-                    best = (covered, box, text)
-                else:
-                    text.remove()
-        if best:
-            taken.append(best[1])
+                outside = box.x0 < frame.x0 or box.x1 > frame.x1 + 2 or box.y0 < frame.y0 or box.y1 > frame.y1
+                tried.append(
+                    (
+                        3 * far + 100 * outside + sum(weight * box.overlaps(other) for weight, other in taken),
+                        len(tried),
+                        text,
+                        box,
+                    )
+                )
+                text.set_visible(False)
+        _, _, text, box = min(tried, key=lambda each: each[:2])
+        text.set_visible(True)
+        taken.append((20.0, box))
 
 
 def curves(results: Sequence[Result], folder: Path, command: str) -> None:

@@ -17,7 +17,7 @@ PLACES = ("x-12", "x-4.5", "x4.5", "x7.5", "x12")
 
 
 def run(side: float) -> Ran:
-    """On squares of ``side`` metres: the error of the rupture times at five places."""
+    """On squares of ``side`` metres: errors of rupture times; at 12 km cells above 40 m see a false pulse first."""
     settings = ("method.stepper=explicit", "method.events=at-step-ends", "method.contact=lumped")
     mesh = (SCENE / "fault.geo").read_text(encoding="utf-8").replace("h = 100;", f"h = {side};")
     text = (SCENE / "scene.toml").read_text(encoding="utf-8").replace('[mesh]\nfile = "fault.geo"\n', "")
@@ -34,13 +34,15 @@ def run(side: float) -> Ran:
         (limit["x_km"], np.array(passed)),
         (limit["x_km"], right),
     )
-    return Ran((rms(passed - right, right),), seconds, (line,))
+    wrong, last = np.array(passed) - right, PLACES.index("x12")
+    four = np.arange(len(PLACES)) != last
+    return Ran((rms(wrong[four], right[four]), abs(float(wrong[last] / right[last]))), seconds, (line,))
 
 
 BENCHMARK = Benchmark(
     "Rupture in TPV205's manner", "rupture",
     "SCEC TPV5/TPV205 (Harris et al. 2009) in two dimensions; against squares of 31.25 m, which one of 20 m changes by 0.14 %",
     "the curves that SCEC's groups uploaded stand behind a login, and were not at hand",
-    (Bar("rupture times", 0.02, 0.7),),
+    (Bar("rupture times", 0.007, 1.5), Bar("at 12 km", 0.04)),
     run, (300.0, 150.0, 100.0), (), "squares [m]", own_limit=True,
 )  # fmt: skip

@@ -75,6 +75,6 @@ BENCHMARK = Benchmark(
     "Mont Terri Task B", "Task B",
     "DECOVALEX-2019 Task B with the parameters of OpenGeoSys's public deck TaskB_slip.prj; against steps of 0.5 s",
     "friction of 22 degrees is from memory; measurements at Mont Terri and the deck's own results were not at hand",
-    (Bar("slip", 0.002, None, 0.01), Bar("opening", 0.002, None, 0.01), Bar("first slip", 4.0 / END)),
+    (Bar("slip", 2e-4, None, 0.01), Bar("opening", 2e-5, None, 0.01), Bar("first slip", 4.0 / END)),
     run, (6.0, 3.0, 1.5), (), "time step [s]", own_limit=True,
 )  # fmt: skip
