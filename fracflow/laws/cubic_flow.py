@@ -138,15 +138,15 @@ class ExactCubic(CubicLaw):
 
     Behind a front d goes as the power 2/3 of the distance to it (Desroches et al., 1994), and the place of the front in the
     element is not known. The mean of a line to the shut end would hold the front back until that end gapes all at once.
-    With x what the openings of the ends differ by beyond the aperture at rest, it is (2 d1^2 d2^2 + FRONT x^4)/(d1 + d2):
-    FRONT is the mean of the middle's d^3 over that of the wide end's, over all places of the front in the element. Where
-    no walls part so far, nothing is added.
+    So the mean is (2 d1^2 d2^2 + FRONT x^4)/(d1 + d2). Here x is what the openings of the ends differ by beyond the aperture
+    at rest, so that nothing is added where walls part by less. FRONT is the mean of the middle's d^3 over that of the wide
+    end's, each over all places of the front in the element.
     """
 
     mean_cube = staticmethod(exact_mean_cube)
 
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
-        """As for ``CubicLaw``, with the front."""
+        """As for ``CubicLaw``, of openings (n, 2), with what a front lets through."""
         found = super().conductance(opening, slip, history, step)
         parted = opening[:, 0] - opening[:, 1]
         beyond = np.abs(parted) - self.aperture.mean(axis=1)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from fracflow.laws import FLOW_LAWS
-from fracflow.laws.cubic_flow import conductance, exact_mean_cube, report_mean_cube
+from fracflow.laws.cubic_flow import ExactCubic, conductance, exact_mean_cube, report_mean_cube
 
 pytestmark = pytest.mark.serial
 
@@ -87,3 +87,23 @@ def test_derivatives_with_a_front():
         change = step * np.eye(2)[end]
         by = (two_ends(0.7, opening + change).value - two_ends(0.7, opening - change).value) / (2 * step)
         assert np.allclose(by, found.by_opening[:, end], rtol=1e-6, atol=1e-6)
+
+
+class RidesUp(ExactCubic):
+    """Walls that a slip of one component along the joint parts for the fluid by half of it."""
+
+    knows_slip = True
+
+    def hydraulic(self, opening, slip, history, step):
+        width, by_opening, _ = super().hydraulic(opening, slip, history, step)
+        return width + 0.5 * slip[:, :, 0], by_opening, np.full(slip.shape, 0.5)
+
+
+def test_derivatives_by_slip_with_a_front():
+    opening, slip = np.random.default_rng(3).uniform(0.0, 10.0, (2, 50, 2))
+    law, step = RidesUp(np.full((50, 2), 0.7), np.zeros((50, 2)), np.ones(50), 1.0 / 12.0), 1e-6
+    found = law.conductance(opening, slip[:, :, None], {})
+    for end in (0, 1):
+        change = step * np.eye(2)[end]
+        more, less = (law.conductance(opening, (slip + by)[:, :, None], {}).value for by in (change, -change))
+        assert np.allclose((more - less) / (2 * step), found.by_slip[:, end, 0], rtol=1e-6, atol=1e-6)

@@ -120,7 +120,7 @@ def pressed(size: float) -> Found:
 
 
 def profiles_of(found: Found) -> Profiles:
-    """What a run has at the same places; the slip is the mean of both sides."""
+    """Those of a run at the same places; the slip is the mean of both sides."""
     state = found.fractures[-1]
     x, y = state.points.T
     up, along = np.abs(x) < 1e-9, (np.abs(y - UP) < 1e-9) & (np.abs(x) > 1e-9)
