@@ -179,5 +179,5 @@ def errors(size: float) -> tuple[float, ...]:
     return tuple(abs(each) for each in errors_of(driven(size, round(2 / size))))
 
 
-BARS = (Bar("opening", 0.006, 0.4, 0.01), Bar("net pressure", 0.006, 0.5, 0.01), Bar("length", 0.005, 0.7, 0.01))
+BARS = (Bar("opening", 0.006, 0.3, 0.01), Bar("net pressure", 0.006, 0.4, 0.01), Bar("length", 0.005, 0.45, 0.01))
 CASES = (Case("R16 KGD, viscosity, d0 0.1 um", BARS, errors, (1 / 10, 1 / 20, 1 / 40), (1 / 10, 1 / 14), "h and dt"),)
