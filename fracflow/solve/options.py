@@ -63,6 +63,21 @@ MULTIGRID: dict[str, dict[str, Value]] = {
 """Options that take the place of those above in large scenes."""
 
 
+SWIFT_FROM, SWIFT_TO = 1_000, 400_000
+"""Displacement unknowns between which UMFPACK takes the place of MUMPS on one rank. From 1.3e3 to 3.2e5 unknowns it factors in
+the same time, and solves in a fifth to a third of it (scripts/bench iteration)."""
+
+SWIFT: dict[str, dict[str, Value]] = {
+    prefix: {"pc_factor_mat_solver_type": "umfpack"} for prefix in ("whole-lu", "solid")
+}
+"""Options on one rank between those sizes."""
+
+
+def is_swift(unknowns: int, ranks: int) -> bool:
+    """Whether so many displacements are solved for by UMFPACK."""
+    return ranks == 1 and SWIFT_FROM < unknowns <= SWIFT_TO and bool(PETSc.Sys.hasExternalPackage("suitesparse"))
+
+
 def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
     """A linear solver with the options of a prefix. The caller destroys it. Collective."""
     solver = PETSc.KSP().create(comm=matrix.getComm())
@@ -94,17 +109,17 @@ def is_large(unknowns: int) -> bool:
     return unknowns >= MULTIGRID_FROM
 
 
-def set_defaults(given: Mapping[str, Value], unknowns: int = 0) -> None:
+def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``unknowns`` of displacement decide between factorisation and multigrid. Options of an earlier call, for this scene or
+    ``unknowns`` of displacement decide between factorisation and multigrid, and with ``ranks`` between factorisations. Options of an earlier call, for this scene or
     another of this process, are removed.
     """
     database = PETSc.Options()
     forget()
     _given.clear()
     _given.update(given, database.getAll())
-    tables = [OPTIONS, MULTIGRID] if is_large(unknowns) else [OPTIONS]
+    tables = [OPTIONS, *([MULTIGRID] if is_large(unknowns) else []), *([SWIFT] if is_swift(unknowns, ranks) else [])]
     merged = {f"{prefix}_{key}": v for table in tables for prefix, own in table.items() for key, v in own.items()}
     for key, value in {**merged, **given}.items():
         if not database.hasName(key):
