@@ -79,7 +79,9 @@ class JoinedMatrix:
         union = _union([diagonal, *keys.values(), *(rows.rows * layout.total + rows.cols for rows in self._closures)])
         self._row, self._col = petsc_ints(union // layout.total), petsc_ints(union % layout.total)
         self._diagonal = np.searchsorted(union, diagonal)
-        names = [each for each in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling") if each in parts]
+        names = [
+            each for each in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling") if each in parts
+        ]
         self._constant = {name: (petsc_ints(np.searchsorted(union, keys[name])), parts[name].values) for name in names}
         self._closing = [
             (

@@ -112,8 +112,8 @@ def is_large(unknowns: int) -> bool:
 def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0) -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``unknowns`` of displacement decide between factorisation and multigrid, and with ``ranks`` between factorisations. Options of an earlier call, for this scene or
-    another of this process, are removed.
+    ``unknowns`` of displacement decide between factorisation and multigrid, and with ``ranks`` between factorisations. Options
+    of an earlier call, for this scene or another of this process, are removed.
     """
     database = PETSc.Options()
     forget()
