@@ -63,19 +63,27 @@ MULTIGRID: dict[str, dict[str, Value]] = {
 """Options that take the place of those above in large scenes."""
 
 
-SWIFT_FROM, SWIFT_TO = 1_000, 400_000
-"""Displacement unknowns between which UMFPACK takes the place of MUMPS on one rank. From 1.3e3 to 3.2e5 unknowns it factors in
-the same time, and solves in a fifth to a third of it (scripts/bench iteration)."""
+SWIFT_FROM = 1_000
+SWIFT_TO, SWIFT_ON_EACH = 400_000, 6_000
+"""Displacement unknowns between which UMFPACK takes the place of MUMPS: on one rank, and on each of several ranks the whole
+matrix. From 1.3e3 to 3.2e5 unknowns it factors in the same time, and solves in a fifth to a third of it. Ranks of MUMPS wait
+for each other: at 2.6e3 unknowns, on 2 ranks that share a core, it took 3.5 times as much CPU (scripts/bench iteration).
+There factors are not kept, since iterations of FGMRES make ranks wait as well."""
 
-SWIFT: dict[str, dict[str, Value]] = {
-    prefix: {"pc_factor_mat_solver_type": "umfpack"} for prefix in ("whole-lu", "solid")
-}
-"""Options on one rank between those sizes."""
+_UMFPACK: dict[str, Value] = {"pc_factor_mat_solver_type": "umfpack"}
+_ON_EACH = {"pc_type": "redundant", **{f"redundant_{key}": value for key, value in _UMFPACK.items()}}
 
 
 def is_swift(unknowns: int, ranks: int) -> bool:
     """Whether so many displacements are solved for by UMFPACK."""
-    return ranks == 1 and SWIFT_FROM < unknowns <= SWIFT_TO and bool(PETSc.Sys.hasExternalPackage("suitesparse"))
+    most = SWIFT_TO if ranks == 1 else SWIFT_ON_EACH
+    return ranks > 0 and SWIFT_FROM < unknowns <= most and bool(PETSc.Sys.hasExternalPackage("suitesparse"))
+
+
+def _swift(ranks: int) -> dict[str, dict[str, Value]]:
+    """UMFPACK for the solvers whose factorisation neither the scene nor the command line chooses."""
+    own = [p for p in ("whole-lu", "solid") if not any(name.startswith((f"{p}_pc_", f"{p}_mat_")) for name in _given)]
+    return dict.fromkeys(own, _UMFPACK if ranks == 1 else _ON_EACH)
 
 
 def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
@@ -119,7 +127,11 @@ def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0) 
     forget()
     _given.clear()
     _given.update(given, database.getAll())
-    tables = [OPTIONS, *([MULTIGRID] if is_large(unknowns) else []), *([SWIFT] if is_swift(unknowns, ranks) else [])]
+    tables = [
+        OPTIONS,
+        *([MULTIGRID] if is_large(unknowns) else []),
+        *([_swift(ranks)] if is_swift(unknowns, ranks) else []),
+    ]
     merged = {f"{prefix}_{key}": v for table in tables for prefix, own in table.items() for key, v in own.items()}
     for key, value in {**merged, **given}.items():
         if not database.hasName(key):
