@@ -207,7 +207,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
-    set_defaults(model.scene.petsc, unknowns)
+    set_defaults(model.scene.petsc, unknowns, model.operators.layout.comm.size)
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model, recorder.log)

@@ -109,6 +109,7 @@ class Floating:
         self.frame = facet.frame(ends)[0]
         self.places = on_joints(ends, self.natural).reshape(-1, 2)
         self._carried: np.ndarray | None = None
+        self._asked: tuple[Sections, bool] | None = None
         self.motions = np.zeros((3 * self.count, 0))
 
     def find(self, sections: Sections, is_filled: bool, without: np.ndarray | None = None) -> Floats:
@@ -117,6 +118,9 @@ class Floating:
         is_filled  an incompressible fluid keeps the walls of every joint apart, and together
         without    (s, 2) what sections are taken not to carry, along and across, whatever their status
         """
+        if without is None and self._asked is not None and self._asked[0] is sections and self._asked[1] == is_filled:
+            return self.motions
+        self._asked = (sections, is_filled) if without is None else None
         tangent = sections.tangent
         carried = np.any(tangent != 0.0, axis=1)  # (s, 2): along, across
         carried[:, -1] |= is_filled

@@ -109,7 +109,7 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: 
             raise refusals.pop()
     except (Unsolved, PETSc.Error) as error:
         solver = snes.getKSP()
-        if solver.getPC().getType() == "lu":
+        if solver.getPC().getType() in ("lu", "redundant"):
             solver.getPC().reset()
         if isinstance(error, Unsolved) or error.ierr != BROKEN:
             raise
@@ -160,7 +160,7 @@ class KeptFactors:
         """Make FGMRES of a solver that is LU alone. Collective."""
         self.solver, self.matrix, self.made = solver, matrix, 0
         self.factored = matrix.matrix.duplicate()
-        self._worth = solves_per_factor(matrix.layout.total)
+        self._worth = solves_per_factor(matrix.layout.total, _is_swift(solver))
         self._most = max(int(self._worth), 2 * USUAL)
         self._fills = -1  # of the matrix, when it was factored
         self.begin()
@@ -212,13 +212,20 @@ class KeptFactors:
 Factors = NewFactors | KeptFactors
 
 
-def are_kept(scene: Scene, unknowns: int) -> bool:
-    """Whether factors of so many unknowns are kept: the scene allows it, and a factorisation costs several solves."""
-    return scene.method.factors == "kept" and solves_per_factor(unknowns) >= LEAST_WORTH
+def are_kept(scene: Scene, unknowns: int, swift: bool = False) -> bool:
+    """Whether factors of so many unknowns are kept: the scene allows it, and a factorisation costs several solves.
+
+    swift  they are those of UMFPACK
+    """
+    return scene.method.factors == "kept" and solves_per_factor(unknowns, swift) >= LEAST_WORTH
+
+
+def _is_swift(solver: PETSc.KSP) -> bool:
+    return bool(solver.getPC().getFactorSolverType() == "umfpack")
 
 
 def factors_of(scene: Scene, solver: PETSc.KSP, matrix: JoinedMatrix) -> Factors:
     """Factors for a solver whose options are read. Collective."""
     is_direct = solver.getType() == "preonly" and solver.getPC().getType() == "lu"
-    keeps = is_direct and are_kept(scene, matrix.layout.total)
+    keeps = is_direct and are_kept(scene, matrix.layout.total, _is_swift(solver))
     return (KeptFactors if keeps else NewFactors)(solver, matrix)

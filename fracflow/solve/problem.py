@@ -8,6 +8,7 @@ flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a co
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -97,25 +98,38 @@ class StepProblem:
         self._widest: list[float] | None = None
         self._before = 0.0 if operators.flow is None else np.abs(operators.flow.driving(state.pressure))
 
-    def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
-        """Write what is prescribed at the end of the step into both vectors."""
-        self.loads.impose(self.time, displacement, pressure, self.rule.adjacent, self.rule.rates)
-        for vector, parts, lags in (
-            (displacement, self.loads.supports, self.lag.displacement),
-            (pressure, self.loads.pressures, self.lag.pressure),
+    @cached_property
+    def _prescribed(self) -> tuple[tuple[Ints, Floats], tuple[Ints, Floats]]:
+        """Local numbers (n,) and values (n,) of what is prescribed at the end of the step: displacements, pressures."""
+        displacement, pressure, loads = self.displacement.copy(), self.pressure.copy(), self.loads
+        loads.impose(self.time, displacement, pressure, self.rule.adjacent, self.rule.rates)
+        found = []
+        for vector, parts, lags, rests in (
+            (
+                displacement,
+                loads.supports,
+                self.lag.displacement,
+                loads.resting if loads.at_rest else loads.resting[:0],
+            ),
+            (pressure, loads.pressures, self.lag.pressure, loads.resting[:0]),
         ):
+            values = vector.getArray()
             for part, lag in zip(parts, lags, strict=False):
-                vector.getArray()[part.numbers] += lag
-        if self.loads.at_rest:
-            still, old = self.loads.resting, self.state.motion.displacement.getArray(readonly=True)
-            displacement.getArray()[still] = old[still]
+                values[part.numbers] += lag
+            if len(rests):
+                values[rests] = self.state.motion.displacement.getArray(readonly=True)[rests]
+            numbers = np.concatenate([rests, *(part.numbers for part in parts)])
+            found.append((numbers, values[numbers]))
+        destroy(displacement, pressure)
+        return found[0], found[1]
 
     def move(self, increment: Floats) -> None:
         """Set the trial by the motion (n,) of this rank's unknowns since the last state, but for the prescribed."""
         old, held = self.state.motion.displacement.getArray(readonly=True), self.loads.held
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
-        self.impose(self.displacement, self.pressure)
+        for vector, (numbers, values) in zip((self.displacement, self.pressure), self._prescribed, strict=True):
+            vector.getArray()[numbers] = values
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
         change[held] = new[held] - old[held]
 
