@@ -129,21 +129,25 @@ class CubicLaw(FlowLaw):
         )
 
 
+class ExactCubic(CubicLaw):
+    """Exact two-node mean of the cubed aperture, where it is linear."""
+
+    mean_cube = staticmethod(exact_mean_cube)
+
+
 FRONT = 1.0 / 8.0
 """Share of d1^3 that an element lets through whose other end is shut, behind a front of opening: its middle's cube."""
 
 
-class ExactCubic(CubicLaw):
-    """Exact two-node mean of the cubed aperture, where it is linear; more where a front of opening is in the element.
+class FrontCubic(ExactCubic):
+    """The exact mean, and more where a front of opening is in the element: (2 d1^2 d2^2 + FRONT x^4)/(d1 + d2).
 
     Behind a front d goes as the power 2/3 of the distance to it (Desroches et al., 1994), and the place of the front in the
     element is not known. The mean of a line to the shut end would hold the front back until that end gapes all at once.
-    So the mean is (2 d1^2 d2^2 + FRONT x^4)/(d1 + d2). Here x is what the openings of the ends differ by beyond the aperture
-    at rest, so that nothing is added where walls part by less. FRONT is the mean of the middle's d^3 over that of the wide
-    end's, each over all places of the front in the element.
+    Here x is what the openings of the ends differ by beyond the aperture at rest: nothing is added where walls part by less,
+    and next to nothing where elements are small beside the opening. FRONT is the mean of the middle's d^3 over that of the
+    wide end's, each over all places of the front in the element.
     """
-
-    mean_cube = staticmethod(exact_mean_cube)
 
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """As for ``CubicLaw``, of openings (n, 2), with what a front lets through."""

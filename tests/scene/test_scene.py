@@ -145,7 +145,7 @@ def test_steps_cover_the_stage(make, end, step, count):
 
 def test_report_model_resolves_methods(make):
     default, report = make().method, make("model=report").method
-    assert (default.storage, default.conductance, default.newton_test) == ("lumped", "exact", "residual")
+    assert (default.storage, default.conductance, default.newton_test) == ("lumped", "front", "residual")
     assert (default.tangent, default.open_strength, default.quadrature) == ("consistent", "none", "nodal")
     assert (report.storage, report.conductance, report.newton_test) == ("report", "report", "out-of-balance")
     assert (report.tangent, report.open_strength, report.coupling) == ("decoupled", "cohesion", "auto")

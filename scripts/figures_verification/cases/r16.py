@@ -141,7 +141,7 @@ friction_coefficient = 0.6
 """
 
 
-def driven(joint: float, steps: int, aperture: float = 1e-7, rule: str = "bdf2", mean: str = "exact") -> Found:
+def driven(joint: float, steps: int, aperture: float = 1e-7, rule: str = "bdf2", mean: str = "front") -> Found:
     """Run it to END on joints of ``joint`` LENGTH, in so many steps a stage."""
     size = joint * LENGTH
     growth = 1.0 + 0.8 * np.sqrt(joint)
