@@ -120,7 +120,8 @@ class FlowOnJoints:
 
         left, change = problem.flow_balance.copy(), problem.pressure.duplicate()
         taken = rate * self.operators.joints.weights * own
-        both = (own_slopes * own[:, None]).reshape(-1, 2, 2).sum(axis=1)
+        with np.errstate(invalid="ignore"):  # where sections have no answer, which the next trial shows
+            both = (own_slopes * own[:, None]).reshape(-1, 2, 2).sum(axis=1)
         network.taken_up(taken.reshape(-1, 2) + both, left)
         left.scale(-1.0)
         for part in problem.loads.pressures:
