@@ -21,7 +21,7 @@ from fracflow.model.compressibility import compression_of
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
-from fracflow.solve.request import StepRequest
+from fracflow.solve.request import MOST_GROWTH, StepRequest
 
 MOST_PARTS = 1e5  # of the rest of a stage: more substeps are reported
 WATCHED = 500  # substeps in a row before the report: some periods of the vibration
@@ -122,7 +122,7 @@ class ErrorEstimator:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length
         over = error / (allowed * min(1.0, dt / span))
-        if passes := over > 1.0 and passing / (PASSING * allowed) < over:
+        if passes := passing / (PASSING * allowed) < over:
             over, error = passing / (PASSING * allowed), 0.0
         self.tried = _Tried(new.time, size, error, self._followed(dt, part, old, new), passing if passes else 0.0)
         return over
@@ -218,7 +218,8 @@ class ErrorEstimator:
             passing = new.previous_step.velocity, new.previous_step.uptake
             passed = (old.previous_step.velocity, old.previous_step.uptake) if last > 0.0 else before
         bend = latest(self.bends, old.time)
-        if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
+        at_bend = bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME)
+        if at_bend or (self.stepper.memory and dt > MOST_GROWTH * last):
             last = 0.0
         rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
         rule, found = cast(FlowRule, self.stepper), []
