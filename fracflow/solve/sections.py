@@ -120,8 +120,7 @@ class FlowOnJoints:
 
         left, change = problem.flow_balance.copy(), problem.pressure.duplicate()
         taken = rate * self.operators.joints.weights * own
-        with np.errstate(invalid="ignore"):  # where sections have no answer, which the next trial shows
-            both = (own_slopes * own[:, None]).reshape(-1, 2, 2).sum(axis=1)
+        both = (own_slopes * own[:, None]).reshape(-1, 2, 2).sum(axis=1)
         network.taken_up(taken.reshape(-1, 2) + both, left)
         left.scale(-1.0)
         for part in problem.loads.pressures:
@@ -299,7 +298,8 @@ class SectionSolver:
             return exchange.back(alone)
         own = exchange.back(alone)[:, -1]
         opened = [each[:, :, -1] for each in by_pressure]
-        raised = self.flow.solve(problem, opened, self._weights, rows.slopes, own, own_slopes)
+        with np.errstate(invalid="ignore"):  # sections may have no answer, which the next trial refuses
+            raised = self.flow.solve(problem, opened, self._weights, rows.slopes, own, own_slopes)
         there = exchange.there(raised[:, None])[:, 0]
         for batch, answer in zip(self.clusters.batches, by_pressure, strict=True):
             alone[batch.sections] += np.einsum("cmip,cp->cmi", answer, there[batch.sections])
