@@ -37,8 +37,8 @@ def prescribed(
 ) -> PrescribedTimes:
     """For a stage whose steps are cut at jumps where it ``splits``, and to a tolerance where it has a ``share``.
 
-    Steps of the length ``filled_in``, in which fractures fill, end at both ends of a ramp that is a jump beside them: else what
-    holds at its end would hold in the whole step.
+    Steps of the length ``filled_in`` fill fractures. They end at both ends of a ramp that is a jump beside them, since a
+    pressure at the end of a step holds in all of it.
 
     With inertia jumps that are not split at are taken by their means, so that no part has to end there. Without it, jumps
     that are small are no reason for a new beginning.

@@ -64,8 +64,8 @@ def true_residual(matrix: PETSc.Mat, solution: PETSc.Vec, given: PETSc.Vec) -> t
 def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, what: str) -> None:
     """Refine a direct solution with a large residual, and raise Unsolved, on every rank, where there is none. Collective.
 
-    Rows of tight joints are small beside others. A residual that is round-off in the others may then be more than the right
-    side, while the solution is known to many digits: by how much a refinement would change it, that is tested too.
+    Rows of tight joints are small beside others. Round-off in the others may then leave more than the right side, while the
+    solution has many digits. A solution that a refinement hardly changes is therefore one, too.
     """
     matrix, is_direct = solver.getOperators()[0], solver.getType() == "preonly"
     relative, left = true_residual(matrix, solution, given)
