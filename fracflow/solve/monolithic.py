@@ -88,10 +88,15 @@ class Auto(WholeLU):
             far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
             if far or _is_left(problem, failure):
                 raise
-            self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
+            self.other, first = self.other or Newton(self.scene, self.matrix, "monolithic"), failure
         start_again(problem)
         problem.evaluate()
-        return super().solve(problem, self.other)
+        try:
+            return super().solve(problem, self.other)
+        except Unsolved as failure:
+            if isinstance(first, Unsolved):
+                raise
+            raise first from failure  # which says more than that this linear solver fails as well
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""

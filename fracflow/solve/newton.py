@@ -36,6 +36,7 @@ MOST_CHANGES = 50  # rounds of status changes in one step
 BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
 BRIEF = 20  # iterations with the same statuses there
 PATIENCE = 15  # full Newton steps before a line search, with a fluid without a change of status
+MOST_POLISHED = 2  # iterations from a balanced flow on
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -75,7 +76,7 @@ class Newton:
         self._inner, self._circles = StatusHistory(layout.comm), False
         self._rounds: ActiveSetRounds
         self._is_held = False
-        self._is_start, self._is_filled, self._polished = True, False, False
+        self._is_start, self._is_filled, self._polished = True, False, 0
         self._out_of_balance: list[float] = []
         self._refusals: list[BaseException] = []  # of the functions below, until SNES has ended
 
@@ -96,7 +97,7 @@ class Newton:
         most = BRIEF_CHANGES if problem.request.expects_failure else MOST_CHANGES
         for _ in range(most):
             self._pack(problem)
-            self._is_start, self._circles, self._polished, self._is_held = True, False, False, False
+            self._is_start, self._circles, self._polished, self._is_held = True, False, 0, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}", self._refusals)
@@ -352,13 +353,19 @@ class Newton:
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.history)
         self._is_start = False
-        # one more where flow is small beside that at full pressure: the work of wells depends on its digits
-        more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
-        self._polished = self._balanced(problem, iteration)
-        if self._polished and not (more and iteration < accuracy.max_iterations):
+        is_balanced = self._balanced(problem, iteration)
+        self._polished = self._polished + 1 if is_balanced else 0
+        more = is_balanced and not self.only and iteration < accuracy.max_iterations and self._polishes(problem)
+        if is_balanced and not more:
             return int(reasons.CONVERGED_FNORM_RELATIVE)
         most = min(accuracy.max_iterations, problem.request.max_iterations or accuracy.max_iterations)
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
+
+    def _polishes(self, problem: StepProblem) -> bool:
+        """Whether a balanced flow has one iteration more, or two: the work of wells depends on its digits. Collective."""
+        is_first, least = self._polished == 1, self.scene.accuracy.residual
+        is_small = is_first and problem.residual.carried > least  # beside that at full pressure
+        return is_small or (self._polished <= MOST_POLISHED and problem.unaccounted() > least)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual

@@ -18,7 +18,8 @@ from fracflow.model.state import PreviousStep, State
 from fracflow.scene.time_table import AT_ONCE, JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
 
 AT_A_JUMP = 1e-9  # of a step: times so near are one
-MOST_GROWTH = 1e3  # of steps, beyond which the last one has no influence
+MOST_GROWTH = 1.0 + 2.0**0.5
+"""Of steps in a row: up to here BDF2 is stable. A longer one after a short ramp would carry the walls on at its speed."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +213,7 @@ def rule_of(stepper: Stepper, state: State, request: StepRequest, follows: Stepp
 def begins_anew(rule: Stepper, begin: float, previous: PreviousStep, request: StepRequest) -> bool:
     """Whether a step from the time ``begin`` of a multistep rule is taken by backward Euler, without the previous step.
 
-    There is no previous step, or one so short that it is round-off. Or the next length is not known, by which a rule that
+    There is no previous step, or one that is far shorter. Or the next length is not known, by which a rule that
     weighs both ends divides the integral of a table. Or a rate jumps as the step begins, of which such a rule would take half.
     """
     dt, ahead = request.length, request.next_length
