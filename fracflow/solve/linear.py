@@ -100,6 +100,19 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
         destroy(solid, flow)
 
 
+def renew(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
+    """Give a solver that broke another preconditioner with the same options and splits. Collective.
+
+    PETSc counts solves that have begun and not ended, and refuses a third one.
+    """
+    old, new = solver.getPC(), PETSc.PC().create(comm=matrix.layout.comm)
+    new.setOptionsPrefix(solver.getOptionsPrefix())
+    new.setOperators(*old.getOperators())
+    new.setFromOptions()
+    solver.setPC(new)
+    set_up(solver, matrix)
+
+
 def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: list[BaseException]) -> None:
     """SNES from ``unknowns`` on. Raises Unsolved where a linear solve does, or breaks, and drops its factors. Collective.
 

@@ -28,7 +28,7 @@ from fracflow.solve.globalisation import (
     statuses,
 )
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear import factors_of, set_up, solve_nonlinear
+from fracflow.solve.linear import factors_of, renew, set_up, solve_nonlinear
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
 
@@ -36,7 +36,6 @@ MOST_CHANGES = 50  # rounds of status changes in one step
 BRIEF_CHANGES = 12  # of them where a shorter step may be taken instead
 BRIEF = 20  # iterations with the same statuses there
 PATIENCE = 15  # full Newton steps before a line search, with a fluid without a change of status
-MOST_POLISHED = 2  # iterations from a balanced flow on
 SLACK = 1e3  # times the accuracy of the balance: net force on a loose block that is round-off
 
 
@@ -76,7 +75,7 @@ class Newton:
         self._inner, self._circles = StatusHistory(layout.comm), False
         self._rounds: ActiveSetRounds
         self._is_held = False
-        self._is_start, self._is_filled, self._polished = True, False, 0
+        self._is_start, self._is_filled, self._polished, self._unaccounted = True, False, 0, np.inf
         self._out_of_balance: list[float] = []
         self._refusals: list[BaseException] = []  # of the functions below, until SNES has ended
 
@@ -101,8 +100,10 @@ class Newton:
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}", self._refusals)
-            except Unsolved:
+            except Unsolved as error:
                 self._renew_balance()
+                if isinstance(error.__cause__, PETSc.Error):
+                    renew(self.solver, self.matrix)
                 raise
             except SingularMatrix as error:
                 raise self._failure("its matrix is singular", iterations + self.snes.getIterationNumber()) from error
@@ -362,10 +363,15 @@ class Newton:
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
 
     def _polishes(self, problem: StepProblem) -> bool:
-        """Whether a balanced flow has one iteration more, or two: the work of wells depends on its digits. Collective."""
-        is_first, least = self._polished == 1, self.scene.accuracy.residual
+        """Whether a balanced flow has one iteration more: the work of wells depends on its digits. Collective.
+
+        More follow while its unaccounted energy is too large and still falls.
+        """
+        is_first, least, before = self._polished == 1, self.scene.accuracy.residual, self._unaccounted
+        self._unaccounted = problem.unaccounted()
+        falls = is_first or self._unaccounted < 0.5 * before
         is_small = is_first and problem.residual.carried > least  # beside that at full pressure
-        return is_small or (self._polished <= MOST_POLISHED and problem.unaccounted() > least)
+        return is_small or (self._unaccounted > least and falls)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual
