@@ -371,7 +371,9 @@ def commands() -> dict[str, Any]:
 
 def only(words: list[str]) -> typer.Typer:
     """The program with the command that the words begin with, or with all of them: to build one takes a while."""
-    asked = [each for each in app.registered_commands if words[:1] == [each.name or getattr(each.callback, "__name__", "")]]
+    asked = [
+        each for each in app.registered_commands if words[:1] == [each.name or getattr(each.callback, "__name__", "")]
+    ]
     if not asked or asked[0].callback is help_command:
         return app
     found = copy(app)

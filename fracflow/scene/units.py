@@ -80,8 +80,28 @@ USUAL = {
     "m/s": {"m/s": 1.0, "mm/s": 0.001, "km/s": 1e3},
     "m/s**2": {"m/s^2": 1.0},
     "degree": {"deg": 1.0},
+    "ft": {"ft": 1.0},
+    "lbf/ft**2": {"lbf/ft^2": 1.0},
+    "lbf/ft**3": {"lbf/ft^3": 1.0},
+    "lbf*s**2/ft**4": {"slug/ft^3": 1.0},
+    "lbf*s/ft**2": {"lbf s/ft^2": 1.0},
+    "ft**3/s": {"ft^3/s": 1.0},
 }
-"""Factors of usual units to those of SI, as pint gives them to the last bit: its registry costs more CPU than a small run."""
+"""Factors of usual units to those of SI and of the report, as pint gives them to the last bit: its registry costs more CPU than
+a small run."""
+BASE = {
+    "lbf/ft**2": 47.88025898033586,
+    "ft**2/lbf": 0.02088543423315013,
+    "ft/s**2": 0.30479999999999996,
+    "lbf*ft": 1.3558179483314006,
+    "ft": 0.30479999999999996,
+    "lbf*s**2/ft**4": 515.3788183931964,
+    "lbf*s/ft**2": 47.88025898033586,
+    "lbf/ft**3": 157.08746384624627,
+    "s": 1.0,
+}
+"""Units of the report -> SI, likewise."""
+PARTS = {"[length]": ("m", "ft"), "[force]": ("N", "lbf"), "[time]": ("s",)}
 HUGE = 1e100  # beyond it the square of a number may be none; no quantity of the field comes near
 LONGEST = 100  # of a number and its unit, as text
 _UNIT = re.compile(
@@ -120,7 +140,9 @@ class UnitSystem:
             raise ValueError(f"not a unit system; {fits}")
         for part, dimension in zip(parts, ("[length]", "[force]", "[time]"), strict=True):
             try:
-                known = _UNIT.fullmatch(part) is not None and _registry().Quantity(1.0, part).check(dimension)
+                known = part in PARTS[dimension] or (
+                    _UNIT.fullmatch(part) is not None and _registry().Quantity(1.0, part).check(dimension)
+                )
             except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
                 known = False
             if not known:
@@ -144,7 +166,8 @@ class UnitSystem:
         """Factor that brings a number of this system to SI."""
         if self.name == "SI" and "angle" not in dimension:
             return 1.0
-        return float(_registry().Quantity(1.0, self.unit(dimension)).to_base_units().magnitude)
+        unit = self.unit(dimension)
+        return BASE[unit] if unit in BASE else float(_registry().Quantity(1.0, unit).to_base_units().magnitude)
 
     def convert(self, text: str, dimension: str) -> float:
         """Turn ``"30 GPa"`` into a number of this system; raises ValueError that says what fits."""

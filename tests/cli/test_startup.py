@@ -6,7 +6,7 @@ import sys
 import pytest
 from pages import ROOT
 
-from fracflow.scene.units import USUAL, _registry
+from fracflow.scene.units import BASE, PARTS, USUAL, _registry
 
 LATE = {"matplotlib", "PIL", "pint", "pandas", "gmsh", "meshio", "IPython"}
 """Packages without which a run in SI units comes to its pictures."""
@@ -33,3 +33,6 @@ def test_factors_of_usual_units_are_those_of_pint():
     for target, factors in USUAL.items():
         for unit, factor in factors.items():
             assert float(pint.Quantity(1.0, pint.parse_units(unit)).to(target).magnitude) == factor, (unit, target)
+    for unit, factor in BASE.items():
+        assert float(pint.Quantity(1.0, unit).to_base_units().magnitude) == factor, unit
+    assert all(pint.Quantity(1.0, name).check(dimension) for dimension, names in PARTS.items() for name in names)
