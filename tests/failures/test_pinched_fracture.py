@@ -10,6 +10,7 @@ from fracflow.errors import SolveError
 from fracflow.output import list_steps, read_history, read_step
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
+from fracflow.solve import monolithic
 
 SCENE = Path(__file__).parents[2] / "meshes" / "failures" / "pinched_fracture" / "scene.toml"
 
@@ -322,3 +323,15 @@ def test_walls_that_meet_leave_no_fluid_there(shared_tmp):
     )
     with pytest.raises(SolveError, match=named):
         run(load(shared_tmp / "pressed.toml"), shared_tmp / "pressed")
+
+
+def test_another_linear_solver_is_tried_where_the_first_fails_and_nowhere_else(shared_tmp, monkeypatch):
+    """Shut walls leave a matrix that LU does not solve; iterations that are too few have nothing to do with it."""
+    made, newton = [], monolithic.Newton
+    monkeypatch.setattr(monolithic, "Newton", lambda *given: made.append(given[2]) or newton(*given))
+    few = ["output.pictures=false", "accuracy.max_iterations=2", "accuracy.max_halvings=0"]
+    with pytest.raises(SolveError, match="did not converge in 2 iterations"):
+        run(load(SCENE, few), shared_tmp / "few")
+    assert made and "monolithic" not in made
+    run(load(SCENE, ["output.pictures=false", "stage.0.steps=4"]), shared_tmp / "run")
+    assert "monolithic" in made
