@@ -86,7 +86,9 @@ class Auto(WholeLU):
         try:
             return super().solve(problem, newton)
         except NotConverged as failure:
-            if _is_left(problem, failure) or not (isinstance(failure, Unsolved) or self._solves_badly(problem, failure)):
+            if _is_left(problem, failure) or not (
+                isinstance(failure, Unsolved) or self._solves_badly(problem, failure)
+            ):
                 raise
             self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
         start_again(problem)
