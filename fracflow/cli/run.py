@@ -64,7 +64,7 @@ def run_with_progress(
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts + totals.besides(), soft_wrap=True)
         for line in totals.doubts:
-            console.print(f"! {line}", soft_wrap=True, markup=False)
+            console.print(f"! {scene.with_time_units(line)}", soft_wrap=True, markup=False)
 
 
 def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:

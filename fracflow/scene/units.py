@@ -58,6 +58,9 @@ TIME_UNITS = {
     "years": 31557600.0, "days": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "µs": 1e-6,
 }  # fmt: skip
 """Names of units of time -> their seconds."""
+_FEWEST = {"years": 2.0, "days": 2.0, "h": 2.0, "min": 3.0, "s": 0.5, "ms": 0.5, "µs": 0.0}  # of a unit of time
+TIME_LADDER = tuple((fewest * TIME_UNITS[name], TIME_UNITS[name], name) for name, fewest in _FEWEST.items())
+"""Seconds from which on a unit of time is used, its seconds and its name; the longest first."""
 USUAL = {
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-06, "µm": 1e-06, "km": 1000.0},
     "s": {
@@ -202,6 +205,12 @@ def stated_time(unit: str | None, seconds: float) -> tuple[float, str] | None:
     """Factor from seconds and name of a unit that the author has chosen, where it suits times of that size."""
     each = TIME_UNITS.get(unit or "")
     return (1.0 / each, str(unit)) if each and 0.1 <= (1.0 + 1e-9) * abs(seconds) / each < 1e4 else None
+
+
+def suited_time(unit: str, time: float) -> tuple[float, str]:
+    """Factor and name of the unit that suits a time, which is in ``unit``; others than seconds stay."""
+    fits = ((1.0 / each, name) for least, each, name in TIME_LADDER if abs(time) >= least * (1.0 - 1e-12))
+    return next(fits, (1.0, unit)) if unit == "s" and 0.0 < abs(time) < math.inf else (1.0, unit)
 
 
 def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False) -> str:
