@@ -57,7 +57,7 @@ class ErrorEstimator:
     ) -> None:
         """For a stage from ``start`` [time]; ``progress`` is what ``as_progress`` gave."""
         self.operators, self.loads, self.stepper, self.start = model.operators, model.loads, stepper, start
-        asked, self.shown = model.scene.accuracy, model.scene.time_text
+        asked = model.scene.accuracy
         self.by_step, self.tolerance = asked.step_error, asked.tolerance
         by_sum = self.by_step is None and self.tolerance is not None
         self.of_flow = by_sum and stepper.storage and not stepper.inertia and model.operators.flow is not None
@@ -143,7 +143,7 @@ class ErrorEstimator:
         amplitude, period = swing_of(self.follows.acceleration, self.follows.jerk)
         largest = max(self.largest, self.guess)
         asked = (
-            f"time {time:.6g}: {self.statement} needs substeps as short as {self.shown(self.last, 2)}, about"
+            f"time {time:.6g}: {self.statement} needs substeps as short as {self.last:.2g}, about"
             f" {self._left(time, self.last):.1g} more of them"
         )
         if not math.isfinite(amplitude):
