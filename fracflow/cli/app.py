@@ -18,7 +18,7 @@ from rich.console import Console
 
 from fracflow.cli.exit import abort, stop
 from fracflow.cli.reference import EXAMPLES, markdown
-from fracflow.cli.run import Terminal, run_levels, run_with_progress
+from fracflow.cli.run import Terminal, keep_imports, run_levels, run_with_progress, with_levels
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
@@ -381,13 +381,6 @@ def only(words: list[str]) -> typer.Typer:
     return found
 
 
-def keep_imports() -> None:
-    """Let Python's collector begin, past all that is imported."""
-    if not gc.isenabled():
-        gc.freeze()
-        gc.enable()
-
-
 def petsc_options(petsc: Any, words: list[str]) -> None:
     """Put options such as ``-solid_pc_type cholesky`` into PETSc's database. Raises InputError for stray words."""
     database = petsc.Options()
@@ -408,15 +401,6 @@ def petsc_options(petsc: Any, words: list[str]) -> None:
         database.setValue("options_left", "")
         if key.startswith("-log_view"):
             petsc.Log.begin()  # PETSc itself looks for it as it starts, before any scene is read
-
-
-def with_levels(words: list[str]) -> list[str]:
-    """The words of a command, with the usual number of levels where ``--converge`` names none."""
-    if "--converge" not in words:
-        return words
-    at = words.index("--converge") + 1
-    is_given = at < len(words) and re.fullmatch(r"[-+]?[\d.]+", words[at]) is not None
-    return words if is_given else [*words[:at], "3", *words[at:]]
 
 
 def wrong_words(message: str) -> str:
