@@ -73,9 +73,7 @@ def test_explicit_steps_are_told_without_factorisations(tmp_path, step, cut):
     found = json.loads(CliRunner().invoke(app, ["check", str(tmp_path / "scene.toml"), "--json"]).output)
     assert not [each["part"] for each in found["plan"] if "factor" in each["part"] or "condensed" in each["part"]]
     sizes = found["sizes"]
-    assert sizes["explicit steps"].startswith(
-        f"10 steps of {step}{cut}; critical time step of the rock "
-    )
+    assert sizes["explicit steps"].startswith(f"10 steps of {step}{cut}; critical time step of the rock ")
     (told,) = [value for key, value in sizes.items() if key.startswith("time of the steps")]
     assert f"{50 if cut else 10} explicit parts" in told and "factorisation" not in told
     assert "steps from which a condensed rock pays" not in sizes
