@@ -204,7 +204,7 @@ def _fading(scene: Scene) -> Iterator[str]:
     fluid, given = scene.fluid, scene.initial
     if fluid is None or given is None or given.pressure is None or not scene.has_flow:
         return
-    if given.pressure == fluid.initial_pressure and not fluid.pressure_gradient:
+    if given.pressure == fluid.initial_pressure:
         return
     tables, moves = scene.fracture.values(), (given, *given.rock.values())
     if any(each.displacement or each.displacement_gradient for each in moves) or all(t.pressure for t in tables):

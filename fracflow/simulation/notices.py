@@ -15,7 +15,7 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.output.drawing.axes import shown
 from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH, STRESS, TIME
+from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
 
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
@@ -166,7 +166,7 @@ def suction_line(model: Model, state: State) -> str:
         return ""
     system = scene.unit_system
     pressures, lengths = map(system.behind, (STRESS, LENGTH))
-    time = f"time {state.time:.6g}{system.behind(TIME)}"
+    time = f"time {scene.time_text(state.time)}"
     return (
         f"{time}: the pressure in {name} at ({x:.6g}, {y:.6g}){lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
         " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"

@@ -96,7 +96,7 @@ class Recorder:
     def log(self, line: str) -> None:
         """A line for log.txt."""
         if self.files is not None:
-            self.files.folder.log(line)
+            self.files.folder.log(self.model.scene.with_time_units(line))
 
     def report_saved(self, report: Callable[[int], None] | None) -> None:
         """Report on rank 0 the number of steps before the last state on disk, now and at each later one."""
@@ -372,7 +372,7 @@ class Files:
         sliding, is_open = (parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
         if line := self.chatter.update(step.stage, is_open):
             stage = self.scene.stage[step.stage].title
-            self.folder.log(f"time {state.time:.6g}: stage {stage}: {line}: {self._advice()}")
+            self.folder.log(f"time {self.scene.time_text(state.time)}: stage {stage}: {line}: {self._advice()}")
         slip, rate = (sampling.at_nodes(snapshot, name, *to) for name in ("plastic_slip", "slip_rate"))
         self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:

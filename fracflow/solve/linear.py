@@ -14,6 +14,7 @@ from fracflow.errors import Unsolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
 from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
+from fracflow.solve.residual import over_ranks
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
 BROKEN = 76  # PETSC_ERR_LIB: an external library reported an error
@@ -59,6 +60,21 @@ def true_residual(matrix: PETSc.Mat, solution: PETSc.Vec, given: PETSc.Vec) -> t
     left.axpy(-1.0, given)
     size = given.norm(PETSc.NormType.INFINITY)
     return (left.norm(PETSc.NormType.INFINITY) / size if size > 0.0 else 0.0), left
+
+
+def solves_both(solver: PETSc.KSP, given: PETSc.Vec, middle: int) -> bool:
+    """Whether a solver, as it was last set up, leaves little of each of the two balances in ``given``. Collective.
+
+    middle  unknowns of this rank before those of the flow
+    """
+    solution = given.duplicate()
+    solver.solve(given, solution)
+    _, left = true_residual(solver.getOperators()[0], solution, given)
+    parts = [part for each in (left, given) for part in np.split(np.abs(each.getArray(readonly=True)), [middle])]
+    destroy(solution, left)
+    here = [float(np.where(np.isfinite(part), part, np.inf).max(initial=0.0)) for part in parts]
+    left_solid, left_flow, solid, flow = over_ranks(here, given.getComm().tompi4py())
+    return left_solid <= UNSOLVED * solid and left_flow <= UNSOLVED * flow
 
 
 def check_solution(solver: PETSc.KSP, solution: PETSc.Vec, given: PETSc.Vec, what: str) -> None:
