@@ -140,7 +140,7 @@ def test_waves_of_loads_have_ten_cells():
     side = {"on": ["south"], "wave": {"kind": "s", "velocity": table}}
     scene = sized(scene_of([], fracture={}, absorbing=[side], stage={"kind": "dynamic", "time_step": 1e-3}))
     mesh = read_split(scene)
-    assert "wave of 0.02 s, a load in stage dynamic, / 10 = 2.53, rock at (" in scene.notes[0]
+    assert "wave of 20 ms, a load in stage dynamic, / 10 = 2.53, rock at (" in scene.notes[0]
     assert 2.0 < mesh_sizes.cell_sizes(mesh).max() <= 0.02 * (4e9 / 2500.0) ** 0.5 / 10
     coarse = scene.with_geometry({"size": 8.0})
     (told,) = mesh_sizes.unresolved(coarse, read_split(coarse), {})
