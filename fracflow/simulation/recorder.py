@@ -327,7 +327,6 @@ class Files:
     def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
         """Write the checkpoint: the state, where the run is, and where its files are. Raises OSError."""
         self.folder.check(is_thorough=True)
-        self.profiles.flush()
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
