@@ -68,10 +68,9 @@ class ProfileFile:
             self._file = HistoryFile(folder / FILE)
 
     def append(self, time: float, step: int, values: Mapping[str, NDArray[Any]]) -> None:
-        """Add the profile of a state, from fields at all joint ends (n, ...) in the order of the fields. Raises OSError."""
-        found = {name: value for name, value in values.items() if name.startswith(KEPT)}
-        if found:
-            self._file.append({"time": time, "step": step, **found})
+        """Add the profile of a state, from values at all joint ends (n, ...) in the order of the fields. Raises OSError."""
+        if values:
+            self._file.append({"time": time, "step": step, **values})
 
     def close(self) -> None:
         """Close the file with all rows in it. Raises OSError."""
