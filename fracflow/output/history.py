@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import to_json
-from fracflow.storage.hdf5 import Growing, beside, complete, rows_in, uninterrupted
+from fracflow.storage.hdf5 import Growing, add_dataset, beside, complete, rows_in, uninterrupted
 from fracflow.storage.reader import Found, Layout, read_h5
 from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, digest, layout_of
 
@@ -130,15 +130,10 @@ class HistoryFile:
             raise ValueError(f'history record: the key "time" is missing, or "{SEAL}" is a key')
         layout = layout_of(columns)
         self._row = Row(layout)
-        between = h5py.h5p.create(h5py.h5p.LINK_CREATE)
-        between.set_create_intermediate_group(True)
         for key, (kind, (_, *shape)) in {**layout, SEAL: ("u1", (0, WIDTH))}.items():
-            made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             rows = _ROWS_A_CHUNK if key == SEAL else max(1, _ROWS_A_CHUNK // max(1, prod(shape)))
-            made.set_chunk((rows, *(max(1, n) for n in shape)))
-            space = h5py.h5s.create_simple((0, *shape), (h5py.h5s.UNLIMITED, *shape))
-            about = h5py.h5t.py_create(np.dtype(kind), logical=True)
-            self._sets[key] = h5py.h5d.create(self._file.id, key.encode(), about, space, made, between)
+            chunk = (rows, *(max(1, n) for n in shape))
+            self._sets[key] = add_dataset(self._file, key, np.dtype(kind), (0, *shape), chunk)
         self._last = chain_start(layout, self._notes)
         self._file.attrs[SEAL] = self._last.hex()
 
@@ -181,7 +176,7 @@ class Row:
                 if wrong != right:
                     raise ValueError(f"history record: key {name} has shape {wrong}, the first record had {right}")
                 if is_whole and np.asarray(value).dtype.kind == "f":
-                    raise ValueError(f"history record: key {name} is {value}, the first record had a whole number")
+                    raise ValueError(f"history record: key {name} is no whole number, that of the first record was")
         row = np.empty((), self._kind)
         row[()] = tuple([record[name] for name in self.names])
         return row.tobytes()

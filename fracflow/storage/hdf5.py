@@ -14,8 +14,10 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
 
 from fracflow.storage.files import CHUNK, open_fresh, open_own, part_of, replacing
 
@@ -167,6 +169,22 @@ def whole_file(path: Path, is_synced: bool = False) -> Iterator[h5py.File]:
         finally:
             backing.close()
         backing.check()
+
+
+def add_dataset(
+    file: h5py.File, name: str, kind: np.dtype[Any], shape: tuple[int, ...], chunk: tuple[int, ...] = ()
+) -> h5py.h5d.DatasetID:
+    """A new dataset, growing by rows where it has a chunk; HDF5's own calls take a fraction of the time of h5py's.
+
+    name  with the groups that it is in, which are made
+    """
+    between, made = h5py.h5p.create(h5py.h5p.LINK_CREATE), h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    between.set_create_intermediate_group(True)
+    made.set_obj_track_times(False)
+    if chunk:
+        made.set_chunk(chunk)
+    space = h5py.h5s.create_simple(shape, (h5py.h5s.UNLIMITED, *shape[1:]) if chunk else shape)
+    return h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(kind, logical=True), space, made, between)
 
 
 class Growing(Backing):
