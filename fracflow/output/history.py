@@ -31,8 +31,8 @@ class HistoryFile:
     lag    whether the file may be behind by as many records as keep that at 1 % of the time; else it has them all
 
     The file is there from the first record on. It is replaced by another one, never changed: whoever opens it finds whole
-    records, those up to the last time that it was replaced. Those since then are in PATH.redo, until the file is closed:
-    each is there, whole, when ``append`` returns. ``read_history`` has them all. Records are sealed one by one, in a chain.
+    records, those up to the last time that it was replaced. Those since then are in PATH.redo, until the file is closed.
+    Each is there, whole, when ``append`` returns. ``read_history`` has them all. Records are sealed one by one, in a chain.
     Raises OSError where a record cannot be written.
     """
 
@@ -78,9 +78,10 @@ class HistoryFile:
         """Add one step.
 
         record  key -> number or array; keys are paths in the file ("time", "energy/kinetic", ...), the same
-                in every record; arrays keep their shape, and whole numbers stay whole
+                in every record; arrays keep their shape
 
-        Raises ValueError naming a key that differs, and InputError where the file to go on with has other keys.
+        Whole numbers stay whole. Raises ValueError naming a key that differs, and InputError where the file to go on with has
+        other keys.
         """
         if self._paths.keys() != record.keys():
             self._paths = self._paths_of(record)

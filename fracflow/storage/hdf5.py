@@ -345,7 +345,7 @@ def rows_in(put_down: bytes, size: int) -> Writes:
 
 
 def beside(path: Path) -> bytes:
-    """What was put down beside a file, of a bounded size; nothing where there is no such list."""
+    """All that was put down beside a file, of a bounded size; nothing where there is no such list."""
     try:
         with open(os.open(redo_of(path), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
             return file.read(_LARGEST)
