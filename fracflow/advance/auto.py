@@ -126,8 +126,8 @@ class _Regimes:
         self.vain = StepReport()
         self.coarse: dict[str, tuple[str, ...]] | None = None
         self.shaken = () if self.most is not None else excitations(scene, event.period)
-        shakes = {span.start for span in self.shaken}
-        self.corners = sorted({*self.prescribed.ends, *shakes} - {*scene.jump_times})
+        shakes, self.jumps = {span.start for span in self.shaken}, scene.jump_times
+        self.corners = sorted({*self.prescribed.ends, *shakes} - {*self.jumps})
 
     def slow_step(self, state: State, event: EventState) -> Tried:
         """A step without inertia of the planned length, or the reason why it may not be taken. Collective."""
@@ -195,7 +195,7 @@ class _Regimes:
         """
         least = NEAR * self.longest
         ends = [(self.end, False)] if time + step > self.end - NEAR * step else [(time + step, False)]
-        for jump in self.scene.jump_times:
+        for jump in self.jumps:
             slack = max(least, 1e-11 * abs(jump))  # tables are sampled from the left there
             if time < jump - 2.0 * slack and ends[0][0] > jump - 2.0 * slack:
                 ends.append((jump - slack, True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracflow.errors import InputError
 from fracflow.output.folder import to_json
-from fracflow.storage.hdf5 import Committed, complete, uninterrupted
-from fracflow.storage.reader import Found, read_h5
-from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
+from fracflow.storage.hdf5 import Growing, add_dataset, beside, complete, rows_in, uninterrupted
+from fracflow.storage.reader import Found, Layout, read_h5
+from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, digest, layout_of
 
 _ROWS_A_CHUNK = 256
 AT_LIMIT, SHUT = 1, 2  # values of well/NAME/limit
@@ -25,7 +25,7 @@ _NO_HISTORY, _REMEDY = "is no readable history", f"put back a copy of the file, 
 
 
 class HistoryFile:
-    """Writer of a history: a chunked dataset for each key, all made by the first record (HDF5 SWMR).
+    """Writer of a history: a chunked dataset for each key, all made by the first record.
 
     path   file to write; replaced if it exists
     attrs  metadata of the run (units, versions, ...); all but strings and numbers are stored as JSON
@@ -33,9 +33,9 @@ class HistoryFile:
     lag    whether the file may be behind by as many records as keep that at 1 % of the time; else it has them all
 
     The file is there from the first record on. It is replaced by another one, never changed: whoever opens it finds whole
-    records, those up to the last time that it was replaced. Each record is committed as a whole: those since then are in
-    PATH.redo, until the file is closed; ``read_history`` has them all. Records are sealed one by one, in a chain. Raises
-    OSError where a record cannot be written.
+    records, those up to the last time that it was replaced. Those since then are in PATH.redo, until the file is closed.
+    Each is there, whole, when ``append`` returns. ``read_history`` has them all. Records are sealed one by one, in a chain.
+    Raises OSError where a record cannot be written.
     """
 
     @uninterrupted()
@@ -43,15 +43,15 @@ class HistoryFile:
         self.path, self._lag = Path(path), lag
         if self.path.exists():
             complete(self.path)
-        self._disk = Committed(self.path)
+        self._disk = Growing(self.path)
         self._file = h5py.File(self._disk, "w", libver="latest")
-        self._sets: dict[str, h5py.Dataset] = {}
-        self._shapes: dict[str, tuple[int, ...]] = {}  # of a record; h5py asks the file for them
+        self._sets: dict[str, h5py.h5d.DatasetID] = {}
+        self._paths: dict[str, str] = {}  # of the keys of a record
+        self._kept: list[bytes] = []  # records, with their digests, that are not in the file
         self._rows, self._last, self._goes_on = 0, b"", False
         self._notes = {k: v if isinstance(v, str | int | float) else to_json(v) for k, v in (attrs or {}).items()}
         for name, value in self._notes.items():
             self._file.attrs[name] = value
-        self._file.flush()
 
     @classmethod
     def resume(cls, path: str | Path, rows: int, seal: str = "") -> HistoryFile:
@@ -65,9 +65,9 @@ class HistoryFile:
         history = cls(path, attrs)
         if old:
             history._create(old)
-            history._extend(old)
-            history._show()
-            history._goes_on = True
+            seals = chain(history._last, old)
+            history._disk.publish(lambda: history._extend({**old, SEAL: seals}))
+            history._last, history._goes_on = seals[-1].tobytes() if len(seals) else history._last, True
         return history
 
     @property
@@ -75,34 +75,25 @@ class HistoryFile:
         """Digest of the last record, in hexadecimal digits; empty before the first."""
         return self._last.hex()
 
+    @uninterrupted()
     def append(self, record: Mapping[str, ArrayLike]) -> None:
         """Add one step.
 
         record  key -> number or array; keys are paths in the file ("time", "energy/kinetic", ...), the same
-                in every record; arrays keep their shape. Raises ValueError naming a key that differs.
-        """
-        self.append_all([record])
+                in every record; arrays keep their shape
 
-    @uninterrupted()
-    def append_all(self, records: Sequence[Mapping[str, ArrayLike]]) -> None:
-        """Add some steps, at least one, with the same keys; as ``append``.
-
-        Raises ValueError naming a key that differs, and InputError where the file to go on with has other keys.
+        Whole numbers stay whole. Raises ValueError naming a key that differs, and InputError where the file to go on with has
+        other keys.
         """
-        values = {key: [_stored(record[key]) for record in records] for key in records[0]}
-        row = {_path(key): each[0][None] if len(each) == 1 else np.stack(each) for key, each in values.items()}
-        if not self._sets:
-            self._create(row)
-        elif row.keys() != self._sets.keys():
-            odd = sorted(row.keys() ^ self._sets.keys())
-            if self._goes_on:
-                raise InputError(
-                    f"{self.path}: {odd[0]} is not both there and in the steps that follow: probes or controls of the scene"
-                    f" were changed; put them back, or {AGAIN}"
-                )
-            raise ValueError(f"history record: keys {odd} are not in every record; all must be in the first")
-        self._extend(row)
-        self._show()
+        if self._paths.keys() != record.keys():
+            self._paths = self._paths_of(record)
+        row = self._row.packed({self._paths[key]: value for key, value in record.items()})
+        self._last = digest(self._last, row)
+        self._kept.append(row + self._last)
+        if not self._lag or self._disk.is_due(len(self._kept[-1])):
+            self._disk.publish(self._unload)
+        else:
+            self._disk.put_down(self._rows + len(self._kept) - 1, self._kept[-1])
 
     @uninterrupted()
     def close(self) -> None:
@@ -110,8 +101,9 @@ class HistoryFile:
         if self._disk.file < 0:
             return
         try:
+            self._unload()
             self._file.close()
-            self._show(is_last=True)
+            self._disk.publish(lambda: None)
         finally:
             self._disk.close()
         self._disk.check()
@@ -122,66 +114,85 @@ class HistoryFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _show(self, is_last: bool = False) -> None:
-        self._disk.commit()
-        if is_last or not self._lag or not self._disk.is_published or self._disk.is_due:
-            self._disk.publish()
+    def _paths_of(self, record: Mapping[str, ArrayLike]) -> dict[str, str]:
+        """Where the values of a record go. The first one makes the datasets."""
+        paths = {key: _path(key) for key in record}
+        if not self._sets:
+            self._create({paths[key]: _stored(value)[None] for key, value in record.items()})
+        elif odd := sorted(set(paths.values()) ^ self._sets.keys() - {SEAL}):
+            if self._goes_on:
+                raise InputError(
+                    f"{self.path}: {odd[0]} is not both there and in the steps that follow: probes or controls of the scene"
+                    f" were changed; put them back, or {AGAIN}"
+                )
+            raise ValueError(f"history record: keys {odd} are not in every record; all must be in the first")
+        return paths
 
     def _create(self, columns: Mapping[str, NDArray[Any]]) -> None:
         if "time" not in columns or SEAL in columns:
             raise ValueError(f'history record: the key "time" is missing, or "{SEAL}" is a key')
-        for key, values in columns.items():
-            shape = values.shape[1:]
-            chunk = (max(1, _ROWS_A_CHUNK // max(1, int(np.prod(shape)))), *(max(1, n) for n in shape))
-            self._shapes[key] = shape
-            self._sets[key] = self._file.create_dataset(
-                key, shape=(0, *shape), maxshape=(None, *shape), dtype=values.dtype, chunks=chunk
-            )
-        rows = (_ROWS_A_CHUNK, WIDTH)
-        self._seals = self._file.create_dataset(SEAL, shape=(0, WIDTH), maxshape=(None, WIDTH), dtype="u1", chunks=rows)
-        self._last = chain_start(layout_of(columns), self._notes)
+        layout = layout_of(columns)
+        self._row = Row(layout)
+        for key, (kind, (_, *shape)) in {**layout, SEAL: ("u1", (0, WIDTH))}.items():
+            rows = _ROWS_A_CHUNK if key == SEAL else max(1, _ROWS_A_CHUNK // max(1, prod(shape)))
+            chunk = (rows, *(max(1, n) for n in shape))
+            self._sets[key] = add_dataset(self._file, key, np.dtype(kind), (0, *shape), chunk)
+        self._last = chain_start(layout, self._notes)
         self._file.attrs[SEAL] = self._last.hex()
-        self._file.flush()
-        self._file.swmr_mode = True
+
+    def _unload(self) -> None:
+        """Bring the records that are kept into the file."""
+        kept, self._kept = self._kept, []
+        if kept:
+            self._extend(self._row.unpacked(kept))
 
     def _extend(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        count = len(columns["time"])
-        for key in columns:
-            wrong, right = columns[key].shape[1:], self._shapes[key]
-            if wrong != right:
-                raise ValueError(f"history record: key {key} has shape {wrong}, the first record had {right}")
-        seals = chain(self._last, columns)
-        place = lru_cache(partial(_place, self._rows))
-        for key in [*(name for name in columns if name != "time"), "time"]:
-            if key == "time":
-                _append(self._seals.id, seals, *place(seals.shape))
-                self._file.flush()
-            values = np.ascontiguousarray(columns[key])
-            _append(self._sets[key].id, values, *place(values.shape))
-        self._sets["time"].flush()
-        self._rows += count
-        self._last = seals[-1].tobytes() if count else self._last
+        """Write rows at the end; HDF5's own calls are four times as fast as h5py's slices, which matters with many keys."""
+        rows = len(columns["time"])
+        for key, values in columns.items():
+            shape = values.shape[1:]
+            space = h5py.h5s.create_simple((self._rows + rows, *shape), (h5py.h5s.UNLIMITED, *shape))
+            space.select_hyperslab((self._rows, *(0 for _ in shape)), values.shape)
+            self._sets[key].set_extent(space.shape)
+            self._sets[key].write(h5py.h5s.create_simple(values.shape), space, np.ascontiguousarray(values))
+        self._rows += rows
+        self._file.flush()
 
 
-@lru_cache(maxsize=4096)
+class Row:
+    """The bytes of a record: those of its values in the order of their names, as a chain has them."""
+
+    def __init__(self, layout: Layout) -> None:
+        """That of datasets (steps, ...)."""
+        self.names = sorted(layout)
+        self._kind = np.dtype([(name, layout[name][0], layout[name][1][1:]) for name in self.names])
+        self._with_seal = np.dtype([("row", self._kind), (SEAL, "u1", (WIDTH,))])
+        self.size = self._with_seal.itemsize
+        self._shapes = [(name, layout[name][1][1:], layout[name][0][1] == "i") for name in self.names]
+
+    def packed(self, record: Mapping[str, ArrayLike]) -> bytes:
+        """Those of a record. Raises ValueError naming a key with another shape, or a fraction for a whole number."""
+        for name, right, is_whole in self._shapes:
+            value = record[name]
+            if type(value) is not float or right or is_whole:
+                wrong = np.shape(value)
+                if wrong != right:
+                    raise ValueError(f"history record: key {name} has shape {wrong}, the first record had {right}")
+                if is_whole and np.asarray(value).dtype.kind == "f":
+                    raise ValueError(f"history record: key {name} is no whole number, that of the first record was")
+        row = np.empty((), self._kind)
+        row[()] = tuple([record[name] for name in self.names])
+        return row.tobytes()
+
+    def unpacked(self, rows: Sequence[bytes]) -> dict[str, NDArray[Any]]:
+        """Columns (rows, ...) of records with their digests, which are the column SEAL."""
+        table = np.frombuffer(b"".join(rows), self._with_seal)
+        return {**{name: table["row"][name] for name in self.names}, SEAL: table[SEAL]}
+
+
 def _path(key: str) -> str:
     """A key as HDF5 takes it: without empty parts, and without those that say "here"."""
     return "/".join(part for part in key.split("/") if part not in ("", "."))
-
-
-def _place(row: int, shape: tuple[int, ...]) -> tuple[h5py.h5s.SpaceID, h5py.h5s.SpaceID]:
-    """Rows of a shape in memory, and behind so many rows of a dataset."""
-    space = h5py.h5s.create_simple((row + shape[0], *shape[1:]), (h5py.h5s.UNLIMITED, *shape[1:]))
-    space.select_hyperslab((row, *(0 for _ in shape[1:])), shape)
-    return h5py.h5s.create_simple(shape), space
-
-
-def _append(
-    dataset: h5py.h5d.DatasetID, values: NDArray[Any], memory: h5py.h5s.SpaceID, space: h5py.h5s.SpaceID
-) -> None:
-    """Write rows at the end; HDF5's own calls are four times as fast as h5py's slices, which matters with many keys."""
-    dataset.set_extent(space.shape)
-    dataset.write(memory, space, values)
 
 
 def read_history(path: str | Path) -> dict[str, NDArray[Any]]:
@@ -247,8 +258,9 @@ def _read(
     path: str | Path, rows: int | None = None, must: bool = False
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str]:
     """Records, all or the first ``rows``, attributes, and the digest of the last record, empty where there are no seals."""
+    put_down = beside(Path(path))  # before the file, which then has all records before these
     found = _found(path)
-    columns = {name: values[:rows] for name, values in found.arrays.items()}
+    columns = {name: values[:rows] for name, values in _with_rows(found, put_down).items()}
     start, seals = _check_start(path, found), columns.pop(SEAL, None)
     attrs = {name: value for name, value in found.attributes.items() if name != SEAL}
     if columns and ("time" not in columns or columns["time"].dtype.kind != "f"):
@@ -271,6 +283,16 @@ def _read(
             f"{path}: step {wrong[0]} is not as it was written, those before it are; put back a copy of the file, or {AGAIN}"
         )
     return columns, attrs, (mine[-1].tobytes() if len(mine) else start).hex()
+
+
+def _with_rows(found: Found, put_down: bytes) -> dict[str, NDArray[Any]]:
+    """The columns of a file, with the records that follow beside it."""
+    if "time" not in found.arrays or SEAL not in found.layout or not put_down:
+        return found.arrays
+    row = Row({name: about for name, about in found.layout.items() if name != SEAL})
+    here = len(found.arrays["time"])
+    more = row.unpacked([each for number, each in rows_in(put_down, row.size) if number >= here])
+    return {name: np.concatenate([values, more[name]]) for name, values in found.arrays.items()}
 
 
 def _check_start(path: str | Path, found: Found) -> bytes:

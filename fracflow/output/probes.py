@@ -52,11 +52,13 @@ def probe_record(
         place = places[probe]
         at: OnFracture | InRock
         if isinstance(place, FracturePlace):
-            at, sampled = OnFracture(place, snapshot), snapshot.at_place(place)
+            at, sampled, columns = OnFracture(place, snapshot), snapshot.at_place(place), snapshot.columns
         else:
-            at, sampled = InRock(scene, mesh, place, snapshot), {}
+            at, sampled, columns = InRock(scene, mesh, place, snapshot), np.zeros(0), Columns((), 0)
         for name in wanted:
-            record[f"probe/{probe}/{name}"] = one_less(sampled[name] if name in sampled else rows[name].formula(at))
+            is_sampled = name in columns
+            value = columns.of(sampled, name) if is_sampled else rows[name].formula(at)
+            record[f"probe/{probe}/{name}"] = one_less(value)
     return record
 
 
@@ -69,12 +71,12 @@ def well_record(
     limited  wells with a limit of their pressure
     """
     volumes, record = state.volumes, dict[str, float]()
-    depth = scene.flow_depth
+    depth, rows = scene.flow_depth, quantities("well")
     for name, (pressure, entering) in snapshot.wells.items():
         rate = volumes.rates.get(name, entering * depth)
         limit = SHUT if name in state.wells_shut else AT_LIMIT if name in state.wells_at_limit else 0
         at = AtWell(pressure, rate, volumes.wells.get(name, 0.0), at_rest[name], limit)
-        for key, row in quantities("well").items():
+        for key, row in rows.items():
             if key != "well/limit" or name in limited:
                 record[f"well/{name}/{key.removeprefix('well/')}"] = row.formula(at)
     return record | {key: row.formula(state) for key, row in quantities("network").items()}

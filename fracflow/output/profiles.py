@@ -17,7 +17,6 @@ from fracflow.output.history import HistoryFile, read_history
 FILE = "profiles.h5"
 KEPT = ("pressure", "aperture", "plastic_slip")
 MOST, FEWEST = 64, 8  # intervals of the time that has passed, each of which has a profile
-TOGETHER = 8  # rows
 LARGEST = 32 << 20  # bytes that the profiles of so many intervals may take
 
 
@@ -61,7 +60,6 @@ class ProfileFile:
     def __init__(self, folder: Path, rows: int = 0) -> None:
         """Begin, or go on after so many rows. Rows that cannot be read are given up: no run goes on from them."""
         self.lost = ""
-        self._kept: list[dict[str, Any]] = []  # rows to be written together, which takes a tenth of the time
         try:
             self._file = HistoryFile.resume(folder / FILE, rows) if rows else HistoryFile(folder / FILE)
         except InputError as error:
@@ -70,25 +68,13 @@ class ProfileFile:
             self._file = HistoryFile(folder / FILE)
 
     def append(self, time: float, step: int, values: Mapping[str, NDArray[Any]]) -> None:
-        """Add the profile of a state, from fields at all joint ends (n, ...) in the order of the fields. Raises OSError."""
-        found = {name: value for name, value in values.items() if name.startswith(KEPT)}
-        if found:
-            self._kept.append({"time": time, "step": step, **found})
-        if len(self._kept) >= TOGETHER:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write the rows that are kept, before a checkpoint counts them. Raises OSError."""
-        if self._kept:
-            rows, self._kept = self._kept, []
-            self._file.append_all(rows)
+        """Add the profile of a state, from values at all joint ends (n, ...) in the order of the fields. Raises OSError."""
+        if values:
+            self._file.append({"time": time, "step": step, **values})
 
     def close(self) -> None:
         """Close the file with all rows in it. Raises OSError."""
-        try:
-            self.flush()
-        finally:
-            self._file.close()
+        self._file.close()
 
 
 def read_profiles(folder: Path) -> dict[str, NDArray[Any]]:

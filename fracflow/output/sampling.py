@@ -16,6 +16,7 @@ from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
 from fracflow.model.state import Sections, State
+from fracflow.output.profiles import KEPT
 from fracflow.scene.quantities import OutputQuantity, quantities
 from fracflow.scene.scene import Scene
 
@@ -31,21 +32,23 @@ class Columns:
         self.rows: tuple[OutputQuantity, ...] = tuple(rows[name] for name in names)
         starts = np.cumsum([0, *(row.width(dim) for row in self.rows)]).tolist()
         self.width = int(starts[-1])
-        self._places = {row.name: slice(*starts[n : n + 2]) for n, row in enumerate(self.rows)}
+        places = [starts[n] if row.kind == "scalar" else slice(*starts[n : n + 2]) for n, row in enumerate(self.rows)]
+        self._places: dict[str, int | slice] = {row.name: place for row, place in zip(self.rows, places, strict=True)}
 
     def fill(self, at: JointEnds) -> Floats:
         """The values of this rank's joint ends (j, 2, width). Collective."""
         table = np.empty((*at.aperture_given.shape, self.width))
         for row in self.rows:
-            values = np.asarray(row.formula(at))
-            table[:, :, self._places[row.name]] = values if values.ndim == 3 else values[..., None]
+            table[:, :, self._places[row.name]] = row.formula(at)
         return table
 
     def of(self, table: Floats, name: str) -> Floats:
         """One quantity out of (..., width): (...), or with the components of a vector behind."""
-        row = next(row for row in self.rows if row.name == name)
         part: Floats = table[..., self._places[name]]
-        return part[..., 0] if row.kind == "scalar" else part
+        return part
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._places
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class Sampler:
     always    columns that events need at every step at all joint ends
     columns   these, and those that probes need; the same on all ranks
     fields    columns of the fields of fractures
+    profiles  those of them that profiles keep
     wells     name -> flow nodes (n,) of this rank, their local numbers; none without flow
     """
 
@@ -69,6 +73,7 @@ class Sampler:
     always: Columns
     columns: Columns
     fields: Columns
+    profiles: Columns
     wells: Mapping[str, Ints] = field(default_factory=dict)
 
 
@@ -95,6 +100,7 @@ def make_sampler(
         Columns(EVERY_STEP, dim),
         Columns((*EVERY_STEP, *(name for name in there if name in asked and name not in EVERY_STEP)), dim),
         Columns((name for name, row in there.items() if row.field), dim),
+        Columns((name for name, row in there.items() if row.field and name.startswith(KEPT)), dim),
         {
             name: np.flatnonzero(np.isin(blocks.flow.ids, nodes))
             for name, nodes in (wells or {}).items()
@@ -241,11 +247,11 @@ class Snapshot:
         """Smallest distance of a status from its threshold."""
         return float(self.column("margin").min(initial=np.inf))
 
-    def at_place(self, place: FracturePlace) -> dict[str, Floats]:
-        """Values () or (dim-1,) of the columns at a place: means over its (k,) joint ends, or interpolated between two."""
+    def at_place(self, place: FracturePlace) -> Floats:
+        """All ``columns`` (width,) at a place: means over its (k,) joint ends, or interpolated between two."""
         rows = np.array([self.probed[int(joint)][end] for joint, end in zip(place.joints, place.ends, strict=True)])
-        mean = np.array(place.shares) @ rows if place.within else rows.mean(axis=0)
-        return {row.name: self.columns.of(mean, row.name) for row in self.columns.rows}
+        mean: Floats = np.array(place.shares) @ rows if place.within else rows.mean(axis=0)
+        return mean
 
 
 class StateSampler:
@@ -283,10 +289,10 @@ class StateSampler:
         count, total, entering = self.sampler.operators.blocks.comm.allreduce(here, op=MPI.SUM).T
         return dict(zip(wells, zip((total / count).tolist(), entering.tolist(), strict=True), strict=True))
 
-    def fields(self) -> Floats | None:
-        """The columns of the fields (joints, 2, width) at all joint ends on rank 0, original order."""
+    def fields(self, columns: Columns) -> Floats | None:
+        """Columns (joints, 2, width) at all joint ends on rank 0, original order."""
         blocks = self.sampler.operators.blocks
-        return blocks.gather(blocks.joints.ids, self.sampler.fields.fill(self.ends), blocks.sizes.joints)
+        return blocks.gather(blocks.joints.ids, columns.fill(self.ends), blocks.sizes.joints)
 
     def motion(self) -> Floats | None:
         """Displacement, velocity and acceleration (n, 3, dim) of all split nodes on rank 0, original order."""

@@ -163,8 +163,9 @@ class Recorder:
         time = sample.state.time
         if not self.model.operators.blocks.sizes.joints or not self.profiles.is_due(time, kind, self._profiles):
             return
-        if (ends := sample.fields()) is not None:
-            values = fracture_fields(self.sampler.fields, ends)
+        columns = self.sampler.profiles
+        if (ends := sample.fields(columns)) is not None:
+            values = fracture_fields(columns, ends)
             self._write(lambda files: files.profiles.append(time, self.totals.steps, values))
         self.profiles.add(time, kind)
         self.totals.profiles = asdict(self.profiles)
@@ -174,7 +175,7 @@ class Recorder:
         return index == 0 or bool(every and index % every == 0)
 
     def _fields(self, sample: sampling.StateSampler, index: int, whole: bool = True) -> None:
-        ends, motion = sample.fields(), sample.motion() if whole else None
+        ends, motion = sample.fields(self.sampler.fields), sample.motion() if whole else None
         if ends is not None:
             values = fracture_fields(self.sampler.fields, ends)
             self._write(lambda files: files.fields(index, sample.state, values, motion))
@@ -309,6 +310,9 @@ class Files:
             if notes is not None:
                 self.events.remember(notes["events"])
         self.count, self.is_ended = len(flow), False
+        # a tip has no jump: what its law does with a stress past its strength is no slip
+        is_apart = (self.mesh.joint_bottom != self.mesh.joint_top).ravel()
+        self.parts = np.bincount(self.inverse, is_apart, self.count) > 0.0
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
         resumes, path, names = notes is not None, self.folder.path, {"rocks": list(self.mesh.rocks)}
@@ -333,7 +337,6 @@ class Files:
     def save(self, step: Step, arrays: Arrays, about: Mapping[str, Any]) -> None:
         """Write the checkpoint: the state, where the run is, and where its files are. Raises OSError."""
         self.folder.check(is_thorough=True)
-        self.profiles.flush()
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
@@ -366,10 +369,8 @@ class Files:
         places = self.placed.probes
         self.history.append(record | probe_record(self.scene, self.mesh, places, self.measured, snapshot))
 
-        # A tip has no jump: what its law does with a stress past its strength is no slip.
-        parts = np.bincount(self.inverse, (self.mesh.joint_bottom != self.mesh.joint_top).ravel(), self.count) > 0.0
         to = self.inverse, self.count
-        sliding, is_open = (parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
+        sliding, is_open = (self.parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
         if line := self.chatter.update(step.stage, is_open):
             stage = self.scene.stage[step.stage].title
             self.folder.log(f"time {self.scene.time_text(state.time)}: stage {stage}: {line}: {self._advice()}")

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.errors import InputError
-from fracflow.storage.hdf5 import whole_file
+from fracflow.storage.hdf5 import add_dataset, whole_file
 from fracflow.storage.reader import Arrays, Layout, read_h5
 
 SEAL = "seal"  # dataset of digests, and attribute of the root
@@ -88,9 +89,10 @@ def write_sealed(path: Path, arrays: Mapping[str, Any], notes: Mapping[str, Any]
     digests = np.concatenate([np.zeros((0, WIDTH), np.uint8), *(pieces(values[name]) for name in sorted(values))])
     root = root_of(layout_of(values), notes, digests)
     with whole_file(path, is_synced=durable) as file:
-        for name, each in values.items():
-            file[name] = each
-        file[SEAL] = digests
+        for name, each in (*values.items(), (SEAL, digests)):
+            dataset = add_dataset(file, name, each.dtype, each.shape)
+            if each.size:
+                dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(each).reshape(each.shape))
         for name, note in {**notes, SEAL: root}.items():
             file.attrs[name] = note
     return root

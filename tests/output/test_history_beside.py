@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -13,7 +14,8 @@ import pytest
 from stopped_run import SCENE
 
 from fracflow._petsc import MPI
-from fracflow.output.history import HistoryFile, read_history
+from fracflow.errors import InputError
+from fracflow.output.history import HistoryFile, read_history, read_rows
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.storage.hdf5 import redo_of
@@ -92,12 +94,30 @@ def test_a_file_that_is_behind_is_completed_by_ours(tmp_path, monkeypatch):
 
 
 @pytest.mark.serial
+def test_records_beside_it_are_of_its_chain(tmp_path, monkeypatch):
+    """A record that another program put there is named; one of another size is none, and those after it neither."""
+    monkeypatch.setattr("fracflow.storage.hdf5.SHARE", 1e9)
+    path = tmp_path / "h.h5"
+    with HistoryFile(path) as history:
+        for i in range(3):
+            history.append({"time": float(i)})
+        history._disk.put_down(3, np.full(3, 3.0).tobytes())
+        with pytest.raises(InputError, match=r"h\.h5: step 3 is not as it was written"):
+            read_history(path)
+        with pytest.raises(InputError, match="has 1 steps, not 2"):
+            read_rows(shutil.copy(path, tmp_path / "alone.h5"), 2)
+        assert len(read_rows(path, 3)[0]["time"]) == 3  # the records before it are whole
+        history._disk.put_down(4, b"short")
+        assert len(read_rows(path, 3)[0]["time"]) == 3
+
+
+@pytest.mark.serial
 def test_what_is_put_down_beside_it_stays_short(tmp_path, monkeypatch):
     monkeypatch.setattr("fracflow.storage.hdf5.SHARE", 1e9)
     monkeypatch.setattr("fracflow.storage.hdf5.LONGEST_REDO", 10_000)
     with HistoryFile(tmp_path / "h.h5") as history:
-        for i in range(100):
+        for i in range(500):
             history.append({"time": float(i)})
             assert redo_of(tmp_path / "h.h5").stat().st_size < 12_000
         with h5py.File(tmp_path / "h.h5", "r") as file:
-            assert len(file["time"]) > 50
+            assert len(file["time"]) > 250
