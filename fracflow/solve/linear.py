@@ -11,6 +11,7 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
+from fracflow.solve.fractured_rock import FracturedRock
 from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
@@ -83,6 +84,9 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     """Give a solver whose options are read the splits of the matrix, and the test above if it iterates. Collective."""
     if solver.getType() != "preonly":
         solver.setConvergenceTest(KrylovTest())
+    if solver.getPC().getType() == "shell":
+        solver.getPC().setType("python")
+        solver.getPC().setPythonContext(FracturedRock(matrix, (solver.getOptionsPrefix() or "").removesuffix("_")))
     if solver.getPC().getType() == "fieldsplit":
         solid, flow = matrix.layout.index_sets()
         tell_rigid_motions(matrix.operators, solid)
