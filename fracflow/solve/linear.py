@@ -11,8 +11,8 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
-from fracflow.solve.fractured_rock import FracturedRock
-from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
+from fracflow.solve.fractured_rock import FracturedRock, parts_of
+from fracflow.solve.jacobian import PARTS, JoinedMatrix, node_size, tell_rigid_motions
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
 BROKEN = 76  # PETSC_ERR_LIB: an external library reported an error
@@ -85,8 +85,11 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     if solver.getType() != "preonly":
         solver.setConvergenceTest(KrylovTest())
     if solver.getPC().getType() == "shell":
+        operators = matrix.operators
+        parts = parts_of(operators.blocks, matrix.layout, operators.scales.length, matrix.fixed)
+        prefix = (solver.getOptionsPrefix() or "").removesuffix("_")
         solver.getPC().setType("python")
-        solver.getPC().setPythonContext(FracturedRock(matrix, (solver.getOptionsPrefix() or "").removesuffix("_")))
+        solver.getPC().setPythonContext(FracturedRock(parts, matrix, prefix, node_size(operators)))
     if solver.getPC().getType() == "fieldsplit":
         solid, flow = matrix.layout.index_sets()
         tell_rigid_motions(matrix.operators, solid)

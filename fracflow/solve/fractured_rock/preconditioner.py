@@ -8,100 +8,126 @@ Schwarz; Smith, Bjorstad and Gropp 1996). Only the two small systems change with
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from fracflow._petsc import PETSc, destroy
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Ints
+from fracflow.model.layout import Layout
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps
 from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
-from fracflow.solve.jacobian import JoinedMatrix, node_size
 
 LAYERS = 2  # of cells on either side of a fracture in its strip
 COARSE = 10.0  # mean joints in a cell of the coarse grid
 SHIFT = 1e-8  # of the diagonal of coarse jumps, which may depend on each other in small blocks of rock
-PARTS = ("intact", "jumps", "strips")
+
+
+class Filled(Protocol):
+    """A matrix of all unknowns that is filled again and again; ``alphas`` differ where more than the joints does."""
+
+    matrix: PETSc.Mat
+
+    @property
+    def alphas(self) -> Any:
+        """Those of the last filling."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts of the unknowns of a step.
+
+    intact  E: from displacements that walls share
+    jumps   W: from jumps of long wavelength and pressures
+    strips  unknowns near fractures
+    """
+
+    intact: PETSc.Mat
+    jumps: PETSc.Mat
+    strips: PETSc.IS
+
+
+def parts_of(blocks: Blocks, layout: Layout, length: float, held: Ints) -> Parts:
+    """The parts, for joints of a mean ``length`` and with held unknowns (h,). The caller destroys them. Collective."""
+    nodes = Shared(layout.comm, blocks.solid.owned, blocks.sizes.nodes, blocks.solid.node_global)
+    wall = walls(blocks, nodes)
+    is_wall = wall >= 0.0
+    parts = Parts(
+        intact(blocks, layout, wall),
+        coarse_jumps(blocks, layout, nodes, is_wall, COARSE * length, held),
+        strips(blocks, layout, grown(blocks, nodes, is_wall, LAYERS)),
+    )
+    nodes.destroy()
+    return parts
 
 
 class FracturedRock:
-    """PETSc's context of the preconditioner: ``setUp`` and ``apply`` are called by its PC.
+    """PETSc's context of the preconditioner: ``setUp``, ``apply`` and ``destroy`` are called by its PC.
 
     Solvers of the parts have the prefixes -PREFIX_intact_, -PREFIX_jumps_ and -PREFIX_strips_.
     """
 
-    def __init__(self, matrix: JoinedMatrix, prefix: str) -> None:
-        """Find the parts, which last for the run. Collective."""
-        self.matrix, operators = matrix, matrix.operators
-        blocks, layout = operators.blocks, operators.layout
-        block = blocks.solid
-        nodes = Shared(layout.comm, block.owned, blocks.sizes.nodes, block.node_global)
-        wall = walls(blocks, nodes)
-        self.shared = intact(blocks, layout, wall)
-        self.coarse = coarse_jumps(blocks, layout, nodes, wall >= 0.0, COARSE * operators.scales.length, matrix.fixed)
-        self.strips = strips(blocks, layout, grown(blocks, nodes, wall >= 0.0, LAYERS))
-        nodes.destroy()
-        self.left, self.step = layout.joined_vector(), layout.joined_vector()
-        self.solvers = {part: PETSc.KSP().create(comm=layout.comm) for part in PARTS}
-        for part, solver in self.solvers.items():
-            solver.setOptionsPrefix(f"{prefix}_{part}_")
-            solver.setFromOptions()
+    def __init__(self, parts: Parts, filled: Filled, prefix: str, node: int) -> None:
+        """Make the solvers. ``parts`` are destroyed with this; a node has ``node`` unknowns, or 1. Collective."""
+        self.parts, self.filled, self.node = parts, filled, node
+        self.left = filled.matrix.createVecLeft()
+        self.solvers: dict[str, PETSc.KSP] = {}
         self.systems: dict[str, PETSc.Mat] = {}
         self.vectors: dict[str, tuple[PETSc.Vec, PETSc.Vec]] = {}
-        self.scatter: PETSc.Scatter | None = None
+        for part in ("intact", "jumps", "strips"):
+            self.solvers[part] = PETSc.KSP().create(comm=filled.matrix.getComm())
+            self.solvers[part].setOptionsPrefix(f"{prefix}_{part}_")
+            self.solvers[part].setFromOptions()
+        self.near: PETSc.Scatter | None = None
         self._alphas: Any = None
 
     def setUp(self, _: PETSc.PC) -> None:
         """Take the present joints into the small systems, and the rock anew where the time step differs. Collective."""
-        whole = self.matrix.matrix
-        if self._alphas != self.matrix.alphas:
-            self._alphas = self.matrix.alphas
-            self._set("intact", whole.PtAP(self.shared, self.systems.get("intact")))
-        self._set("jumps", whole.PtAP(self.coarse, self.systems.get("jumps")))
-        self._set("strips", whole.createSubMatrix(self.strips, self.strips, self.systems.get("strips")))
-
-    def _set(self, part: str, system: PETSc.Mat) -> None:
-        if part == "jumps":
-            _shift(system)
-        elif part == "intact":
-            _fill_empty(system, self.shared)
-            system.setBlockSize(node_size(self.matrix.operators))
-        if part not in self.systems:
-            self.systems[part], self.vectors[part] = system, system.createVecs()
-            if part == "strips":
-                self.scatter = PETSc.Scatter().create(self.left, self.strips, self.vectors[part][1], None)
-        self.solvers[part].setOperators(system)
+        whole, parts, systems = self.filled.matrix, self.parts, self.systems
+        if "intact" not in systems or self._alphas != self.filled.alphas:
+            self._alphas = self.filled.alphas
+            systems["intact"] = whole.PtAP(parts.intact, systems.get("intact"))
+            _fill_empty(systems["intact"], parts.intact)
+            systems["intact"].setBlockSize(self.node)
+            self.solvers["intact"].setOperators(systems["intact"])
+        systems["jumps"] = whole.PtAP(parts.jumps, systems.get("jumps"))
+        _shift(systems["jumps"])
+        systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
+        for part in ("jumps", "strips"):
+            self.solvers[part].setOperators(systems[part])
+        for part, system in systems.items():
+            self.vectors.setdefault(part, system.createVecs())
+        if self.near is None:
+            self.near = PETSc.Scatter().create(self.left, parts.strips, self.vectors["strips"][1], None)
 
     def apply(self, _: PETSc.PC, given: PETSc.Vec, result: PETSc.Vec) -> None:
         """Correct by the intact rock, by coarse jumps, and by the strips. Collective."""
+        assert self.near is not None
         result.set(0.0)
-        for part, moved in (("intact", self.shared), ("jumps", self.coarse), ("strips", None)):
-            if part == "intact":
-                given.copy(self.left)
-            else:
-                self.matrix.matrix.mult(result, self.left)
-                self.left.aypx(-1.0, given)
+        given.copy(self.left)
+        for part, moved in (("intact", self.parts.intact), ("jumps", self.parts.jumps)):
             found, right = self.vectors[part]
-            if moved is None:
-                assert self.scatter is not None
-                self.scatter.scatter(self.left, right)
-                self.solvers[part].solve(right, found)
-                self.scatter.scatter(
-                    found, result, addv=PETSc.InsertMode.ADD_VALUES, mode=PETSc.ScatterMode.REVERSE
-                )
-            else:
-                moved.multTranspose(self.left, right)
-                self.solvers[part].solve(right, found)
-                moved.multAdd(found, result, result)
+            moved.multTranspose(self.left, right)
+            self.solvers[part].solve(right, found)
+            moved.multAdd(found, result, result)
+            self.filled.matrix.mult(result, self.left)
+            self.left.aypx(-1.0, given)
+        found, right = self.vectors["strips"]
+        self.near.scatter(self.left, right)
+        self.solvers["strips"].solve(right, found)
+        self.near.scatter(found, result, addv=PETSc.InsertMode.ADD_VALUES, mode=PETSc.ScatterMode.REVERSE)
 
     def destroy(self, _: PETSc.PC) -> None:
         """Free all. Collective."""
-        destroy(self.shared, self.coarse, self.strips, self.left, self.step, self.scatter)
+        destroy(self.parts.intact, self.parts.jumps, self.parts.strips, self.left, self.near)
         destroy(*self.solvers.values(), *self.systems.values(), *(v for pair in self.vectors.values() for v in pair))
 
 
 def _shift(system: PETSc.Mat) -> None:
-    """Lengthen the diagonal a little. Collective."""
+    """Make the diagonal a little larger. Collective."""
     diagonal = system.getDiagonal()
     diagonal.scale(1.0 + SHIFT)
     system.setDiagonal(diagonal)
