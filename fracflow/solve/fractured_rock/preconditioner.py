@@ -94,6 +94,7 @@ class FracturedRock:
             systems["intact"].setBlockSize(self.node)
             self.solvers["intact"].setOperators(systems["intact"])
         systems["jumps"] = whole.PtAP(parts.jumps, systems.get("jumps"))
+        _fill_empty(systems["jumps"], parts.jumps)
         _shift(systems["jumps"])
         systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
         for part in ("jumps", "strips"):
