@@ -102,7 +102,8 @@ class Run:
 
         The rate [length**3/time] is the mean over the step that led to each state, positive into the network. The volume
         [length**3] is the sum of rate times dt since the start. The injectivity [length**5/(force time)] is the rate over
-        pressure less initial pressure, nan where that is zero. All are over the whole flow_depth.
+        pressure less initial pressure, nan where that is zero. All are over the whole flow_depth. A well with a limit of its
+        pressure also has limit: 0 off it, 1 where its pressure is kept at it, 2 where the well is shut.
         """
         found = self._part(f"well/{name}/")
         if not found:

@@ -7,9 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from markdown_it import MarkdownIt
 from markdown_it.token import Token
-from website.pages import slug
+from website.pages import Page
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = (".github", "fracflow", "meshes", "scripts", "tests")
@@ -33,7 +32,7 @@ class Code(NamedTuple):
 @cache
 def tokens(page: Path) -> list[Token]:
     """Tokens of a page, those inside lines in a row with the others."""
-    found = MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8"))
+    found = Page(page.as_posix(), page.read_text(encoding="utf-8")).tokens
     return [each for token in found for each in (token, *(token.children or ()))]
 
 
@@ -62,7 +61,4 @@ def spans(page: Path) -> Iterator[str]:
 @cache
 def anchors(page: Path) -> frozenset[str]:
     """The anchors of a page's headings, as the forge makes them."""
-    parsed = tokens(page)
-    heads = [parsed[at + 1] for at, token in enumerate(parsed) if token.type == "heading_open"]
-    texts = ["".join(each.content for each in head.children or () if each.type != "image") for head in heads]
-    return frozenset(slug(text) for text in texts)
+    return frozenset(str(token.attrs["id"]) for token in tokens(page) if token.type == "heading_open")

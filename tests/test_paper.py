@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 import tomllib
 import write_pages
-from pages import PAGES, ROOT, TUTORIALS, Code, anchors, blocks, slug, spans, targets, tokens
+from pages import PAGES, ROOT, TUTORIALS, Code, anchors, blocks, spans, targets, tokens
+from website.pages import slug
 
 from fracflow.cli.app import USAGE, app, commands, with_levels
 from fracflow.scene.scene import Scene, load

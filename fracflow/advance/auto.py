@@ -46,9 +46,10 @@ def run_auto(stepping: Stepping, state: State, number: int, log: Log, progress: 
     place = SubstepCursor.of(progress) if goes_on else SubstepCursor()
     regimes = _Regimes(stepping, number, log, event, place)
     if not goes_on:
+        shown = model.scene.time_text
         log(
-            f"stage {stage.title}: longest period {event.period:.6g}, steps with inertia {event.least:.6g},"
-            f" without at most {stage.time_step:.6g}"
+            f"stage {stage.title}: longest period {shown(event.period)}, steps with inertia {shown(event.least)},"
+            f" without at most {shown(stage.time_step or 0.0)}"
         )
     if "moving" in progress:
         weak, known = weak_waves(model, state, event.period), progress.get("moves", 0.0) > 0.0
@@ -139,7 +140,7 @@ class _Regimes:
         """The event after a step without inertia from a time, with the trials rejected on the way to it."""
         if spent.rejected >= REPORTED:
             rejected = f"{spent.rejected} trials rejected ({spent.wasted} Newton iterations)"
-            self.log(f"time {time:.9g}: {rejected}; the step of {tried.length:.3g} is taken")
+            self.log(f"time {time:.9g}: {rejected}; the step of {self.scene.time_text(tried.length, 3)} is taken")
         event = replace(event, calm=event.calm + 1.0, trials=event.trials + spent.rejected)
         if event.calm > CALM and tried.may_double:
             event = replace(event, step=min(2.0 * event.step, max(self.longest, event.least)), calm=0.0)
@@ -255,7 +256,7 @@ class _Regimes:
             tried = self._attempt(entered, time, SETTLED * RADIATED, self.scene.accuracy.max_iterations)
             if tried.state is not None:
                 tried.state.destroy()
-                self.log(f"time {state.time:.9g}: at rest, {lasted:.6g} after the event began")
+                self.log(f"time {state.time:.9g}: at rest, {self.scene.time_text(lasted)} after the event began")
                 return entered, replace(still, step=length), trials
             why, self.vain = tried.why, self.vain.with_rejected(tried.newton)
             trials.append(Trial(state.time, time - state.time, why))

@@ -21,22 +21,27 @@ from fracflow.model.compressibility import compression_of
 from fracflow.model.setup import Model
 from fracflow.model.state import State
 from fracflow.scene.boundary import Stage
-from fracflow.solve.request import StepRequest
+from fracflow.solve.request import MOST_GROWTH, StepRequest
 
 MOST_PARTS = 1e5  # of the rest of a stage: more substeps are reported
 WATCHED = 500  # substeps in a row before the report: some periods of the vibration
 FINEST = 24  # halvings of a step that a tolerance may demand: flow after a jump of pressure begins so
+PASSING = 1.0 / 3.0  # of the allowed error, for what is gone once flow comes to rest
 LATE = 2.0  # allowed error of fracture flow at the end of a stage, over that at its beginning
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """End of a substep, its size and error as in ``ErrorEstimator``, and the vibration that makes it very short."""
+    """End of a substep, its size and error as in ``ErrorEstimator``, and the vibration that makes it very short.
+
+    passing  the part of the error that is gone once flow comes to rest; with it ``error`` is nothing
+    """
 
     time: float
     size: float
     error: float
     follows: Vibration
+    passing: float = 0.0
 
 
 class ErrorEstimator:
@@ -47,6 +52,9 @@ class ErrorEstimator:
     history: the share is dt/(time since the stage began), as fracture flow drains and earlier errors decay. That time restarts
     where a prescribed value jumps or bends. The share falls to a third towards the end of the stage, as errors made there
     stay. With neither key there is no estimate.
+
+    Errors of both signs follow each other where a front of pressure fills one joint after another, and after a jump. Their sum
+    is small, however many they are (``passing_error``). A substep in which it is a third of the tolerance is accurate too.
 
     The end of a substep, and of rejected ones, shows how far the motion will go. That holds only until accepted states have
     come as far: a long substep may end on the peak of a short load.
@@ -106,14 +114,18 @@ class ErrorEstimator:
         self._use_rejected()
         size = self._size(new)
         largest = max(self.largest, self.guess, size)
+        passing, allowed = np.inf, max(self.tolerance * largest, float(np.finfo(float).tiny))
         if self.of_flow:
-            error, span = self._flow_error(dt, old, new), self._span(old.time, new.time)
+            error, passing = self._flow_error(dt, old, new)
+            span = self._span(old.time, new.time)
         else:
             error = step_error(self.operators, self.stepper, part, old, new, largest) * largest
             span = new.time - self.start if self.length is None else self.length
-        self.tried = _Tried(new.time, size, error, self._followed(dt, part, old, new))
-        allowed = self.tolerance * largest * min(1.0, dt / span)
-        return error / max(allowed, float(np.finfo(float).tiny))
+        over = error / (allowed * min(1.0, dt / span))
+        if passes := passing / (PASSING * allowed) < over:
+            over, error = passing / (PASSING * allowed), 0.0
+        self.tried = _Tried(new.time, size, error, self._followed(dt, part, old, new), passing if passes else 0.0)
+        return over
 
     def _span(self, begin: float, end: float) -> float:
         """Time over which a substep of fracture flow gets its share of the allowed error; anew from each bend, by its size."""
@@ -176,7 +188,7 @@ class ErrorEstimator:
         if self.tried is not None:
             left = max(0.0, 1.0 - dt / (state.time - self.start)) if self.of_flow else 1.0
             self.error_now = left * self.error_now + self.tried.error
-            self.error_most = max(self.error_most, self.error_now)
+            self.error_most = max(self.error_most, self.error_now, self.tried.passing)
             seen = self.tried.follows
             self.follows = self.follows.followed_by(seen) if seen.parts else seen
             self.tried = None
@@ -197,8 +209,8 @@ class ErrorEstimator:
             gone += self.operators.flow.at_nodes(compression.held)
         return self._sum(gone)
 
-    def _flow_error(self, dt: float, old: State, new: State) -> float:
-        """Volume that a substep puts in the wrong place [volume per thickness]. Collective."""
+    def _flow_error(self, dt: float, old: State, new: State) -> tuple[float, float]:
+        """Volume that a substep puts in the wrong place, and that of ``passing_error`` [volume per thickness]. Collective."""
         before, after = ((state.motion.velocity, state.uptake) for state in (old, new))
         last, passing, passed = self.last, after, before
         if self.stepper.memory:
@@ -206,12 +218,16 @@ class ErrorEstimator:
             passing = new.previous_step.velocity, new.previous_step.uptake
             passed = (old.previous_step.velocity, old.previous_step.uptake) if last > 0.0 else before
         bend = latest(self.bends, old.time)
-        if bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME):
+        at_bend = bend is not None and math.isclose(bend, old.time, rel_tol=AT_A_TIME)
+        if at_bend or (self.stepper.memory and dt > MOST_GROWTH * last):
             last = 0.0
         rates = Rates(self._rate(before), self._rate(after), self._rate(passing), self._rate(passed), last)
-        wrong: Floats = storage_error(cast(FlowRule, self.stepper), dt, rates)
-        wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
-        return self._sum(wrong)
+        rule, found = cast(FlowRule, self.stepper), []
+        for wrong in (storage_error(rule, dt, rates), rule.passing_error(dt, rates) if last > 0.0 else None):
+            if wrong is not None:
+                wrong[self.loads.given_pressures] = 0.0  # there walls follow the pressure, whatever the step
+            found.append(np.inf if wrong is None else self._sum(wrong))
+        return found[0], found[1]
 
     def _rate(self, of: tuple[PETSc.Vec | None, PETSc.Vec | None]) -> Floats:
         """Rate of storage at this rank's flow nodes: of velocities of walls, and what compression takes up. Collective."""

@@ -13,7 +13,6 @@ from fracflow.integrators.explicit import parts
 from fracflow.model.operators import Operators
 from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
-from fracflow.scene.units import TIME
 from fracflow.solve.explicit import ExplicitCoupling
 from fracflow.solve.request import StepRequest, on_the_way
 
@@ -58,8 +57,9 @@ class ExplicitSteps:
         if not stepper.explicit:
             return
         count, critical, locates = self.count(dt), self.coupling.critical, self.locates(stepper, dt)
-        limit = f"critical time step of the rock {critical:.6g}" if math.isfinite(critical) else "no rock deforms"
-        cut = f"; time_step {dt:.6g} is taken in {count} parts of {dt / count:.6g}" if count > 1 else ""
+        shown = self.model.scene.time_text
+        limit = f"critical time step of the rock {shown(critical)}" if math.isfinite(critical) else "no rock deforms"
+        cut = f"; time_step {shown(dt)} is taken in {count} parts of {shown(dt / count)}" if count > 1 else ""
         ends = "" if locates else f"; events are taken at the ends of {'parts' if count > 1 else 'steps'}"
         damps = "".join(f"; {note}" for note in self.coupling.notes)
         self.log(f"explicit: {limit}, whatever the stiffness of joints{damps}{cut}{ends}")
@@ -142,11 +142,14 @@ def explicit_cost(model: Model) -> ExplicitCost | None:
     critical = coupling.critical
     coupling.destroy()
     cuts = [(count, dt, parts(dt, critical)) for count, dt in planned]
-    unit = scene.unit_system.behind(TIME)
-    ways = [f" in {n} parts of {dt / n:.4g}{unit}" if n > 1 else "" for _, dt, n in cuts]
-    words = [f"{count} steps of {dt:.4g}{unit}{way}" for (count, dt, _), way in zip(cuts, ways, strict=True)]
+    ways = [f" in {n} parts of {scene.time_text(dt / n, 4)}" if n > 1 else "" for _, dt, n in cuts]
+    words = [f"{count} steps of {scene.time_text(dt, 4)}{way}" for (count, dt, _), way in zip(cuts, ways, strict=True)]
     words += ["as many as events take"] if events else []
-    limit = f"critical time step of the rock {critical:.4g}{unit}" if math.isfinite(critical) else "no rock deforms"
+    limit = (
+        f"critical time step of the rock {scene.time_text(critical, 4)}"
+        if math.isfinite(critical)
+        else "no rock deforms"
+    )
     return ExplicitCost(
         sum(count for count, _, _ in cuts),
         sum(count * n for count, _, n in cuts),

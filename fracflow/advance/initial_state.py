@@ -17,7 +17,7 @@ from fracflow.model.energy import close_initial_balance, dissipated, empty_balan
 from fracflow.model.energy_motion import Scheme
 from fracflow.model.joints import implied_tractions
 from fracflow.model.operators import Operators
-from fracflow.model.properties import body_force, initial_pressure, initial_stress
+from fracflow.model.properties import body_force, initial_pressure, initial_stress, resting_pressure
 from fracflow.model.setup import Model, on_root
 from fracflow.model.solid import nodal_force
 from fracflow.model.state import Forces, Motion, Sections, State
@@ -123,7 +123,7 @@ def _moved(model: Model, state: State) -> State:
     _spread(model, "velocity", motion.velocity)
     pressure = state.pressure.copy()
     if initial.pressure is not None:
-        pressure.set(initial.pressure)
+        pressure.setArray(initial.pressure + resting_pressure(model.scene, ops.blocks.flow.points))
     sections = ops.joints.evaluate(ops.joints.strain(motion.displacement), ops.joints.initial_history())
     forces = _holding(model, motion, sections, pressure)
     new = replace(state, motion=motion, pressure=pressure, sections=sections, forces=forces)

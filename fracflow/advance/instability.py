@@ -21,7 +21,7 @@ from fracflow.model.properties import on_joints
 from fracflow.model.setup import Model, on_root
 from fracflow.model.state import Sections, State
 from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH, TIME
+from fracflow.scene.units import LENGTH
 from fracflow.solve.request import StepRequest
 from fracflow.solve.stability import Weakening, largest_share, of_state, of_step
 
@@ -217,10 +217,9 @@ def limit_point(model: Model, state: State, failure: NotConverged, least: float)
     if patch is None:
         return None
     scene = model.scene
-    unit = scene.unit_system.behind(TIME)
     return LimitPoint(
-        f"time {state.time:.9g}: limit point: within {least:.3g}{unit} slip goes on by itself, and no state at rest is near:"
-        f" {patch.describe(scene)}{REMEDY}",
+        f"time {state.time:.9g}: limit point: within {scene.time_text(least, 3)} slip goes on by itself,"
+        f" and no state at rest is near: {patch.describe(scene)}{REMEDY}",
         failure.newton,
         failure.trials,
     )

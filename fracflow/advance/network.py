@@ -137,7 +137,11 @@ class FlowNetwork:
             total = sum(rates)
             if abs(total) > BALANCED * sum(map(abs, rates)):
                 inside = numbers(part.nodes)
-                limits = [each for each in loads.limits if each.node in inside and each.sign * total > 0.0]
+                limits = [
+                    each
+                    for each in loads.limits
+                    if each.node in inside and each.sign * total > 0.0 and problem.rule.pushes(asked, each)
+                ]
                 if not limits:
                     self._refuse(part, wells, rates, gives, problem.time)
                 found.add(min(limits, key=lambda limit: limit.sign * limit.pressure))

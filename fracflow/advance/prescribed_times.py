@@ -9,6 +9,8 @@ from fracflow.scene.scene import Scene
 from fracflow.scene.time_table import TimeTable
 
 AT_A_TIME = 1e-12  # of a time: others so near are the same
+STEEP = 5e-4  # of a step: a ramp that is shorter is a jump
+RISES = 1e-2  # of the spread of its table, at least
 
 
 @dataclass(frozen=True)
@@ -30,15 +32,21 @@ class PrescribedTimes:
         return end <= begin or all(table.departs(begin, end) <= self.share for table in self.tables)
 
 
-def prescribed(scene: Scene, inertia: bool, splits: bool, share: float | None) -> PrescribedTimes:
+def prescribed(
+    scene: Scene, inertia: bool, splits: bool, share: float | None, filled_in: float = 0.0
+) -> PrescribedTimes:
     """For a stage whose steps are cut at jumps where it ``splits``, and to a tolerance where it has a ``share``.
+
+    Steps of the length ``filled_in`` fill fractures. They end at both ends of a ramp that is a jump beside them, since a
+    pressure at the end of a step holds in all of it.
 
     With inertia jumps that are not split at are taken by their means, so that no part has to end there. Without it, jumps
     that are small are no reason for a new beginning.
     """
     jumps = scene.jump_times if splits else ()
     if share is None:
-        return PrescribedTimes(jumps, jumps)
+        ramps = {time for table in scene.time_tables for ramp in table.ramps(STEEP * filled_in, RISES) for time in ramp}
+        return PrescribedTimes(tuple(sorted({*jumps, *ramps})), jumps)
     seen = tuple(t for t in scene.time_tables if splits or not inertia or not len(t.jumps[0]))
     bends = bends_of(seen, share)
     if not inertia:

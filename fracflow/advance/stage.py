@@ -115,17 +115,21 @@ def run_stage(stepping: Stepping, state: State, number: int, log: Log, progress:
     if estimator.finest and not progress:
         log(f"stage {stage.title}: parts of steps by {estimator.statement}")
     splits = _splits(stepping, stepper, whole)
-    given = prescribed(model.scene, stepper.inertia, splits, estimator.tolerance if estimator.finest else None)
+    fills = stepper.storage and model.operators.flow is not None and not stepper.inertia
+    asked = estimator.tolerance if estimator.finest else None
+    given = prescribed(model.scene, stepper.inertia, splits, asked, whole if fills else 0.0)
     parts = composed(stepping, number, estimator, given, SubstepCursor.of(progress), log)
     method: Advance = parts if stepper.inertia else UpToLimitPoint(parts, model, parts.rules.most)
     # a jump while a fracture fills is applied at once: spread over a halved step, it would come half a step late
-    fills = stepper.inertia or (stepper.storage and model.operators.flow is not None)
+    at_once = stepper.inertia or fills
     ends = False
     while not ends and (count is None or n < count):
         dt, following = stage.step_length(start, n + 1), 0.0 if n + 1 == count else stage.step_length(start, n + 2)
         if stage.control is not None and stage.increment_per_step is not None and not held:
             controls[control] = base * (1.0 + (n + 1) * stage.increment_per_step)
-        step = LoadStep(start, n + 1, whole, dt, following, dict(controls), model.loads, given.ends, given.jumps, fills)
+        step = LoadStep(
+            start, n + 1, whole, dt, following, dict(controls), model.loads, given.ends, given.jumps, at_once
+        )
         found = method.advance(state, step.part(state.controls, parts.place.fraction, 1.0))
         state, n = found.state, n + (found.reached == 1.0)
         failed = utilisation(model, state.sections) >= 1.0

@@ -12,9 +12,9 @@ from fracflow.advance.discontinuities import change, enter, keep_pace
 from fracflow.advance.explicit import ExplicitSteps, ExplicitSubsteps
 from fracflow.advance.network import FlowNetwork
 from fracflow.advance.outcome import Advance, Log, Outcome
-from fracflow.advance.wells import reached_after, reached_before, refuse_cycle, through, well_step
+from fracflow.advance.wells import one_changed, reached_after, reached_before, refuse_cycle, through, well_step
 from fracflow.errors import NotConverged, SolveError
-from fracflow.integrators import Steady, Stepper, first, stepper_from
+from fracflow.integrators import Alphas, Steady, Stepper, first, stepper_from
 from fracflow.mesh.data import Bools
 from fracflow.model.compressibility import brought, leaked, narrowing, stored, widening
 from fracflow.model.energy import dissipated, update_balance
@@ -30,11 +30,12 @@ from fracflow.solve.accept import accept, remember
 from fracflow.solve.explicit import ExplicitProblem
 from fracflow.solve.flow_round_off import check_digits
 from fracflow.solve.problem import Guess, StepProblem, Work
-from fracflow.solve.request import StepRequest, begins_anew, rule_of
+from fracflow.solve.request import StepRequest, StepRule, begins_anew, rule_of
 
 Progress = Mapping[str, float]
 NARROWS = 0.5  # of an aperture: where less is left after a step, its beginning does not predict its end
 MOST_TRIES = 4  # of a step whose wells reach limits, or whose elements pinch shut
+TRIES_A_LIMIT = 6  # as many more for each limit: at its flow_rate, kept at the limit, shut, and back
 DONE: Progress = {"done": 1.0}
 
 
@@ -122,15 +123,37 @@ class Stepping:
     def enter(self, state: State, stepper: Stepper, dt: float = 0.0) -> State:
         """A new state, as a stage takes it over; see ``advance.discontinuities``. Collective."""
         dt = self.explicit.part(stepper, dt)
-        new = enter(self.model, self.network, self._limited_now(state), state, stepper, dt)
+        loads = self._limited_now(state)
+        new = enter(self.model, self.network, loads, state, stepper, dt)
+        if stepper.inertia and self.model.loads.limits:
+            new, loads = self._with_limits(new, loads, state, stepper, dt)
         if new.uptake is None:
             return new
-        ops, depth, loads = self.model.operators, self.model.scene.flow_depth, self._limited_now(state)
+        ops, depth = self.model.operators, self.model.scene.flow_depth
         new = replace(new, volumes=volumes_at_jump(ops, loads, state, new, depth))
         if not self.counts_volume:
             return new
         jumped = stored(ops, state, new, depth)
         return replace(new, injected=new.injected + jumped)  # where prescribed pressures of a compressible fluid jump
+
+    def _with_limits(self, new: State, loads: Loads, state: State, stepper: Stepper, dt: float) -> tuple[State, Loads]:
+        """The state as a stage with inertia takes it over, at whose first instant no limit is passed, and its loads."""
+        model, reached = self.model, reached_before(self.model.loads, state)
+        tried = {reached}
+        rule = StepRule(Alphas(a4=-1.0), new.adjacent_steps, inertia=True)
+        for _ in range(TRIES_A_LIMIT * len(model.loads.limits)):
+            request = StepRequest(new.time, 0.0, new.controls, model.loads)
+            problem = StepProblem(model.operators, new, replace(request, loads=loads), rule)
+            problem.evaluate()
+            reached = reached_after(problem, request, reached, new, model.scene.flow_depth)
+            problem.destroy()
+            if reached in tried:
+                break
+            tried.add(reached)
+            new.destroy()
+            loads = self.limited(model.loads, reached)
+            new = replace(enter(model, self.network, loads, state, stepper, dt), **_names(reached))
+        return new, loads
 
     def change(self, state: State, leaving: Bools) -> State:
         """A new state at the same instant, where the friction of the sections (s,) has the other status. Collective."""
@@ -193,7 +216,8 @@ class SingleStep:
             finally:
                 destroy(begun)
             report = again.after(report)
-            if set(state.wells_at_limit) <= set(new.wells_at_limit):
+            kept, stay = set(new.wells_at_limit), {*new.wells_at_limit, *new.wells_shut}
+            if kept.issuperset(state.wells_at_limit) and stay.issuperset(state.wells_shut):
                 break
         return new, report
 
@@ -207,8 +231,8 @@ class SingleStep:
         if ops.flow is not None:
             network.update(state)
         trial: Guess | None = None
-        failed, spent, is_same = None, 0, False
-        for _ in range(MOST_TRIES + 2 * len(loads.limits)):
+        failed, spent, is_same, cycles, tried = None, 0, False, False, {reached}
+        for _ in range(MOST_TRIES + TRIES_A_LIMIT * len(loads.limits)):
             limited = solvers.limited(loads, reached)
             asked = replace(request, loads=solvers.closed(limited, stepper.storage))
             problem = (ExplicitProblem if stepper.explicit else StepProblem)(ops, state, asked, rule, trial)
@@ -232,13 +256,15 @@ class SingleStep:
                 solvers.work.add(problem.work)
                 problem.destroy()
             depth = solvers.model.scene.flow_depth
-            now = full | (reached_after(request, rule, reached, new, depth) if loads.limits else reached)
+            now = full | (reached_after(problem, request, reached, new, depth) if loads.limits else reached)
             if now == reached and is_same:
                 totals = self._totals(stepper, problem, replace(request, loads=limited), now, new)
                 return replace(new, **totals), replace(report, digits=digits)
             new.destroy()
             spent += report.newton
-            reached, failed = now, None
+            cycles = is_same and (cycles or now in tried)
+            reached, failed = one_changed(reached, now) if cycles else now, None
+            tried.add(reached)
         if is_same and not failed:
             refuse_cycle(reached, request.time, spent)
         raise NotConverged(
@@ -290,7 +316,7 @@ class SingleStep:
         pumps = self.solvers.counts_volume
         return {
             "energy": update_balance(ops, state, new, dt, scheme),
-            "wells_at_limit": tuple(sorted(limit.well for limit in reached)),
+            **_names(reached),
             "friction": dissipated(state, new),
             "injected": state.injected + (brought(ops, loads, state, new, dt, scheme, depth) if pumps else 0.0),
             "left": {name: state.left.get(name, 0.0) + value for name, value in lost.items()},
@@ -298,3 +324,9 @@ class SingleStep:
             "previous_step": memory,
             "adjacent_steps": rule.adjacent,
         }
+
+
+def _names(reached: frozenset[Limit]) -> dict[str, Any]:
+    """Members of a state whose wells are kept at limits, or shut by them."""
+    kept, shut = (tuple(sorted(limit.well for limit in reached if limit.is_shut == each)) for each in (False, True))
+    return {"wells_at_limit": kept, "wells_shut": shut}

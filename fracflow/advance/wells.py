@@ -1,9 +1,18 @@
-"""Wells that change from a flow rate to a limit of their pressure, and back."""
+"""Wells with a limit of their pressure: they bring their flow rate, or what the limit lets in, or nothing.
+
+A well with a rate q_0 > 0 and a highest pressure p_max brings a rate q at a pressure p:
+
+    q = q_0 where p < p_max,  0 <= q <= q_0 where p = p_max,  q = 0 where p > p_max
+
+One that draws at a lowest pressure is its mirror image. A rate of the other sign has nothing to do with the limit. A step is
+repeated until the wells at their limits, and those that are shut, agree with its end.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NoReturn
 
 from fracflow._petsc import MPI, PETSc
@@ -12,39 +21,56 @@ from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import State
 from fracflow.model.well_volumes import WellStep
 from fracflow.scene.time_table import Rates
+from fracflow.solve.problem import StepProblem
 from fracflow.solve.request import StepRequest, StepRule
 
 CLOSE = 1e-9  # of a limit: a pressure so near to it is at it
 
 
 def reached_before(loads: Loads, state: State) -> frozenset[Limit]:
-    """Limits that wells were kept at when a state was accepted; of two of one well the one its pressure is nearer to."""
+    """Limits that wells were kept at, or shut by, when a state was accepted; of two of one well the nearer to its pressure."""
     found: dict[str, tuple[float, Limit]] = {}
     for limit in loads.limits:
-        away = abs(at_node(limit, state.pressure) - limit.pressure)
-        if limit.well in state.wells_at_limit and away <= found.get(limit.well, (math.inf, limit))[0]:
-            found[limit.well] = (away, limit)
+        away, is_shut = abs(at_node(limit, state.pressure) - limit.pressure), limit.well in state.wells_shut
+        if (is_shut or limit.well in state.wells_at_limit) and away <= found.get(limit.well, (math.inf, limit))[0]:
+            found[limit.well] = (away, replace(limit, is_shut=is_shut))
     return frozenset(limit for _, limit in found.values())
 
 
 def reached_after(
-    request: StepRequest, rule: StepRule, reached: frozenset[Limit], trial: State, depth: float
+    problem: StepProblem, request: StepRequest, reached: frozenset[Limit], trial: State, depth: float
 ) -> frozenset[Limit]:
-    """Limits at which wells have to be kept once a trial of a step is known. Collective.
+    """Limits at which wells have to be kept, or shut, once a trial of a step is known. Collective.
 
-    A well reaches a limit when its pressure passes it. It leaves the limit when more flows there than its flow_rate.
+    A well reaches a limit when its pressure passes it. There it goes back to its flow_rate when more would flow, and is shut
+    when fluid would flow the other way. A shut well opens when the pressure comes back to the limit. Of wells at one node
+    only the first to come to its limit is kept there. Where the scene gives the pressure of the node, none is.
     """
-    now = set(reached)
-    for limit in request.loads.limits:
-        pressure = at_node(limit, trial.pressure)
+    rule, now = problem.rule, dict[int, Limit]()
+    shut = list[Limit]()
+    for limit in sorted(request.loads.limits, key=lambda limit: limit.sign * limit.pressure):
+        if not rule.pushes(request, limit):
+            continue
+        closed, is_given = replace(limit, is_shut=True), limit.node in request.loads.fixed_flow
+        beyond = limit.sign * (at_node(limit, trial.pressure) - limit.pressure)
         if limit in reached:
-            through = at_node(limit, trial.forces.source) * depth
-            asked = rule.demanded(request, limit.well)
-            if limit.sign * (through - asked) > CLOSE * abs(asked):
-                now.discard(limit)
-        elif limit.sign * (pressure - limit.pressure) > CLOSE * abs(limit.pressure):
-            now = {other for other in now if other.well != limit.well} | {limit}
-    return frozenset(now)
+            asked, comm = rule.demanded(request, limit.well), trial.pressure.getComm().tompi4py()
+            flows = limit.sign * _alone(problem.request, rule, limit, trial, depth)
+            lost = depth * float(comm.allreduce(problem.undetermined(limit.local), op=MPI.SUM))
+            if flows - limit.sign * asked > CLOSE * abs(asked):
+                continue
+            is_shut = flows - limit.sign * rule.shut(request, limit.well) < -lost
+        elif closed in reached:
+            is_shut = beyond >= -CLOSE * abs(limit.pressure)
+        elif beyond > CLOSE * abs(limit.pressure):
+            is_shut = is_given
+        else:
+            continue
+        if is_shut:
+            shut.append(closed)
+        elif not is_given:
+            now.setdefault(limit.node, limit)
+    return frozenset([*now.values(), *shut])
 
 
 def through(
@@ -54,19 +80,16 @@ def through(
 
     Collective. A rate q at the end is alpha_1 dt times that mean less alpha_6 times the one before, as are the walls'
     velocities. For a well that the loads of the request keep at a limit, q is the flow at the limit less that of other wells
-    there. Otherwise it is the demanded rate.
+    there. Otherwise it is the demanded rate; the mean of a shut well is zero.
     """
-    loads, alphas = request.loads, rule.alphas
-    kept, before = {limit.well: limit for limit in reached}, old.previous_step.through
+    alphas, before = rule.alphas, old.previous_step.through
+    loads, kept = request.loads, {limit.well: limit for limit in reached if not limit.is_shut}
     found: dict[str, float] = {}
     for name in sorted({limit.well for limit in loads.limits}):
         if alphas.a6 > 0.0 and name not in before:
             continue
         if name in kept:
-            limit = kept[name]
-            rate = at_node(limit, new.forces.source) * depth
-            others = ((each.vector, str(each.well)) for each in loads.wells)
-            rate -= sum(at_node(limit, vector) * depth * rule.demanded(request, well) for vector, well in others)
+            rate = _alone(request, rule, kept[name], new, depth)
         else:
             rate = rule.demanded(request, name)
         found[name] = (rate + alphas.a6 * before.get(name, 0.0)) / (alphas.a1 * request.length)
@@ -85,15 +108,36 @@ def well_step(
     return WellStep(loads, rule.alphas, demanded, tabled, means, depth)
 
 
+def one_changed(before: frozenset[Limit], after: frozenset[Limit]) -> frozenset[Limit]:
+    """The limits before, but those of the first well, by its name, that the limits after differ in.
+
+    All changes at once may cycle. Where a higher pressure at a well never makes more flow into others, one at a time ends
+    (Murty, 1974: the principal pivoting of least index).
+    """
+    well = min((limit.well for limit in before ^ after), default="")
+    return frozenset(limit for limit in before if limit.well != well) | {each for each in after if each.well == well}
+
+
 def refuse_cycle(reached: frozenset[Limit], time: float, newton: int) -> NoReturn:
-    """Raise NotConverged naming the wells that cycle between rate and limit, after so many iterations."""
-    names = ", ".join(sorted({limit.well for limit in reached})) or "none"
+    """Raise NotConverged naming the wells that cycle between rate, limit and shut, after so many iterations."""
+    found = [sorted({limit.well for limit in reached if limit.is_shut == shut}) for shut in (False, True)]
+    at_limit, shut = (", ".join(names) or "none" for names in found)
     raise NotConverged(
-        f"time {time:.6g}: wells keep changing between their flow_rate and a limit of their pressure (now at a limit:"
-        f" {names}): move their limits apart, or take a smaller time_step",
+        f"time {time:.6g}: wells keep changing between flow_rate, limit and shut (now at a limit: {at_limit}; shut: {shut}):"
+        " move their limits apart, or take a smaller time_step",
         newton,
         kind="wells",
     )
+
+
+def _alone(request: StepRequest, rule: StepRule, limit: Limit, state: State, depth: float) -> float:
+    """Flow rate of a well at a limit, less those of other wells at its node, over the whole depth. Collective."""
+    local, wells = limit.local, request.loads.wells
+    here = float(state.forces.source.getArray(readonly=True)[local].sum()) * depth
+    for each in wells:
+        share = float(each.vector.getArray(readonly=True)[local].sum())
+        here -= share * depth * rule.demanded(request, str(each.well)) if share else 0.0
+    return float(state.pressure.getComm().tompi4py().allreduce(here, op=MPI.SUM))
 
 
 def at_node(limit: Limit, vector: PETSc.Vec) -> float:

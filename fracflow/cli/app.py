@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import re
 import sys
 import warnings
+from copy import copy
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +18,7 @@ from rich.console import Console
 
 from fracflow.cli.exit import abort, stop
 from fracflow.cli.reference import EXAMPLES, markdown
-from fracflow.cli.run import Terminal, run_levels, run_with_progress
+from fracflow.cli.run import Terminal, keep_imports, run_levels, run_with_progress, with_levels
 from fracflow.errors import DiskError, InputError, Interrupted, SolveError
 
 if TYPE_CHECKING:
@@ -91,6 +93,7 @@ def run_command(
     from fracflow.scene.scene import load
     from fracflow.simulation.run import run
 
+    keep_imports()
     comm = MPI.COMM_WORLD
     given = load(scene, set_ or [], trust)
     console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
@@ -129,6 +132,7 @@ def resume_command(
     from fracflow.scene.scene import load
     from fracflow.simulation.run import has_ended, require_run, resume
 
+    keep_imports()
     comm = MPI.COMM_WORLD
     on_root(comm, lambda: check_folder(folder, resume=True))
     on_root(comm, lambda: require_run(folder))
@@ -179,6 +183,7 @@ def check(
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
 
+    keep_imports()
     given = load(scene, set_ or [], trust)
     found, moved, numbers, decisions, network = set_up(given)
     notes = [*advice(given), *moved]
@@ -205,6 +210,7 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     from fracflow.reduction.prepare import read_split
     from fracflow.scene.scene import load
 
+    keep_imports()
     given = load(scene, set_ or [], trust)
     split = read_split(given)
     for note in split.notes:
@@ -237,6 +243,7 @@ def picture(
     """Draw the pictures of a run again; or a scene: mesh, wells, and how near each fracture is to slip."""
     from fracflow.output.pictures import draw
 
+    keep_imports()
     if what.is_file():
         from fracflow.cli.picture import picture_of_scene
         from fracflow.scene.scene import load
@@ -266,6 +273,7 @@ def report_command(
     """Write a page on a run: one HTML file with its scene, plots, map, events and energy balance, which opens offline."""
     from fracflow.run_report import write_report
 
+    keep_imports()
     try:
         path, faults = write_report(folder, output)
     except OSError as error:
@@ -296,6 +304,7 @@ def export(
     from fracflow.output.export import export_csv
     from fracflow.output.quakeml import export_quakeml
 
+    keep_imports()
     if not as_csv and quakeml is None:
         raise InputError("export: no format is named; give --csv or --quakeml FILE")
     for path in export_csv(folder, output) if as_csv else ():
@@ -360,6 +369,18 @@ def commands() -> dict[str, Any]:
     return found
 
 
+def only(words: list[str]) -> typer.Typer:
+    """The program with the command that the words begin with, or with all of them: to build one takes a while."""
+    asked = [
+        each for each in app.registered_commands if words[:1] == [each.name or getattr(each.callback, "__name__", "")]
+    ]
+    if not asked or asked[0].callback is help_command:
+        return app
+    found = copy(app)
+    found.registered_commands = asked
+    return found
+
+
 def petsc_options(petsc: Any, words: list[str]) -> None:
     """Put options such as ``-solid_pc_type cholesky`` into PETSc's database. Raises InputError for stray words."""
     database = petsc.Options()
@@ -382,15 +403,6 @@ def petsc_options(petsc: Any, words: list[str]) -> None:
             petsc.Log.begin()  # PETSc itself looks for it as it starts, before any scene is read
 
 
-def with_levels(words: list[str]) -> list[str]:
-    """The words of a command, with the usual number of levels where ``--converge`` names none."""
-    if "--converge" not in words:
-        return words
-    at = words.index("--converge") + 1
-    is_given = at < len(words) and re.fullmatch(r"[-+]?[\d.]+", words[at]) is not None
-    return words if is_given else [*words[:at], "3", *words[at:]]
-
-
 def wrong_words(message: str) -> str:
     """The fault of the words of a command, and a remedy."""
     if not message:
@@ -408,8 +420,10 @@ def wrong_words(message: str) -> str:
 def main() -> None:
     """Run a command; bad input is one line from rank 0 and exit code 2, a failed solve 3, an interrupt 130."""
     warnings.formatwarning = lambda message, *_: f"note: {message}\n"
+    gc.disable()  # it would look again and again through imports, which stay to the end
     try:
-        code = app(with_levels(sys.argv[1:]), standalone_mode=False)
+        words = with_levels(sys.argv[1:])
+        code = only(words)(words, standalone_mode=False)
         if code == 130:  # typer's word for an interrupt, after which it would have this rank leave the others behind
             raise KeyboardInterrupt
         sys.exit(code)
@@ -432,3 +446,5 @@ def main() -> None:
         stop(str(DiskError.of(error, "standard output")), 3)
     except Exception:
         abort()
+    finally:
+        gc.enable()

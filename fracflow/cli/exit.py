@@ -104,8 +104,14 @@ def abort() -> None:
         print(f"fracflow: rank {MPI.COMM_WORLD.rank}: out of memory; {remedy}", file=sys.stderr, flush=True)
     else:
         traceback.print_exc()
-        remedy = "report it with the lines above and the scene"
-        print(f"fracflow: a fault of the program, not of your input; {remedy}", file=sys.stderr, flush=True)
+        last = traceback.extract_tb(error.__traceback__)[-1] if error is not None else None
+        if (
+            last is not None and Path(last.filename).resolve() == Path(sys.argv[0]).resolve()
+        ):  # a law of the script that runs
+            line = f"a fault in line {last.lineno} of {sys.argv[0]}; mend it by the lines above, then run it again"
+        else:
+            line = "a fault of the program, not of your input; report it with the lines above and the scene"
+        print(f"fracflow: {line}", file=sys.stderr, flush=True)
     if MPI.COMM_WORLD.size > 1:
         MPI.COMM_WORLD.Abort(code)
     sys.exit(code)

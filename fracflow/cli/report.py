@@ -20,7 +20,7 @@ from fracflow.output.drawing.axes import shown, unit_for
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.fracture_table import COLUMNS, fracture_table
-from fracflow.output.history import read_attributes, read_history, read_units
+from fracflow.output.history import read_attributes, read_history, read_units, shut_line
 from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.scene.quantities import quantities
 from fracflow.scene.scene import load
@@ -100,6 +100,8 @@ def _report_wells(history: Mapping[str, Any], units: Mapping[str, str], console:
     columns = []
     for row in quantities("well").values():
         word = row.name.removeprefix("well/")
+        if word == "limit":
+            continue
         values = np.array([history[f"well/{name}/{word}"][-1] for name in names], dtype=float)
         factor, unit = unit_for(row.dimension, _largest(values), units)
         table.add_column(escape(f"{word} [{shown_plain(unit)}]" if unit else word), justify="right")
@@ -107,6 +109,8 @@ def _report_wells(history: Mapping[str, Any], units: Mapping[str, str], console:
     for name, *cells in zip(names, *columns, strict=True):
         table.add_row(escape(name), *cells)
     console.print(table)
+    for line in filter(None, (shut_line(history, name, lambda t: shown(TIME, t, units, 6)) for name in names)):
+        console.print(line, soft_wrap=True, markup=False)
     parts = [key.removeprefix("volume/") for key in history if key.startswith("volume/")]
     ends = {part.replace("_", " "): float(history[f"volume/{part}"][-1]) for part in parts}
     factor, unit = unit_for(VOLUME, _largest(np.array([*ends.values()])), units)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,7 +66,7 @@ def run_with_progress(
         counts = f"{totals.steps} steps, {totals.newton} Newton iterations, {totals.factorisations} factorisations"
         console.print(counts + totals.besides(), soft_wrap=True)
         for line in totals.doubts:
-            console.print(f"! {line}", soft_wrap=True, markup=False)
+            console.print(f"! {scene.with_time_units(line)}", soft_wrap=True, markup=False)
 
 
 def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
@@ -89,7 +91,7 @@ def show(folder: Path, console: Console, pictures: bool, failed: bool) -> None:
 def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: MPI.Comm) -> None:
     """Run a scene level by level, and report the finest run and its errors by comparison of levels."""
     from fracflow.output.convergence_plot import tell
-    from fracflow.scene.levels import order_in_time
+    from fracflow.simulation.levels import order_in_time
     from fracflow.simulation.refinement import check_levels, converge, has_tips
 
     def each(level: Level) -> None:
@@ -110,3 +112,19 @@ def run_levels(scene: Scene, folder: Path, count: int, console: Console, comm: M
             console.print(f"convergence: {folder / f'converge.{ending}'}", soft_wrap=True)
         tell(rows, console, count, order_in_time(scene), has_tips(folder))
     comm.barrier()
+
+
+def with_levels(words: list[str]) -> list[str]:
+    """The words of a command, with the usual number of levels where ``--converge`` names none."""
+    if "--converge" not in words:
+        return words
+    at = words.index("--converge") + 1
+    is_given = at < len(words) and re.fullmatch(r"[-+]?[\d.]+", words[at]) is not None
+    return words if is_given else [*words[:at], "3", *words[at:]]
+
+
+def keep_imports() -> None:
+    """Let Python's collector begin, past all that is imported."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()

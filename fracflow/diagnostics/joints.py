@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
 from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.graph import components, distances
 from fracflow.model.properties import initial_pressure, initial_stress
 from fracflow.scene.profiles import sample
 from fracflow.scene.scene import Scene
@@ -195,8 +194,7 @@ def _depths(mesh: SplitMesh, length: Floats) -> Floats:
     """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any."""
     cells, nodes = np.nonzero(mesh.cells >= 0)[0], mesh.cells[mesh.cells >= 0]
     count = len(mesh.cells)
-    graph = sparse.coo_matrix((np.ones(len(cells)), (cells, count + nodes)), shape=(count + len(mesh.points),) * 2)
-    block = connected_components(graph, directed=False)[1][:count]
+    block = components(cells, count + nodes, count + len(mesh.points))[:count]
     area = np.bincount(block, _areas(mesh))
     along = np.bincount(block[mesh.joint_cells].ravel(), np.repeat(length, 2), len(area))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -217,14 +215,13 @@ def _reaches(
     count, ends = len(mesh.flow_origin), mesh.joint_flow
     if not scene.has_flow or not count:
         return np.zeros(len(length), dtype=np.int64), np.full(len(length), np.inf)
-    graph = sparse.coo_matrix((length, (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
-    label = connected_components(graph, directed=False)[1]
+    one, other = ends.T
+    label = components(one, other, count)
     held = {node for well in scene.well if well.pressure is not None for node in wells[well.name]}
     held |= set(ends[_held(scene, mesh)].ravel().tolist())
-    away = np.full(count, np.inf)
-    if held:
-        away = dijkstra(graph, directed=False, indices=sorted(held), min_only=True)
+    both, start = np.concatenate([one, other]), np.array(sorted(held), dtype=np.int64)
+    away = distances(both, np.concatenate([other, one]), np.tile(length, 2), start, count)
     farthest = np.zeros(label.max() + 1)
     np.maximum.at(farthest, label, away)
-    component = label[ends[:, 0]].astype(np.int64)
+    component = label[one]
     return component, farthest[component]

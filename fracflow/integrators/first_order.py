@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+
 from fracflow.integrators.newmark import Alphas, Balance, HasMotion, Stepper, checked
 
 
@@ -49,6 +51,10 @@ class FlowRule(Stepper, Protocol):
     def storage_error(self, time_step: float, rates: Rates) -> Any:
         """About the error in what is stored that a step adds after another one, of its own order and either sign."""
         ...
+
+    def passing_error(self, time_step: float, rates: Rates) -> Any:
+        """About the sum of such errors from rest on, by steps of this length, where it is nothing at rest again; else None."""
+        return None
 
 
 def storage_error(rule: FlowRule, dt: float, rates: Rates) -> Any:
@@ -117,6 +123,12 @@ class BDF2(FlowRule):
         dt, last = time_step, rates.last
         share = dt**2 * (dt + last) ** 2 / (2.0 * (2.0 * dt + last) * (dt + 2.0 * last))
         return share * (rates.bend(dt) - rates.bend_last)
+
+    def passing_error(self, time_step: float, rates: Rates) -> Any:
+        """About dt (dt + last)^2/(6 (2 dt + last)) of the second derivative, whose changes ``storage_error`` counts."""
+        dt, last = time_step, rates.last
+        bend = np.maximum(np.abs(rates.bend(dt)), np.abs(rates.bend_last))
+        return dt * (dt + last) ** 2 / (6.0 * (2.0 * dt + last)) * bend
 
 
 def first(stepper: Stepper) -> Stepper:

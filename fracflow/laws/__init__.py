@@ -14,7 +14,7 @@ from fracflow.laws.base import (
     parameters_of,
     published_history,
 )
-from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, ReportCubic
+from fracflow.laws.cubic_flow import ExactCubic, FlowLaw, FrontCubic, ReportCubic
 from fracflow.laws.hyperbolic_coulomb import HyperbolicCoulomb
 from fracflow.laws.linear import Linear
 from fracflow.laws.slip_weakening import SlipWeakening
@@ -30,7 +30,7 @@ TERM_LAWS: dict[str, type[TermLaw]] = {}
 """Laws of terms by the key of their tables in a scene; one that is added before the scene is imported has its table there."""
 
 # of fractures without a conductance of their own, as method.conductance names them; others are registered in the same way
-FLOW_LAWS: dict[str, type[FlowLaw]] = {"exact": ExactCubic, "report": ReportCubic}
+FLOW_LAWS: dict[str, type[FlowLaw]] = {"front": FrontCubic, "exact": ExactCubic, "report": ReportCubic}
 
 
 def make_law(name: str, **parameters: Any) -> JointLaw:

@@ -8,16 +8,18 @@ on each rank and within a rank follow the original numbers.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import Blocks, FlowBlock, JointBlock, Sizes, SolidBlock
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.facets import half_facets, joined_by_cells, match
 from fracflow.mesh.locate import representatives
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 JOINT_WEIGHT = 1000  # a cut joint costs ghosts on both faces; a cut facet next to nothing
 
@@ -31,6 +33,8 @@ def cell_graph(mesh: SplitMesh) -> sparse.csr_matrix:
     row = np.concatenate([one, other, below, above])
     col = np.concatenate([other, one, above, below])
     weight = np.concatenate([np.ones(2 * len(one)), np.full(2 * len(below), float(JOINT_WEIGHT))])
+    from scipy import sparse  # imports much
+
     graph = sparse.csr_matrix((weight, (row, col)), shape=(count, count))
     graph.sum_duplicates()
     return graph

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.graph import components
 
 # (dim, corners of a cell) -> corners of its facets. In their order the normal of a facet (s turned left; of a surface, by the
 # right hand) points into the cell. A mesh in space has one kind of cell, so that all its facets have as many nodes.
@@ -138,12 +137,6 @@ def rows_near(cells: Ints, facets: Ints, least: int) -> Ints:
 def ridges(facets: Ints) -> Ints:
     """Boundaries of facets (f, k), where they meet: the ends (f, 2, 1) of lines, the edges (f, k, 2) of surfaces."""
     return facets[..., None] if facets.shape[1] == 2 else np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
-
-
-def components(first: Ints, second: Ints, total: int) -> Ints:
-    """Component (total,) of each vertex of the graph with edges ``first``-``second``."""
-    links = sparse.coo_matrix((np.ones(len(first), dtype=np.int8), (first, second)), shape=(total, total))
-    return connected_components(links, directed=False)[1].astype(np.int64)
 
 
 def joined_by_cells(cells: Ints, count: int) -> tuple[Ints, Ints]:

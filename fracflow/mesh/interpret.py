@@ -11,8 +11,9 @@ import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, Ints, RawMesh
-from fracflow.mesh.facets import components, count_cells_at, number_rows, spot
+from fracflow.mesh.facets import count_cells_at, number_rows, spot
 from fracflow.mesh.files.gmsh import Elements
+from fracflow.mesh.graph import components
 from fracflow.storage.files import steers
 
 EVERY = "default"  # [fracture.default] makes fractures of all named curves inside the mesh

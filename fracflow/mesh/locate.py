@@ -11,7 +11,7 @@ import numpy as np
 from fracflow.elements.shape import shape_at
 from fracflow.errors import InputError
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
-from fracflow.mesh.facets import components
+from fracflow.mesh.graph import components
 
 PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
 At = Sequence[float] | Floats | str | tuple[str, str]

@@ -12,10 +12,10 @@ import numpy as np
 
 from fracflow.errors import InputError
 from fracflow.mesh.data import Floats, RawMesh
+from fracflow.mesh.files.formats import FORMATS
 from fracflow.mesh.files.geo_check import check_geo
 from fracflow.mesh.files.gmsh import open_checked, open_msh, open_other, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
-from fracflow.mesh.files.others import FORMATS
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
 from fracflow.mesh.plane.near import NearMiss, near_miss_lines, near_misses

@@ -9,8 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 from fracflow.elements.facet import frame
 from fracflow.errors import InputError
@@ -18,7 +16,6 @@ from fracflow.mesh.data import Bools, Floats, Ints, RawMesh, SplitMesh
 from fracflow.mesh.facets import (
     HalfFacets,
     Matches,
-    components,
     half_facets,
     joined_by_cells,
     match,
@@ -27,6 +24,7 @@ from fracflow.mesh.facets import (
     rows_near,
     spot,
 )
+from fracflow.mesh.graph import components, distances
 from fracflow.mesh.plane.quality import worst_cells
 
 
@@ -43,15 +41,14 @@ def arc_length(points: Floats, facets: Ints, fracture_of: Ints) -> Floats:
     vertex, place = np.unique(key, return_inverse=True)
     tail, head = place.reshape(facets.shape).T
     step = np.linalg.norm(points[facets[:, 1]] - points[facets[:, 0]], axis=1)
-    graph = sparse.csr_matrix((step, (tail, head)), shape=(len(vertex), len(vertex)))
-    piece = connected_components(graph, directed=False)[1]
+    piece = components(tail, head, len(vertex))
     is_start = np.zeros(len(vertex), dtype=bool)
     is_start[tail] = True
     is_start[head] = False
     first_facet = np.unique(piece[tail], return_index=True)[1]
     is_loop = ~np.isin(piece[tail[first_facet]], piece[is_start])
     is_start[tail[first_facet[is_loop]]] = True
-    distance = dijkstra(graph, indices=np.flatnonzero(is_start), min_only=True)
+    distance = distances(tail, head, step, np.flatnonzero(is_start), len(vertex))
     ends = np.stack([distance[tail], distance[tail] + step], axis=1)
     return np.asarray(ends, dtype=np.float64)
 

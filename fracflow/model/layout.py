@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,22 +20,22 @@ class Layout:
     solid_starts: Ints
     flow_starts: Ints
 
-    @property
+    @cached_property
     def solid_count(self) -> int:
         """Displacement unknowns of this rank."""
         return int(np.diff(self.solid_starts)[self.comm.rank])
 
-    @property
+    @cached_property
     def flow_count(self) -> int:
         """Pressure unknowns of this rank."""
         return int(np.diff(self.flow_starts)[self.comm.rank])
 
-    @property
+    @cached_property
     def start(self) -> int:
         """First number of this rank in the joined vector."""
         return int(self.solid_starts[self.comm.rank] + self.flow_starts[self.comm.rank])
 
-    @property
+    @cached_property
     def total(self) -> int:
         """Unknowns of all ranks."""
         return int(self.solid_starts[-1] + self.flow_starts[-1])

@@ -47,6 +47,7 @@ class Limit:
 
     node     joined number of the well's pressure
     local    its local number on the rank that owns it, empty elsewhere
+    is_shut  of a limit that is reached: the pressure around the well is beyond it, and the well is shut
     """
 
     well: str
@@ -54,6 +55,7 @@ class Limit:
     pressure: float
     node: int
     local: Ints = field(compare=False)
+    is_shut: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +95,20 @@ class Loads:
         return np.concatenate([part.numbers for part in self.pressures] or [np.zeros(0, dtype=np.int64)])
 
     def at_limit(self, reached: Collection[Limit]) -> Loads:
-        """The same with some wells kept at the pressure of a limit, in place of their flow rates."""
-        names = {limit.well for limit in reached}
-        kept = [PrescribedValues(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in reached]
+        """The same with some wells kept at the pressure of a limit, or shut, in place of their flow rates."""
+        open_wells = [limit for limit in reached if not limit.is_shut]
+        names, shut = {limit.well for limit in open_wells}, {limit.well for limit in reached if limit.is_shut}
+        kept = [PrescribedValues(limit.local, TimeTable.constant(limit.pressure), limit.well) for limit in open_wells]
+        nothing = TimeTable.constant(0.0)
         return replace(
             self,
             pressures=(*self.pressures, *kept),
-            wells=tuple(pattern for pattern in self.wells if pattern.well not in names),
-            fixed_flow=np.union1d(self.fixed_flow, np.array([limit.node for limit in reached], dtype=np.int64)),
+            wells=tuple(
+                replace(pattern, value=nothing) if pattern.well in shut else pattern
+                for pattern in self.wells
+                if pattern.well not in names
+            ),
+            fixed_flow=np.union1d(self.fixed_flow, np.array([limit.node for limit in open_wells], dtype=np.int64)),
         )
 
     def demanded(

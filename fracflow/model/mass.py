@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.elements import solid
@@ -19,6 +18,9 @@ from fracflow.model.solid import by_shape, deformable, elasticity, rock_values
 from fracflow.model.terms.term import MeanDamping
 from fracflow.scene.scene import Scene
 
+if TYPE_CHECKING:
+    from scipy import sparse
+
 MOST_VECTORS = 120  # of Lanczos
 SHARP = 1e-13  # relative, of the eigenvalue
 PASSES = 2  # in which the stable step is found with D: none is above it
@@ -28,6 +30,9 @@ Solve = Callable[[Floats], Floats]
 
 def damped_mass(operators: Operators, held: Ints, half: float) -> Solve:
     """(M + dt/2 C)^-1 of this rank's unknowns (n,), ``half`` = dt/2; nothing where held. Collective."""
+    from scipy import sparse  # imports much
+    from scipy.sparse.linalg import splu
+
     matrix = operators.mass.copy()
     assert operators.damping is not None
     matrix.axpy(half, operators.damping, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -42,6 +47,8 @@ def damped_mass(operators: Operators, held: Ints, half: float) -> Solve:
 
 def _own_block(matrix: PETSc.Mat) -> sparse.csr_matrix:
     """The entries between this rank's unknowns."""
+    from scipy import sparse
+
     start, stop = matrix.getOwnershipRange()
     indptr, indices, values = matrix.getValuesCSR()
     return sparse.csr_matrix((values, indices, indptr), shape=(stop - start, matrix.getSize()[1]))[:, start:stop]
@@ -52,6 +59,8 @@ def inverse_mass(operators: Operators, held: Ints) -> PETSc.Mat:
 
     Raises InputError, on every rank, where a free unknown has no mass. The caller destroys the result. Collective.
     """
+    from scipy import sparse
+
     matrix, block, comm = operators.mass, operators.blocks.solid, operators.layout.comm
     start, local = matrix.getOwnershipRange()[0], _own_block(matrix)
     free = np.ones(local.shape[0], dtype=bool)

@@ -10,7 +10,7 @@ import numpy as np
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
-from fracflow.mesh.facets import components
+from fracflow.mesh.graph import components
 from fracflow.model.flow import Compression
 from fracflow.model.layout import Layout, local_rows
 from fracflow.model.operators import Operators
@@ -249,10 +249,10 @@ def unconnected_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[i
 
 def _nearest(mesh: SplitMesh, inside: Bools, others: Bools) -> tuple[float, tuple[str, str]]:
     """Least distance between nodes of two sets (n,) and a fracture at each of the two."""
-    from scipy.spatial import cKDTree  # imports much
-
     if not others.any():
         return np.inf, ("", "")
+    from scipy.spatial import cKDTree  # imports much
+
     points: Floats = mesh.points[mesh.flow_origin]
     one, other = np.flatnonzero(inside), np.flatnonzero(others)
     distance, nearest = cKDTree(points[other]).query(points[one])

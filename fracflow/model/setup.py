@@ -15,7 +15,7 @@ from fracflow.errors import DiskError, InputError
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.distribute import distribute
-from fracflow.mesh.facets import components
+from fracflow.mesh.graph import components
 from fracflow.mesh.locate import (
     PLACE_ROUND_OFF,
     FracturePlace,

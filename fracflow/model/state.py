@@ -170,6 +170,7 @@ class State:
     controls  value of each load factor
     energy    running totals of the energy balance [energy per thickness]
     wells_at_limit  wells that are kept at a limit of their pressure
+    wells_shut  wells that are shut, since the pressure around them is beyond a limit
     friction  (s,) dissipation by friction at each joint section of this rank since the start [energy/area]
     injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
     left      net volume that has left the network by each term since the start, by their names [length^3]
@@ -188,6 +189,7 @@ class State:
     controls: Mapping[str, float]
     energy: Mapping[str, float]
     wells_at_limit: tuple[str, ...] = ()
+    wells_shut: tuple[str, ...] = ()
     friction: Floats = field(default_factory=lambda: np.zeros(0))
     previous_step: PreviousStep = PreviousStep()
     uptake: PETSc.Vec | None = None

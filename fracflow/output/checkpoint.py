@@ -238,6 +238,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         controls=notes["controls"],
         energy=notes["energy"],
         wells_at_limit=tuple(notes["limited"]),
+        wells_shut=tuple(notes.get("shut", ())),
         friction=at_sections("friction"),
         previous_step=PreviousStep(notes["last_step"], solid(MEMORY), saved(RATES[1]), notes.get("through", {}))
         if notes["last_step"]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -118,7 +118,7 @@ class FieldWriter:
         places = zip(_CENTRES, data, strict=True)
         fields = [(place, key, value) for place, values in places for key, value in values.items()]
         attributes = [
-            f'<Attribute Name={quoteattr(key)} AttributeType="{_attribute_type(value)}" '
+            f'<Attribute Name="{escape(key)}" AttributeType="{_attribute_type(value)}" '
             f'Center="{_CENTRES[place]}">{_item(value, path, f"{place}/{key}")}</Attribute>'
             for place, key, value in fields
         ]
@@ -126,7 +126,7 @@ class FieldWriter:
         kind, topology, points = self._mesh
         nodes = ' NodesPerElement="2"' if kind == "Polyline" else ""
         head = [
-            f'<Grid Name={quoteattr(self.name)} GridType="Uniform"><Time Value="{time!r}"/>',
+            f'<Grid Name="{escape(self.name)}" GridType="Uniform"><Time Value="{time!r}"/>',
             f'<Topology TopologyType="{kind}" NumberOfElements="{self._counts[1]}"{nodes}>'
             f"{_item(topology, mesh, 'topology')}</Topology>",
             f'<Geometry GeometryType="XYZ">{_item(points, mesh, "points")}</Geometry>',
@@ -134,7 +134,7 @@ class FieldWriter:
         return "\n".join([*head, *attributes, "</Grid>"])
 
     def _write_index(self) -> None:
-        head = f'<Grid Name={quoteattr(self.name)} GridType="Collection" CollectionType="Temporal">'
+        head = f'<Grid Name="{escape(self.name)}" GridType="Collection" CollectionType="Temporal">'
         grids = [self._grids[index] for index in sorted(self._grids)]
         lines = ['<?xml version="1.0"?>', '<Xdmf Version="3.0"><Domain>', head, *grids, "</Grid>"]
         write_atomic(self.folder / f"{self.name}.xdmf", "\n".join([*lines, "</Domain></Xdmf>", ""]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ from fracflow.storage.reader import Found, read_h5
 from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, layout_of
 
 _ROWS_A_CHUNK = 256
+AT_LIMIT, SHUT = 1, 2  # values of well/NAME/limit
+MOST_SPANS = 3  # of times in which a well was shut, in a line
 _NO_HISTORY, _REMEDY = "is no readable history", f"put back a copy of the file, or {AGAIN}"
 
 
@@ -220,6 +222,20 @@ def read_table(path: str | Path, key: str, attrs: Mapping[str, Any] | None = Non
     except (ValueError, TypeError, RecursionError):
         pass
     raise InputError(f"{path}: its attribute {key} is no table; {_REMEDY}")
+
+
+def shut_times(history: Mapping[str, NDArray[Any]], well: str) -> list[tuple[float, float]]:
+    """When a well was shut by a limit of its pressure, from histories (n,): begin and end of each such time [time]."""
+    shut = history.get(f"well/{well}/limit", np.zeros(0)) == SHUT
+    times, changes = history["time"], np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]]).astype(int)))
+    return [(float(times[max(first - 1, 0)]), float(times[end - 1])) for first, end in changes.reshape(-1, 2)]
+
+
+def shut_line(history: Mapping[str, NDArray[Any]], well: str, as_text: Callable[[float], str]) -> str:
+    """A line on when a well was shut, from histories (n,), with times as ``as_text`` writes them; empty if it never was."""
+    spans = [f"from {as_text(begin)} to {as_text(end)}" for begin, end in shut_times(history, well)]
+    more = f" and {len(spans) - MOST_SPANS} times more" if len(spans) > MOST_SPANS else ""
+    return f"well.{well} was shut by a limit of its pressure {', '.join(spans[:MOST_SPANS])}{more}" if spans else ""
 
 
 def read_units(path: str | Path, attrs: Mapping[str, Any] | None = None) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,8 @@ import numpy as np
 from fracflow.output.drawing.axes import Axis, Floats, axis_of
 from fracflow.output.drawing.labels import beside_trace, placed
 from fracflow.output.drawing.network_map import (
+    FLAT,
+    FLATTEST,
     Network,
     coloured,
     draw_map,
@@ -17,6 +20,7 @@ from fracflow.output.drawing.network_map import (
     name_size,
     plain_numbers,
     scaled,
+    shape_of,
     write_name,
 )
 from fracflow.output.plot_style import COLOURS, INK, PALE, draw_head, plain, save, styled
@@ -39,10 +43,14 @@ _ENERGIES = (
     ("damping", "damped at faults"),
 )
 _OF_WELLS = (("pressure", STRESS), ("rate", FLOW_RATE), ("volume", "length**3"))
+_MOTIONS = ("slip", "opening", "displacement")
+_STRESSES = ("pressure", "shear_traction", "normal_traction")
+_CHANGES = ("plastic_slip", "opening", "aperture")
 _MAX_LINES = 7
 _MOST_FIRST = 5  # more than these at once show no place of the onset
 _LEAST_SLIP = 1e-6  # of the largest, that is drawn
 _WIDEST = 6.0  # line of slip [points]
+_WIDE = 10.0  # figure [inches]: letters are read where a page is 760 pixels wide
 
 
 def draw(folder: str | Path) -> list[Path]:
@@ -63,20 +71,29 @@ def draw(folder: str | Path) -> list[Path]:
 def _overview(run: RunData) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, _height(run)), layout="constrained")
+    shape = max(shape_of(run.rock or []), FLATTEST)
+    if shape > FLAT:
+        figure = Figure(figsize=(_WIDE, float(np.clip(4.3 * shape + 2.0, 5.6, 7.0))), layout="constrained")
+        left, right = figure.subfigures(1, 2, width_ratios=[1.1, 1])
+        slip, energy, pressure = right.subplots(3, 1)
+    else:
+        figure = Figure(figsize=(_WIDE, 9.0 * shape + 4.9), layout="constrained")
+        left, right = figure.subfigures(2, 1, height_ratios=[9.0 * shape + 1.9, 3.0])
+        slip, energy, pressure = right.subplots(1, 3)
     draw_head(figure, run.title, run.account)
-    left, right = figure.subfigures(1, 2, width_ratios=[1.1, 1])
-    slip, energy, pressure = right.subplots(3, 1)
     named = {}
     if run.probes_with("slip"):
-        _draw_probes(slip, run, QUANTITIES["slip"], "Slip at the probes, with its elastic part")
+        row = _most_telling(run, _MOTIONS)
+        elastic = ", with its elastic part" if row.name == "slip" else ""
+        _draw_probes(slip, run, row, f"{row.axis.capitalize()} at the probes{elastic}")
     else:
-        named[slip] = _draw_profiles(slip, run, QUANTITIES["plastic_slip"], by_size=True)
+        row = _most_telling_profile(run, _CHANGES)
+        named[slip] = _draw_profiles(slip, run, row, by_size=True)
     _draw_energy(energy, run)
     if run.fractures is not None and run.fractures.has("pressure"):
         named[pressure] = _draw_profiles(pressure, run, QUANTITIES["pressure"])
     else:
-        row = QUANTITIES["pressure" if run.probes_with("pressure") else "shear_traction"]
+        row = _most_telling(run, _STRESSES)
         _draw_probes(pressure, run, row, f"{row.axis.capitalize()} at the probes")
     axes = left.subplots()
     network = _network(run)
@@ -96,12 +113,24 @@ def _draw_probes(axes: Axes, run: RunData, row: OutputQuantity, title: str, word
     _draw_lines(axes, run, lines, title, word or row.axis, row.dimension, run.settled)
 
 
-def _height(run: RunData) -> float:
-    """Height in inches of a map as wide as its column, within the limits of the panels beside it."""
-    if not run.rock:
-        return 7.4
-    wide, high = np.ptp(np.concatenate([cell.reshape(-1, 2) for cell in run.rock]), axis=0)
-    return float(np.clip(5.2 * high / max(wide, 1e-300) + 2.2, 6.2, 7.6))
+def _most_telling(run: RunData, names: Sequence[str]) -> OutputQuantity:
+    """The first of these quantities that changes at the probes, else the first that they have."""
+    there = [QUANTITIES[name] for name in names if run.probes_with(name)] or [QUANTITIES[names[-1]]]
+    lines = ((row, [run.probe(name, row.name)[run.settled] for name in run.probes_with(row.name)]) for row in there)
+    return next((row for row, each in lines if not _axis_of(run, row, each).is_constant), there[0])
+
+
+def _most_telling_profile(run: RunData, names: Sequence[str]) -> OutputQuantity:
+    """The first of these fields of the fractures that is not the same at every place and time, else the first."""
+    steps = [run.fractures.before, run.fractures.after] if run.fractures is not None else []
+    rows = [QUANTITIES[name] for name in names if any(name in each for each in steps)]
+    lines = ((row, [each[row.name] for each in steps if row.name in each]) for row in rows)
+    telling = (row for row, each in lines if not _axis_of(run, row, [np.concatenate(each)]).is_constant)
+    return next(telling, QUANTITIES[names[0]])
+
+
+def _axis_of(run: RunData, row: OutputQuantity, lines: Sequence[Floats]) -> Axis:
+    return axis_of(row.dimension, lines, run.units, run.noise.get(row.dimension, 0.0))
 
 
 def _network(run: RunData) -> Network:
@@ -129,11 +158,20 @@ def _draw_map(axes: Axes, run: RunData, network: Network) -> tuple[Axis, Axis]:
         since = run.slipped_since() if run.is_behind else []
         later = f"; {len(since)} {'has' if len(since) == 1 else 'have'} since" if since else ""
         axes.set_title(f"The fractures: none had slipped at {run.at(fractures.time)}{later}")
-        return scales
-    moved = axis(slip) > _LEAST_SLIP * top
-    widths = 2.0 + (_WIDEST - 2.0) * axis(slip[moved]) / top
-    lines = coloured(axes, scaled(network.segments[moved], *scales), axis(slip[moved]), widths, "viridis_r", (0.0, top))
-    label = axis.label(f"plastic slip at {run.at(fractures.time)}")
+        pressure = fractures.on_segments("pressure")
+        axis = _axis_of(run, QUANTITIES["pressure"], [pressure])
+        if axis.is_constant:
+            return scales
+        axes.set_title(f"Pressure at {run.at(fractures.time)}: no fracture had slipped{later}")
+        moved, word = np.isfinite(pressure), "pressure"
+        shown = axis(pressure[moved])
+        low, top, widths = float(shown.min()), float(shown.max()), np.full(len(shown), 2.5)
+    else:
+        moved, word = axis(slip) > _LEAST_SLIP * top, "plastic slip"
+        shown = axis(slip[moved])
+        low, widths = 0.0, 2.0 + (_WIDEST - 2.0) * shown / top
+    lines = coloured(axes, scaled(network.segments[moved], *scales), shown, widths, "viridis_r", (low, top))
+    label = axis.label(f"{word} at {run.at(fractures.time)}")
     look: dict[str, Any] = dict(location="bottom", shrink=0.7, aspect=40, pad=0.03, panchor=False)
     bar = axes.figure.colorbar(lines, ax=axes, label=label, **look)
     plain_numbers(bar.ax, "x")
@@ -247,15 +285,15 @@ def _draw_profiles(
     """
     fractures, word = run.fractures, row.axis.capitalize()
     if fractures is None or not fractures.has(row.name) or not len(fractures.segments):
-        axes.set_title(f"{word} along the fractures")
+        axes.set_title(f"{word} along fractures")
         _say_nothing(axes)
         return {}
     profiles = fractures.profiles(row.name, _MAX_LINES, by_size)
     which = f"{len(profiles)} with most" if by_size else f"the {len(profiles)} longest"
-    of = "the fractures" if len(profiles) == len(fractures.names) else which
+    of = "fractures" if len(profiles) == len(fractures.names) else which
     both = [np.ravel(line) for _, before, after in profiles.values() for line in (before, after) if line is not None]
     scale = axis_of(row.dimension, [np.concatenate(both)], run.units, run.noise.get(row.dimension, 0.0))
-    first = f"{run.at(fractures.begins)} (dashed) and " if fractures.has_before else ""
+    first = f"{run.at(fractures.begins)} dashed, " if fractures.has_before else ""
     when = "" if scale.is_constant else f": {first}{run.at(fractures.time)}"
     axes.set_title(f"{word} along {of}{when}")
     s = axis_of(LENGTH, [along for along, _, _ in profiles.values()], run.units)
@@ -316,13 +354,14 @@ def _of_wells(run: RunData, quantity: str) -> dict[str, Floats]:
 
 
 def _sheet(run: RunData, of: str, count: int) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels in two columns."""
+    """A figure of so many panels in two columns, of three panels in three."""
     from matplotlib.figure import Figure
 
-    rows = -(-count // 2)
-    figure = Figure(figsize=(12, 0.6 + 2.5 * rows), layout="constrained")
+    columns = 3 if count == 3 else 2
+    rows = -(-count // columns)
+    figure = Figure(figsize=(_WIDE, 0.6 + 2.3 * rows), layout="constrained")
     draw_head(figure, f"{run.title}: {of}", run.account.partition(". Map")[0])
-    grid = figure.subplots(rows, 2, squeeze=False).ravel()
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in grid[count:]:
         axes.remove()
     return figure, list(grid[:count])

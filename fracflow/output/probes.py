@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -17,6 +17,7 @@ from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model import stress as rock
 from fracflow.model.probes import ProbePlace, available
 from fracflow.model.state import State
+from fracflow.output.history import AT_LIMIT, SHUT
 from fracflow.output.sampling import Columns, Snapshot
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
@@ -59,29 +60,35 @@ def probe_record(
     return record
 
 
-def well_record(scene: Scene, state: State, snapshot: Snapshot, at_rest: Mapping[str, float]) -> dict[str, float]:
+def well_record(
+    scene: Scene, state: State, snapshot: Snapshot, at_rest: Mapping[str, float], limited: Collection[str] = ()
+) -> dict[str, float]:
     """History entries ``well/NAME/QUANTITY`` of wells, and ``volume/QUANTITY`` of the fluid in the whole network.
 
     at_rest  name -> initial pressure of each well [stress]
+    limited  wells with a limit of their pressure
     """
-    volumes, record = state.volumes, {}
+    volumes, record = state.volumes, dict[str, float]()
     depth = scene.flow_depth
     for name, (pressure, entering) in snapshot.wells.items():
         rate = volumes.rates.get(name, entering * depth)
-        at = AtWell(pressure, rate, volumes.wells.get(name, 0.0), at_rest[name])
+        limit = SHUT if name in state.wells_shut else AT_LIMIT if name in state.wells_at_limit else 0
+        at = AtWell(pressure, rate, volumes.wells.get(name, 0.0), at_rest[name], limit)
         for key, row in quantities("well").items():
-            record[f"well/{name}/{key.removeprefix('well/')}"] = row.formula(at)
+            if key != "well/limit" or name in limited:
+                record[f"well/{name}/{key.removeprefix('well/')}"] = row.formula(at)
     return record | {key: row.formula(state) for key, row in quantities("network").items()}
 
 
 @dataclass(frozen=True)
 class AtWell:
-    """Values at a well: pressures now and initially [stress], rate and volume over the whole depth."""
+    """Values at a well: pressures now and initially [stress], rate and volume over the whole depth, its ``limit``."""
 
     pressure: float
     rate: float
     volume: float
     at_rest: float
+    limit: int = 0
 
     @property
     def injectivity(self) -> float:

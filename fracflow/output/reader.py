@@ -163,8 +163,9 @@ class RunData:
         return f"{line}. Map and profiles are older: of {self.at(self.fractures.time)}, step {self.fractures.step}"
 
     def at(self, time: float) -> str:
-        """A time in the unit that suits it."""
-        return shown(TIME, time, self.units, 6)
+        """A time in the unit that suits it; of a scene without units a plain number after the word."""
+        text = shown(TIME, time, self.units, 6)
+        return text if self.units.get("time") else f"time {text}"
 
     @property
     def settled(self) -> slice:

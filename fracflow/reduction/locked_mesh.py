@@ -7,7 +7,6 @@ from dataclasses import replace
 from math import inf
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fracflow.elements import facet, joint, solid
 from fracflow.errors import ReductionInvalid
@@ -105,6 +104,8 @@ def _of_mesh(model: Model) -> Fractures | None:
     nodes = [np.unique(mesh.joint_flow[group[fracture] == number]) for number in range(group.max(initial=-1) + 1)]
     if len(nodes) * len(places) > MOST:
         return None
+    from scipy.spatial import KDTree  # imports much
+
     away = [KDTree(places[each]).query(places)[0] for each in nodes]  # (g, q) from every flow node
     apart = np.full((len(nodes), count), inf)
     for row, distance in zip(apart, away, strict=True):
@@ -135,6 +136,8 @@ def _to_held(model: Model, mesh: SplitMesh) -> Floats:
     nodes, count = np.unique(np.concatenate(held)), len(mesh.fractures)
     if not len(nodes):
         return np.full(count, inf)
+    from scipy.spatial import KDTree
+
     away = KDTree(mesh.points[nodes]).query(mesh.points[mesh.flow_origin])[0][mesh.joint_flow].mean(axis=1)
     _, length = facet.frame(mesh.points[mesh.joint_bottom])
     whole = np.bincount(mesh.joint_fracture, length, count)

@@ -11,6 +11,7 @@ from fracflow.diagnostics import slip
 from fracflow.diagnostics.fracture_flow import EVENT_STEPS
 from fracflow.diagnostics.joints import cell_rocks, gather
 from fracflow.diagnostics.number import CheckInput, spans
+from fracflow.integrators import stepper_from
 from fracflow.laws import JOINT_LAWS
 from fracflow.mesh.data import Floats, SplitMesh
 from fracflow.mesh.plane.quality import cell_areas
@@ -26,6 +27,10 @@ PER_LENGTH = 16  # joints along a fracture that ends in the rock
 PER_SPACING = 4  # joints, in the mean distance of fractures
 PER_FRONT = 8  # joints, in the reach of a pressure
 PER_WAVE = 10  # cells: lumped mass and trapezoid are 4.6 % slow there (where each wave takes one step through a cell)
+CARRIED, FAR = (
+    2.0,
+    0.1,
+)  # cells over joints, in so much of the area, from which on waves of single joints do not get out
 PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures
@@ -141,7 +146,28 @@ def unresolved(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[int, ...
             asked = f"{'joints' if need.along else 'cells'} of {need.size:.3g}{unit}"
             has = f"has {need.found:.3g}{unit}, {need.where}"
             lines.append(f"mesh: {need.what} is not resolved: it needs {asked}, and {has}")
-    return lines + coarse_beside(view, mesh, cell_sizes(mesh))
+    return [*lines, *_keeping_waves(view, mesh), *coarse_beside(view, mesh, cell_sizes(mesh))]
+
+
+def _keeping_waves(view: CheckInput, mesh: SplitMesh) -> Iterator[str]:
+    """A line where cells away from fractures do not carry the waves of sudden drops of strength, and nothing damps them.
+
+    A drop at one joint moves two, h long each, and makes waves of 4 h. A cell carries none shorter than twice its own size.
+    """
+    scene, joints, sizes, area = view.scene, view.joints, cell_sizes(mesh), cell_areas(mesh.points, mesh.cells)
+    runs = any(stage.kind == "auto" for stage in scene.stage) and scene.absorbing
+    if not (runs and view.drops.any()) or stepper_from(scene.method.stepper, scene.method).damps:
+        return
+    order, fine = np.argsort(sizes), typical_length(joints.length)
+    coarse = float(sizes[order][np.searchsorted(np.cumsum(area[order]), (1.0 - FAR) * area.sum())])
+    if coarse > CARRIED * fine:
+        unit = view.unit(LENGTH)
+        yield (
+            f"mesh: a tenth of the rock has cells of {coarse:.3g}{unit} and more, over {CARRIED:g} times the joints of"
+            f" {fine:.3g}{unit}: shorter waves of a strength that drops at once stay around the fractures, and events take"
+            ' several times more steps: set method.stepper = "generalised-alpha" with rho_infinity = 0.5, which damps them, or'
+            f" have cells below {CARRIED * fine:.3g}{unit}"
+        )
 
 
 def needs(view: CheckInput, mesh: SplitMesh) -> list[Need]:

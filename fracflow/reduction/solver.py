@@ -10,6 +10,7 @@ from fracflow.reduction.inertia import reduced
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import AT_LEAST, USUAL, condensing, is_chosen, planned, solves_per_factor
 from fracflow.solve.linear import LEAST_WORTH, are_kept
+from fracflow.solve.options import is_swift
 
 
 def condensed_rock(facts: ReductionInput) -> Iterator[Decision]:
@@ -34,7 +35,8 @@ def new_factors(facts: ReductionInput) -> Iterator[Decision]:
     if not _solves(reduced(facts)):
         return
     total = facts.unknowns + facts.pressures
-    kept, worth = are_kept(facts.scene, total), solves_per_factor(total)
+    swift = facts.ranks == 1 and is_swift(facts.unknowns, facts.ranks)
+    kept, worth = are_kept(facts.scene, total, swift), solves_per_factor(total, swift)
     criterion = "solves in the time of a factorisation"
     saves = f"a factorisation where {USUAL} solves serve"
     if not kept:

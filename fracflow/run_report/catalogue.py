@@ -61,6 +61,8 @@ def _frequency(charts: Charts, sizes: NDArray[Any]) -> str:
     fit = gutenberg_richter(sizes)
     if fit is None:
         note = f"A b-value needs {FEWEST} events above completeness; there are {len(sizes)} events in all."
+        if len(sizes) == 1:  # a point alone shows no frequency
+            return f"<p>A b-value needs {FEWEST} events.</p>"
     else:
         ends = np.array([fit.completeness, ranked[-1]])
         series.append(Series(f"b = {fit.b:.2f} ± {fit.error:.2f}", ends, [fit.number(m) for m in ends], "dash"))
@@ -130,6 +132,7 @@ def _distances(run: RunReport, charts: Charts, events: list[dict[str, Any]]) -> 
     series = [Series("events", clock.factor * time, unit.factor * distance, "dots")]
     diffusivity = front_diffusivity(distance, since)
     note = f"No front is drawn: the distances of these {len(events)} events do not clearly grow with time."
+    note = note if len(events) > 1 else "No front is drawn through one event."
     if diffusivity is not None:
         reach = np.linspace(0.0, since.max(), 100)
         front = np.sqrt(4.0 * math.pi * diffusivity * reach)

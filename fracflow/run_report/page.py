@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fracflow._version import __version__
 from fracflow.output.folder import write_atomic
+from fracflow.output.history import shut_line
 from fracflow.run_report.catalogue import Charts, events_of, figure
 from fracflow.run_report.data import Chart, RunReport, Series, number, read_run
 from fracflow.run_report.map import Frames, map_record, read_frames
@@ -188,7 +189,9 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
         for name, (x, y) in run.wells.items()
     ]  # fmt: skip
     if rows:
-        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows, "small")
+        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows)
+    shut = [shut_line(run.history, name, run.clock_text) for name in run.wells] if len(run.times) else []
+    text += "".join(f"<p>{safe(line)}.</p>" for line in shut if line)
     for quantity, lines in histories.items():
         dimension = _OF_WELLS[quantity]
         unit = run.unit(dimension, np.concatenate([np.zeros(1), *(values for _, values in lines.values())]))

@@ -278,7 +278,7 @@ def mesh_line(run: RunReport) -> str:
         few, usual, most = (
             run.shown(float(size), LENGTH, 3) for size in (lengths.min(), np.median(lengths), lengths.max())
         )
-        text += f" of {few} to {most}, median {usual}"
+        text += f" of {few}" if few == most else f" of {few} to {most}, median {usual}"
     return f"{text}."
 
 

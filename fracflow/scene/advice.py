@@ -44,7 +44,7 @@ def advice(scene: Scene) -> list[str]:
     """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
     return [
         *_idle(scene),
-        *_backward(scene),
+        *_shut_wells(scene),
         *_reflecting(scene),
         *_too_long(scene),
         *_ringing(scene),
@@ -75,8 +75,8 @@ def _idle(scene: Scene) -> Iterator[str]:
             yield f"petsc.{option} reaches no solver: begin it with the name of one and _: {', '.join(SOLVERS)}"
 
 
-def _backward(scene: Scene) -> Iterator[str]:
-    """Wells whose limit lies beyond the pressure at the start, so that they flow against the sign of their rate."""
+def _shut_wells(scene: Scene) -> Iterator[str]:
+    """Wells whose limit lies beyond the pressure at the start, so that they are shut."""
     fluid = scene.fluid
     if fluid is None or fluid.pressure_gradient:
         return
@@ -86,14 +86,14 @@ def _backward(scene: Scene) -> Iterator[str]:
     for well in scene.well:
         rates = well.flow_rate.values if well.flow_rate is not None else ()
         for sign, key, side, does, change in (
-            (1.0, "maximum_pressure", "below", "draw fluid out", "raise"),
-            (-1.0, "minimum_pressure", "above", "let fluid in", "lower"),
+            (1.0, "maximum_pressure", "below", "falls", "raise"),
+            (-1.0, "minimum_pressure", "above", "rises", "lower"),
         ):
             limit = getattr(well, key)
             if limit is not None and sign * (start - limit) > 0.0 and any(sign * rate > 0.0 for rate in rates):
                 yield (
                     f"well.{well.name}.{key} = {limit:.6g}{unit} is {side} the pressure at the start, {start:.6g}{unit}: the"
-                    f" well will {does}, against the sign of its flow_rate: {change} it"
+                    f" well is shut until the pressure around it {does} to that: {change} it, if it is to pump from the start"
                 )
 
 
@@ -204,7 +204,7 @@ def _fading(scene: Scene) -> Iterator[str]:
     fluid, given = scene.fluid, scene.initial
     if fluid is None or given is None or given.pressure is None or not scene.has_flow:
         return
-    if given.pressure == fluid.initial_pressure and not fluid.pressure_gradient:
+    if given.pressure == fluid.initial_pressure:
         return
     tables, moves = scene.fracture.values(), (given, *given.rock.values())
     if any(each.displacement or each.displacement_gradient for each in moves) or all(t.pressure for t in tables):

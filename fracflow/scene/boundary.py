@@ -123,9 +123,11 @@ class Well(Table):
     control: Name | None = None
     """name of the [control] whose factor multiplies flow_rate"""
     maximum_pressure: Annotated[float, Quantity(STRESS)] | None = None
-    """pressure that pumping must not exceed: the well then takes what it can [force/length**2]"""
+    """pressure that pumping must not exceed: the well then takes what it can, and is shut while the pressure around it is
+    higher [force/length**2]"""
     minimum_pressure: Annotated[float, Quantity(STRESS)] | None = None
-    """pressure below which it must not draw: it then gives what it can [force/length**2]"""
+    """pressure below which it must not draw: it then gives what it can, and is shut while the pressure around it is lower
+    [force/length**2]"""
 
     @model_validator(mode="after")
     def _consistent(self) -> Well:

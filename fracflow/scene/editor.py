@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fracflow.scene.renamed import RENAMED
+from fracflow.scene.scene import RENAMED
 from fracflow.scene.units import PLAIN, UnitSystem, unit_text
 
 DRAFT = "http://json-schema.org/draft-07/schema#"

@@ -105,8 +105,9 @@ class Initial(InitialMotion):
     """[initial] A start away from the state that initial_stress and fluid.initial_pressure describe."""
 
     pressure: Annotated[float, Quantity(units.STRESS)] | None = None
-    """pressure in all fractures at the start [force/length**2]; else fluid.initial_pressure; the first step returns to that
-    where no volume stores the difference: neither in moved walls nor by compressibility"""
+    """pressure in all fractures at the start [force/length**2], at fluid.datum where fluid.pressure_gradient lets it change
+    with depth; else fluid.initial_pressure; the first step returns to that where no volume stores the difference: neither in
+    moved walls nor by compressibility"""
     rock: dict[str, InitialMotion] = Field(default_factory=dict)
     """rocks that start otherwise, by name"""
 

@@ -92,8 +92,9 @@ class Method(StepperKeys):
     storage: Literal["lumped", "consistent", "averaging", "report", "consistent-lumped"] = "lumped"
     """matrices of pressure force and fracture storage; lumped, consistent (2.37) and averaging (3.16) use one for both;
     report is (2.37) with (3.16), consistent-lumped (2.37) with lumped: the balance has their spurious work"""
-    conductance: Conductance = "exact"
-    """mean of the cubed aperture over a tapered element: exact two-node mean, or (3.14f)"""
+    conductance: Conductance = "front"
+    """mean of the cubed aperture over a tapered element: exact two-node mean; front adds to it what a front of opening lets
+    through, where ends part by more than the aperture at rest; report is (3.14f)"""
     mass: Literal["lumped", "consistent"] = "lumped"
     """mass matrix of the rock"""
     contact: Literal["redistributed", "lumped"] = "redistributed"

@@ -130,7 +130,7 @@ def magnitude(vectors: Any) -> Any:
 Q = OutputQuantity
 _ROWS = (
     Q("displacement", LENGTH, "node", of("displacement"), "of the rock; on a fracture, of its top wall, the left of the trace",
-      "vector", label="displacement along its largest"),
+      "vector", label="displacement in the direction of its largest"),
     Q("displacement_bottom", LENGTH, "wall", of("bottom"), "of the bottom wall, the right of the trace", "vector", drawn=False),
     Q("velocity", VELOCITY, "node", of("velocity"), "of the rock; on a fracture, of its top wall", "vector", drawn=False),
     Q("acceleration", ACCELERATION, "node", of("acceleration"), "of the rock; on a fracture, of its top wall", "vector",
@@ -167,6 +167,8 @@ _ROWS = (
     Q("well/rate", FLOW_RATE, "well", of("rate"), "that a well brings, mean over the step; negative where it draws"),
     Q("well/volume", VOLUME, "well", of("volume"), "that it has brought since the start, the sum of rate times dt"),
     Q("well/injectivity", INJECTIVITY, "well", of("injectivity"), "rate over pressure less initial pressure"),
+    Q("well/limit", PLAIN, "well", of("limit"),
+      "of a well with one: 0 it brings its flow rate, 1 its pressure is kept at a limit, 2 it is shut", drawn=False),
     Q("volume/injected", VOLUME, "network", of("volumes.into"), "what wells have brought, over the whole flow_depth"),
     Q("volume/withdrawn", VOLUME, "network", of("volumes.out_of"), "what they have drawn"),
     Q("volume/stored", VOLUME, "network", of("volumes.stored"), "what fractures have taken up, but for steady stages"),

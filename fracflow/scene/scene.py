@@ -14,12 +14,13 @@ from fracflow.errors import InputError
 from fracflow.scene.checks import check_mesh_names, contradictions
 from fracflow.scene.geometry import with_traces
 from fracflow.scene.messages import one_line
-from fracflow.scene.renamed import with_new_keys, with_new_path
 from fracflow.scene.tables import Tables
 from fracflow.scene.toml import override, read_toml, write_toml, write_value
 from fracflow.scene.units import UnitSystem, fault
 
 BEFORE_TRACES = ("geometry.fractures_csv", "units")  # settings that say how the table of traces is read
+RENAMED = {("method", "film"): "flow_integrator"}
+"""New names of keys by the table and the name that older scenes have for them."""
 
 
 class Scene(Tables):
@@ -43,7 +44,7 @@ class Scene(Tables):
     @staticmethod
     def from_data(data: Mapping[str, Any], file: Path = Path("scene.toml")) -> Scene:
         """Make a scene of what its TOML holds, with the traces of its CSV; raises InputError of one line."""
-        data, notes = with_new_keys(with_traces(data, file), file.name)
+        data, notes = _with_new_keys(with_traces(data, file), file.name)
         try:
             units = UnitSystem.parse(data.get("units", "SI"))
         except ValueError as error:
@@ -76,8 +77,8 @@ def load(path: str | Path, overrides: Sequence[str] = (), trust: bool = False) -
     trust  whether Gmsh may run the scene's .geo as it is, whatever that does
     """
     file = Path(path)
-    data, notes = with_new_keys(read_toml(file), file.name)
-    settings = [with_new_path(text) for text in overrides]
+    data, notes = _with_new_keys(read_toml(file), file.name)
+    settings = [_with_new_path(text) for text in overrides]
     for setting in [text for text, _ in settings if text.startswith(BEFORE_TRACES)]:
         override(data, setting)
     data = with_traces(data, file)
@@ -87,3 +88,36 @@ def load(path: str | Path, overrides: Sequence[str] = (), trust: bool = False) -
     noticed = dict.fromkeys((*notes, *(line for _, lines in settings for line in lines), *scene._notes))
     scene._notes = tuple(noticed)  # a line once, however often the old name stands
     return scene.with_trust() if trust else scene
+
+
+def _with_new_keys(data: Mapping[str, Any], source: str) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Give the data of a scene with its keys as they are named now, and a line of notice for each old one.
+
+    source  name of the scene file, for messages
+
+    Raises InputError where a key stands under both names.
+    """
+    found, notes = dict(data), []
+    for (table, old), new in RENAMED.items():
+        keys = found.get(table)
+        if not isinstance(keys, dict) or old not in keys:
+            continue
+        if new in keys:
+            why = f"{table}.{new} is its new name and stands there too; keep that one"
+            raise InputError(f"{source}: {table}.{old}: {why}")
+        found[table] = {new if key == old else key: value for key, value in keys.items()}
+        notes.append(_notice(table, old, new))
+    return found, tuple(notes)
+
+
+def _with_new_path(setting: str) -> tuple[str, tuple[str, ...]]:
+    """Give a ``path.to.key=value`` with the new name of its key, and a line of notice where it has the old one."""
+    path, equals, value = setting.partition("=")
+    for (table, old), new in RENAMED.items():
+        if path.strip() == f"{table}.{old}":
+            return f"{table}.{new}{equals}{value}", (_notice(table, old, new),)
+    return setting, ()
+
+
+def _notice(table: str, old: str, new: str) -> str:
+    return f"{table}.{old}: this key is now called {table}.{new}; its old name is still read"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -30,7 +31,9 @@ from fracflow.scene.method import (
 from fracflow.scene.site import Site
 from fracflow.scene.terms import Absorbing, TablesOfLaws, TermTable
 from fracflow.scene.time_table import TimeTable
-from fracflow.scene.units import UnitSystem, stated_time
+from fracflow.scene.units import UnitSystem, stated_time, suited_time
+
+_PLAIN_TIME = re.compile(r"\btime (-?\d[\d.]*(?:e[-+]\d+)?)(?=[:,]|$)")
 
 
 class Tables(TablesOfLaws):
@@ -160,9 +163,18 @@ class Tables(TablesOfLaws):
         return names | ({"shown_time": self.output.time_unit} if self.output.time_unit else {})
 
     def time_text(self, time: float, digits: int = 6) -> str:
-        """A time [time] with the unit that the author uses, or else that of the scene."""
-        factor, unit = stated_time(self.output.time_unit, time) or (1.0, self.unit_system.time)
+        """A time [time] with the unit that the author uses, or else one that suits it."""
+        factor, unit = stated_time(self.output.time_unit, time) or suited_time(self.unit_system.time, time)
         return f"{factor * time:.{digits}g} {unit}".rstrip()
+
+    def with_time_units(self, line: str) -> str:
+        """A line for the log whose plain times, as in ``time 453600: ...``, have got the unit of ``time_text``."""
+
+        def text(found: re.Match[str]) -> str:
+            digits = len(re.sub(r"e.*|\D", "", found[1]))
+            return f"time {self.time_text(float(found[1]), max(6, digits))}"
+
+        return _PLAIN_TIME.sub(text, line)
 
     @property
     def has_flow(self) -> bool:

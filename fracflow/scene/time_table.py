@@ -96,6 +96,14 @@ class TimeTable:
         sizes = np.abs(off) / self.spread
         return {float(time): float(size) for time, size in zip(at, sizes, strict=True) if size > share}
 
+    def ramps(self, longest: float, share: float) -> list[tuple[float, float]]:
+        """Begin and end of each rise or fall that takes no longer, and is over a share of its spread; jumps left out."""
+        if self.interpolation == "step":
+            return []
+        steps, sizes = np.diff(self.times), np.abs(np.diff(self.values))
+        found = np.flatnonzero((steps > 0.0) & (steps <= longest) & (sizes > share * self.spread))
+        return [(float(self.times[k]), float(self.times[k + 1])) for k in found]
+
     def departs(self, begin: float, end: float) -> float:
         """How far the table leaves the straight line between its values at two times, over its spread, between them."""
         times = np.array(self.times)

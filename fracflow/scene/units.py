@@ -58,6 +58,9 @@ TIME_UNITS = {
     "years": 31557600.0, "days": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "µs": 1e-6,
 }  # fmt: skip
 """Names of units of time -> their seconds."""
+_FEWEST = {"years": 2.0, "days": 2.0, "h": 2.0, "min": 3.0, "s": 0.5, "ms": 0.5, "µs": 0.0}  # of a unit of time
+TIME_LADDER = tuple((fewest * TIME_UNITS[name], TIME_UNITS[name], name) for name, fewest in _FEWEST.items())
+"""Seconds from which on a unit of time is used, its seconds and its name; the longest first."""
 USUAL = {
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-06, "µm": 1e-06, "km": 1000.0},
     "s": {
@@ -80,8 +83,28 @@ USUAL = {
     "m/s": {"m/s": 1.0, "mm/s": 0.001, "km/s": 1e3},
     "m/s**2": {"m/s^2": 1.0},
     "degree": {"deg": 1.0},
+    "ft": {"ft": 1.0},
+    "lbf/ft**2": {"lbf/ft^2": 1.0},
+    "lbf/ft**3": {"lbf/ft^3": 1.0},
+    "lbf*s**2/ft**4": {"slug/ft^3": 1.0},
+    "lbf*s/ft**2": {"lbf s/ft^2": 1.0},
+    "ft**3/s": {"ft^3/s": 1.0},
 }
-"""Factors of usual units to those of SI, as pint gives them to the last bit: its registry costs more CPU than a small run."""
+"""Factors of usual units to those of SI and of the report, as pint gives them to the last bit: its registry costs more CPU than
+a small run."""
+BASE = {
+    "lbf/ft**2": 47.88025898033586,
+    "ft**2/lbf": 0.02088543423315013,
+    "ft/s**2": 0.30479999999999996,
+    "lbf*ft": 1.3558179483314006,
+    "ft": 0.30479999999999996,
+    "lbf*s**2/ft**4": 515.3788183931964,
+    "lbf*s/ft**2": 47.88025898033586,
+    "lbf/ft**3": 157.08746384624627,
+    "s": 1.0,
+}
+"""Units of the report -> SI, likewise."""
+PARTS = {"[length]": ("m", "ft"), "[force]": ("N", "lbf"), "[time]": ("s",)}
 HUGE = 1e100  # beyond it the square of a number may be none; no quantity of the field comes near
 LONGEST = 100  # of a number and its unit, as text
 _UNIT = re.compile(
@@ -120,7 +143,9 @@ class UnitSystem:
             raise ValueError(f"not a unit system; {fits}")
         for part, dimension in zip(parts, ("[length]", "[force]", "[time]"), strict=True):
             try:
-                known = _UNIT.fullmatch(part) is not None and _registry().Quantity(1.0, part).check(dimension)
+                known = part in PARTS[dimension] or (
+                    _UNIT.fullmatch(part) is not None and _registry().Quantity(1.0, part).check(dimension)
+                )
             except Exception:  # pint raises many kinds, from UndefinedUnitError to TokenError
                 known = False
             if not known:
@@ -144,7 +169,8 @@ class UnitSystem:
         """Factor that brings a number of this system to SI."""
         if self.name == "SI" and "angle" not in dimension:
             return 1.0
-        return float(_registry().Quantity(1.0, self.unit(dimension)).to_base_units().magnitude)
+        unit = self.unit(dimension)
+        return BASE[unit] if unit in BASE else float(_registry().Quantity(1.0, unit).to_base_units().magnitude)
 
     def convert(self, text: str, dimension: str) -> float:
         """Turn ``"30 GPa"`` into a number of this system; raises ValueError that says what fits."""
@@ -179,6 +205,12 @@ def stated_time(unit: str | None, seconds: float) -> tuple[float, str] | None:
     """Factor from seconds and name of a unit that the author has chosen, where it suits times of that size."""
     each = TIME_UNITS.get(unit or "")
     return (1.0 / each, str(unit)) if each and 0.1 <= (1.0 + 1e-9) * abs(seconds) / each < 1e4 else None
+
+
+def suited_time(unit: str, time: float) -> tuple[float, str]:
+    """Factor and name of the unit that suits a time, which is in ``unit``; others than seconds stay."""
+    fits = ((1.0 / each, name) for least, each, name in TIME_LADDER if abs(time) >= least * (1.0 - 1e-12))
+    return next(fits, (1.0, unit)) if unit == "s" and 0.0 < abs(time) < math.inf else (1.0, unit)
 
 
 def unit_text(dimension: str, units: Mapping[str, str], is_printed: bool = False) -> str:

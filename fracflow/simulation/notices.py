@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fracflow.advance.step import Step
-from fracflow.advance.wells import at_node, reached_before
+from fracflow.advance.wells import reached_before
 from fracflow.model.energy import spurious_share
 from fracflow.model.flow import is_transposed
 from fracflow.model.properties import initial_pressure
@@ -15,7 +15,7 @@ from fracflow.model.setup import Model
 from fracflow.model.state import State, StepReport
 from fracflow.output.drawing.axes import shown
 from fracflow.scene.scene import Scene
-from fracflow.scene.units import LENGTH, STRESS, TIME
+from fracflow.scene.units import LENGTH, STRESS
 from fracflow.simulation.totals import Totals
 
 LEAST_SUCTION = 1e-6  # of the initial pressure: less is round-off of a well that draws a fracture down to nothing
@@ -26,7 +26,6 @@ FOLD = 1.5
 stiffness of the walls stops them, at a distant solution; for less there are both solutions."""
 WIDENS = 2.0  # and again where an aperture grew by as much more
 STRAINED = 0.1  # p/E: a tenth is no small strain
-BACKWARD = 1e-6  # of the rate asked for: less flow against it is round-off
 SPURIOUS = 1e-3  # share of the largest entry of the energy balance from which the log warns of the spurious one
 
 
@@ -51,34 +50,29 @@ class Notices:
         if self._scene.has_flow and not totals.sucked and (line := suction_line(self._model, state)):
             totals.sucked = 1  # once: no fluid holds together below zero
             self._doubt(line)
-        if state.wells_at_limit:
+        if state.wells_at_limit or state.wells_shut:
             self._limits(state)
         self._coupling(f"stage {self._scene.stage[step.stage].title}", state.time, report)
 
     def _limits(self, state: State) -> None:
-        """A line on each well, once, when a limit of its pressure keeps it from its rate, and once when it flows back."""
-        scene, loads, known = self._scene, self._model.loads, self._totals.at_limit
-        for limit in sorted(reached_before(loads, state), key=lambda limit: limit.well):
+        """A line on each well, once, when a limit of its pressure keeps it from its rate, and once when it is shut."""
+        scene, known = self._scene, self._totals.at_limit
+        for limit in sorted(reached_before(self._model.loads, state), key=lambda limit: limit.well):
             is_highest, well = limit.sign > 0.0, f"well.{limit.well}"
             key = "maximum_pressure" if is_highest else "minimum_pressure"
             pressure = shown(STRESS, limit.pressure, scene.unit_names, 6)
-            at, first = f"time {scene.time_text(state.time)}", f"{limit.well}/{key}"
-            if first not in known:
-                known.append(first)
-                verb, raised = ("takes", "higher") if is_highest else ("gives", "lower")
-                self._doubt(
-                    f"{at}: {well} is held at its {key} = {pressure}, and {verb} less than its flow_rate while it is:"
-                    f" give a {raised} limit, or a smaller rate, if the rate is to be kept"
-                )
-            flow = limit.sign * at_node(limit, state.forces.source) * scene.flow_depth
-            asked = limit.sign * loads.demanded(limit.well, state.time, state.controls)
-            if flow < -BACKWARD * asked < 0.0 and f"{first}/back" not in known:
-                known.append(f"{first}/back")
-                does, side = ("draws fluid out", "above") if is_highest else ("lets fluid in", "below")
-                self._doubt(
-                    f"{at}: {well} {does}, against the sign of its flow_rate, since the pressure around it is {side} its {key}:"
-                    " a well that pumps through a check valve would not: move the limit beyond that pressure, or end the rate"
-                )
+            at, what = f"time {scene.time_text(state.time)}", f"{limit.well}/{key}{'/shut' * limit.is_shut}"
+            if what in known:
+                continue
+            known.append(what)
+            verb, raised = ("takes", "higher") if is_highest else ("gives", "lower")
+            side, back = ("above", "falls") if is_highest else ("below", "rises")
+            does = (
+                f"is shut, since the pressure around it is {side} its {key} = {pressure}, and {verb} nothing until that {back}"
+                if limit.is_shut
+                else f"is held at its {key} = {pressure}, and {verb} less than its flow_rate while it is"
+            )
+            self._doubt(f"{at}: {well} {does}: give a {raised} limit, or a smaller rate, if the rate is to be kept")
 
     def _coupling(self, stage: str, now: float, report: StepReport) -> None:
         """A line where the contraction of the fixed point has changed, and where it first failed."""
@@ -172,7 +166,7 @@ def suction_line(model: Model, state: State) -> str:
         return ""
     system = scene.unit_system
     pressures, lengths = map(system.behind, (STRESS, LENGTH))
-    time = f"time {state.time:.6g}{system.behind(TIME)}"
+    time = f"time {scene.time_text(state.time)}"
     return (
         f"{time}: the pressure in {name} at ({x:.6g}, {y:.6g}){lengths} falls to {lowest:.3g}{pressures}, below zero: a fluid"
         " boils or lets air in there, which the model leaves out, and pulls the walls together in it: give a"

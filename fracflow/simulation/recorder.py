@@ -96,7 +96,7 @@ class Recorder:
     def log(self, line: str) -> None:
         """A line for log.txt."""
         if self.files is not None:
-            self.files.folder.log(line)
+            self.files.folder.log(self.model.scene.with_time_units(line))
 
     def report_saved(self, report: Callable[[int], None] | None) -> None:
         """Report on rank 0 the number of steps before the last state on disk, now and at each later one."""
@@ -273,6 +273,12 @@ class Files:
         # a history that an earlier version began goes on as it is
         is_known = begun is None or not begun.rows or "volume/injected" in begun.rows
         self.has_wells = model.operators.flow is not None and bool(points) and is_known
+        self.limited = {
+            well.name
+            for well in model.scene.well
+            if (well.maximum_pressure is not None or well.minimum_pressure is not None)
+            and (begun is None or not begun.rows or f"well/{well.name}/limit" in begun.rows)
+        }
         self.history = HistoryFile.after(file, begun.rows, begun.attrs) if begun else HistoryFile(file, about)
         written = notes["totals"].get("profiles", {}) if notes is not None else {}
         self.profiles = ProfileFile(self.folder.path, written.get("rows", 0))
@@ -331,7 +337,8 @@ class Files:
         state = step.state
         here = {"stage": step.stage, "progress": step.progress, "log_bytes": self.folder.log_bytes()}
         notes = {"time": state.time, "controls": dict(state.controls), "energy": dict(state.energy)}
-        notes |= {"limited": list(state.wells_at_limit), "last_step": state.previous_step.time_step}
+        notes |= {"limited": list(state.wells_at_limit), "shut": list(state.wells_shut)}
+        notes |= {"last_step": state.previous_step.time_step}
         notes |= {"through": dict(state.previous_step.through)}
         notes |= {"drive": state.max_overpressure, "power": state.max_dissipation, "injected": state.injected}
         notes |= {"powers": dict(state.forces.powers), "left": dict(state.left), "around": list(state.adjacent_steps)}
@@ -354,7 +361,8 @@ class Files:
         record |= {f"step/control/{name}": value for name, value in state.controls.items()}
         record |= {f"energy/{name}": value for name, value in state.energy.items()}
         record |= {f"volume/{name}": value for name, value in state.left.items()}
-        record |= well_record(self.scene, state, snapshot, self.at_rest) if self.has_wells else {}
+        wells = (snapshot, self.at_rest, self.limited)
+        record |= well_record(self.scene, state, *wells) if self.has_wells else {}
         places = self.placed.probes
         self.history.append(record | probe_record(self.scene, self.mesh, places, self.measured, snapshot))
 
@@ -364,7 +372,7 @@ class Files:
         sliding, is_open = (parts & sampling.any_at_nodes(snapshot, name, *to) for name in ("sliding", "open"))
         if line := self.chatter.update(step.stage, is_open):
             stage = self.scene.stage[step.stage].title
-            self.folder.log(f"time {state.time:.6g}: stage {stage}: {line}: {self._advice()}")
+            self.folder.log(f"time {self.scene.time_text(state.time)}: stage {stage}: {line}: {self._advice()}")
         slip, rate = (sampling.at_nodes(snapshot, name, *to) for name in ("plastic_slip", "slip_rate"))
         self.events.update(state.time, sliding, is_open, slip, rate, began)
         if self.catalogue is not None:

@@ -20,9 +20,9 @@ from fracflow.reduction.decision import ReductionInput
 from fracflow.reduction.inertia import asks_period
 from fracflow.reduction.locked_fractures import LEAST, why_none
 from fracflow.reduction.prepare import with_sizes
-from fracflow.scene.levels import Spot, at_level, order_in_time
 from fracflow.scene.method import MOST_REFINED
 from fracflow.scene.scene import Scene
+from fracflow.simulation.levels import Spot, at_level, order_in_time
 from fracflow.simulation.observer import Observer
 from fracflow.simulation.run import OnStep, has_ended, resume, run
 from fracflow.simulation.totals import Totals

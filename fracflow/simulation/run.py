@@ -191,13 +191,14 @@ def require_run(folder: Path) -> None:
         raise InputError(f"{folder}: holds no run of fracflow that could go on; name the folder of one")
 
 
-def of_stage(stage: Stage, error: SolveError) -> SolveError:
-    """The same error with the name of its stage."""
+def of_stage(stage: Stage, error: SolveError, scene: Scene | None = None) -> SolveError:
+    """The same error with the name of its stage, and units of the ``scene`` for its times."""
     head = f"stage {stage.title}: "
     if str(error).startswith(head):
         return error
     kind = type(error)
-    found = kind.__new__(kind, f"{head}{error}")  # which may take more to be made than a message
+    said = str(error) if scene is None else scene.with_time_units(str(error))
+    found = kind.__new__(kind, f"{head}{said}")  # which may take more to be made than a message
     found.__dict__.update(error.__dict__)
     found.__cause__ = error
     return found
@@ -207,7 +208,7 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
-    set_defaults(model.scene.petsc, unknowns)
+    set_defaults(model.scene.petsc, unknowns, model.operators.layout.comm.size)
     if is_large(unknowns):
         recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
     stepping = Stepping(model, recorder.log)
@@ -279,7 +280,7 @@ def _steps(
                             recorder.last(step, whole=asked is RunRequest.STOP)
                         if asked is RunRequest.STOP:
                             done = f"after {recorder.totals.steps} steps"
-                            raise Interrupted(f"stopped at time {state.time:.6g}, {done}")
+                            raise Interrupted(f"stopped at time {scene.time_text(state.time)}, {done}")
                 except LimitPoint as limit:
                     if not any(after.kind in ("dynamic", "auto") for after in scene.stage[number + 1 : number + 2]):
                         raise
@@ -295,7 +296,7 @@ def _steps(
             failure = error
             if isinstance(error, SolveError):
                 recorder.totals.give_up(error)
-                failure = of_stage(stage, error)
+                failure = of_stage(stage, error, scene)
             recorder.log(f"stopped: {failure}")
     recorder.totals.spend(stepping.work)
     if not isinstance(failure, Interrupted):

@@ -13,7 +13,7 @@ import numpy as np
 from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import owner_of
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.facets import components
+from fracflow.mesh.graph import components
 from fracflow.model.joints import Joints
 from fracflow.model.layout import local_rows
 

@@ -8,21 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from fracflow._petsc import PETSc
 from fracflow.elements import facet
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Floats, Ints
-from fracflow.mesh.facets import components
+from fracflow.mesh.graph import components
 from fracflow.model.layout import add_blocks, local_rows
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
 from fracflow.model.properties import on_joints
 from fracflow.model.state import Sections
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 NOTHING = 1e-9
 """Relative stiffness that counts as zero. Each support or joint has unit stiffness and each block its own size, so a block
@@ -64,19 +66,36 @@ def null_motions(stiffness: sparse.spmatrix | Floats) -> Floats:
 
     A large one stays sparse: inverse iteration on ever more vectors at once, until one of them is resisted.
     """
-    matrix = sparse.csc_matrix(stiffness)
-    own, count = np.sqrt(matrix.diagonal()), matrix.shape[0]
+    own, vectors = np.sqrt(stiffness.diagonal()), None
     scale = np.where(own > 0.0, 1.0 / np.where(own > 0.0, own, 1.0), 1.0)
-    scaled = sparse.diags(scale) @ matrix @ sparse.diags(scale)
-    vectors = _sparse_null(scaled.tocsc()) if count > DENSE else None
+    if len(own) > DENSE:
+        from scipy import sparse  # imports much
+
+        scaled = sparse.diags(scale) @ sparse.csc_matrix(stiffness) @ sparse.diags(scale)
+        vectors = _sparse_null(scaled.tocsc())
     if vectors is None:
-        values, vectors = np.linalg.eigh(scaled.toarray())
+        dense = stiffness if isinstance(stiffness, np.ndarray) else stiffness.toarray()
+        values, vectors = np.linalg.eigh(scale[:, None] * dense * scale)
         vectors = vectors[:, values <= NOTHING]
     return np.linalg.qr(vectors * scale[:, None])[0]
 
 
+def _summed(rows: Ints, cols: Ints, values: Floats, shape: tuple[int, int]) -> Any:
+    """The matrix of these entries, sparse where it has more than ``DENSE`` columns; entries of one place are summed."""
+    if shape[1] > DENSE:
+        from scipy import sparse
+
+        return sparse.csr_matrix((values, (rows, cols)), shape=shape)
+    total = np.zeros(shape)
+    np.add.at(total, (rows, cols), values)
+    return total
+
+
 def _sparse_null(scaled: sparse.csc_matrix) -> Floats | None:
     """The same of a matrix with unit diagonal, or None where too much floats for it to pay."""
+    from scipy import sparse
+    from scipy.sparse.linalg import splu
+
     count = scaled.shape[0]
     inverse, generator = splu(scaled + SHIFT * sparse.identity(count, format="csc")), np.random.default_rng(0)
     tried = FIRST
@@ -109,6 +128,7 @@ class Floating:
         self.frame = facet.frame(ends)[0]
         self.places = on_joints(ends, self.natural).reshape(-1, 2)
         self._carried: np.ndarray | None = None
+        self._asked: tuple[Sections, bool] | None = None
         self.motions = np.zeros((3 * self.count, 0))
 
     def find(self, sections: Sections, is_filled: bool, without: np.ndarray | None = None) -> Floats:
@@ -117,6 +137,9 @@ class Floating:
         is_filled  an incompressible fluid keeps the walls of every joint apart, and together
         without    (s, 2) what sections are taken not to carry, along and across, whatever their status
         """
+        if without is None and self._asked is not None and self._asked[0] is sections and self._asked[1] == is_filled:
+            return self.motions
+        self._asked = (sections, is_filled) if without is None else None
         tangent = sections.tangent
         carried = np.any(tangent != 0.0, axis=1)  # (s, 2): along, across
         carried[:, -1] |= is_filled
@@ -146,7 +169,7 @@ class Floating:
         stiffness = _terms_stiffness(self.operators, frames, group)
         for motion, value in parts:
             row = np.repeat(np.arange(len(motion)), motion.shape[1])
-            matrix = sparse.csr_matrix((value.ravel(), (row, motion.ravel())), shape=(len(motion), 3 * groups))
+            matrix = _summed(row, motion.ravel(), value.ravel(), (len(motion), 3 * groups))
             stiffness = stiffness + matrix.T @ matrix
         return self._of_blocks(null_motions(sum(comm.allgather(stiffness))), frames, group)
 
@@ -204,10 +227,11 @@ def _places(blocks: Blocks) -> list[tuple[Ints, Ints, Floats, int]]:
     return found
 
 
-def _terms_stiffness(operators: Operators, frames: Frames, group: Ints) -> sparse.csr_matrix:
+def _terms_stiffness(operators: Operators, frames: Frames, group: Ints) -> Any:
     """This rank's part of R' K R (3 g, 3 g) of all terms, R what the motions move, each K of unit size. Collective."""
     blocks, count = operators.blocks, 3 * len(frames.size)
-    total = sparse.csr_matrix((count, count))
+    none = np.zeros(0, dtype=np.int64)
+    total = _summed(none, none, np.zeros(0), (count, count))
     terms = [term.stiffness for term in operators.terms if term.stiffness is not None]
     if not terms:
         return total
@@ -220,7 +244,7 @@ def _terms_stiffness(operators: Operators, frames: Frames, group: Ints) -> spars
         product, size = matrix.PtAP(motions), matrix.norm(PETSc.NormType.INFINITY)
         rows, first = local_rows(product), product.getOwnershipRange()[0]
         if size > 0.0:
-            total += sparse.csr_matrix((rows.values / size, (rows.rows + first, rows.cols)), shape=total.shape)
+            total += _summed(rows.rows + first, rows.cols, rows.values / size, total.shape)
         product.destroy()
     motions.destroy()
     return total

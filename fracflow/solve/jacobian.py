@@ -77,13 +77,12 @@ class JoinedMatrix:
         self._closures = [self._closure(closure) for closure in loads.closures]
         self._fluids = [closure for closure in loads.closures if closure.by == "fluid"]
         union = _union([diagonal, *keys.values(), *(rows.rows * layout.total + rows.cols for rows in self._closures)])
-        self._row, self._col = union // layout.total, union % layout.total
+        self._row, self._col = petsc_ints(union // layout.total), petsc_ints(union % layout.total)
         self._diagonal = np.searchsorted(union, diagonal)
-        self._constant = {}
-        for name in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling"):
-            if name in parts:
-                self._constant[name] = np.zeros(len(union))
-                self._constant[name][np.searchsorted(union, keys[name])] = parts[name].values
+        names = [
+            each for each in ("stiffness", "mass", "damping", "pressure_load", "storage_coupling") if each in parts
+        ]
+        self._constant = {name: (petsc_ints(np.searchsorted(union, keys[name])), parts[name].values) for name in names}
         self._closing = [
             (
                 np.flatnonzero(np.isin(self._row, c.rows)),
@@ -94,7 +93,7 @@ class JoinedMatrix:
         ]
         self._indptr = petsc_ints(np.searchsorted(self._row, np.arange(self.rows_here + 1)))
         local = (self.rows_here, layout.total)
-        csr = (self._indptr, petsc_ints(self._col), np.zeros(len(union)))
+        csr = (self._indptr, self._col, np.zeros(len(union)))
         is_dry = layout.flow_starts[-1] == 0
         node = node_size(ops) if is_dry else 1
         self.matrix = PETSc.Mat().createAIJ((local, local), bsize=node, csr=csr, comm=layout.comm)
@@ -104,6 +103,9 @@ class JoinedMatrix:
             space.destroy()
         self.fixed = np.union1d(loads.fixed_solid, loads.fixed_flow)
         self._prepare_blocks()
+        # what does not depend on the state, the held rows too: copied before what does is added
+        self._stands = self.matrix.duplicate()
+        self._stands_for: tuple[Any, ...] = ()
         self._filled: tuple[Any, ...] | None = None
         self.fills = 0
 
@@ -216,22 +218,11 @@ class JoinedMatrix:
     ) -> None:
         ops, scales, matrix = self.operators, self.operators.scales, self.matrix
         solid_solid = scales.displacement / scales.force
-        data = solid_solid * (self._constant["stiffness"] + alphas.mass * self._constant["mass"])
-        if "damping" in self._constant:
-            data += solid_solid * alphas.a1 * self._constant["damping"]
-        if ops.flow is not None:
-            data -= scales.pressure / scales.force * self._constant["pressure_load"]
-            data += scales.displacement / flow_scale * alphas.a1 * self._constant["storage_coupling"]
         if only not in self._free_parts:
             self._free_parts[only] = self._find_free(only)
         free = self._free_parts[only]
-        for entries, places, weights in self._closing:
-            data[entries] = 0.0
-            data[places] = weights
-        data[free.held_entries] = 0.0
-        data[free.held_diagonal] = 1.0
-        matrix.setValuesCSR(self._indptr, petsc_ints(self._col), data)
-        matrix.assemble()
+        self._keep_standing(alphas, flow_scale, only)
+        self._stands.copy(matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         for numbers, (_, values) in zip(free.sections, ops.joints.tangent(moduli), strict=True):
             add_blocks(matrix, numbers, numbers, solid_solid * values)
         if ops.flow is not None and conduction is not None:
@@ -253,6 +244,33 @@ class JoinedMatrix:
                 self._keep_fluid(free, conduction.compression)
         matrix.assemble()
 
+    def _keep_standing(self, alphas: Alphas, flow_scale: float, only: str | None) -> None:
+        """Make anew what does not depend on the state, where it was made for others. Collective."""
+        if self._stands_for == (alphas, flow_scale, only):
+            return
+        self._stands_for = (alphas, flow_scale, only)
+        scales, free, data = self.operators.scales, self._free_parts[only], np.zeros(len(self._col))
+        solid_solid = scales.displacement / scales.force
+
+        def add(name: str, scale: float) -> None:
+            if name in self._constant:
+                places, values = self._constant[name]
+                data[places] += scale * values
+
+        add("stiffness", 1.0)
+        add("mass", alphas.mass)
+        data *= solid_solid
+        add("damping", solid_solid * alphas.a1)
+        add("pressure_load", -scales.pressure / scales.force)
+        add("storage_coupling", scales.displacement / flow_scale * alphas.a1)
+        for entries, places, weights in self._closing:
+            data[entries] = 0.0
+            data[places] = weights
+        data[free.held_entries] = 0.0
+        data[free.held_diagonal] = 1.0
+        self._stands.setValuesCSR(self._indptr, self._col, data)
+        self._stands.assemble()
+
     def _keep_fluid(self, free: FreePart, stored: Compression) -> None:
         """Add what compression does to the rows that keep the fluid of a part."""
         scales, size = self.operators.scales, self._kept.ravel()
@@ -263,8 +281,8 @@ class JoinedMatrix:
             add_blocks(self.matrix, rows[ends], unknowns, (values[ends, None] * normal)[:, None, :])
 
     def destroy(self) -> None:
-        """Free the matrix. Collective."""
-        self.matrix.destroy()
+        """Free the matrices. Collective."""
+        destroy(self.matrix, self._stands)
 
 
 def _union(keys: list[Ints]) -> Ints:

@@ -10,7 +10,9 @@ from fracflow.model.state import StepReport
 from fracflow.scene.scene import Scene
 from fracflow.solve.accept import start_again, step_report, without_suction
 from fracflow.solve.condensed_cost import Condensing
+from fracflow.solve.failure import FLOATING
 from fracflow.solve.jacobian import JoinedMatrix
+from fracflow.solve.linear import solves_both
 from fracflow.solve.newton import Newton
 from fracflow.solve.problem import StepProblem
 
@@ -72,7 +74,7 @@ class WholeLU(Monolithic):
 
 
 class Auto(WholeLU):
-    """The same, and FGMRES where that does not converge: nearly closed fractures beside wide ones."""
+    """The same, and FGMRES where LU leaves much of a balance: nearly closed fractures beside wide ones."""
 
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make matrix and solver; the other solver when it is first needed. Collective."""
@@ -84,14 +86,25 @@ class Auto(WholeLU):
         try:
             return super().solve(problem, newton)
         except NotConverged as failure:
-            # the linear solver is not the cause where its solves converged, and Newton's method is far from a solution
-            far = max(problem.residual.solid, problem.residual.flow) > FAR and not isinstance(failure, Unsolved)
-            if far or _is_left(problem, failure):
+            if _is_left(problem, failure) or not (
+                isinstance(failure, Unsolved) or self._solves_badly(problem, failure)
+            ):
                 raise
-            self.other = self.other or Newton(self.scene, self.matrix, "monolithic")
+            self.other, first = self.other or Newton(self.scene, self.matrix, "monolithic"), failure
         start_again(problem)
         problem.evaluate()
-        return super().solve(problem, self.other)
+        try:
+            return super().solve(problem, self.other)
+        except Unsolved as failure:
+            if isinstance(first, Unsolved):
+                raise
+            raise first from failure  # which says more than that this linear solver fails as well
+
+    def _solves_badly(self, problem: StepProblem, failure: NotConverged) -> bool:
+        """Whether the linear solver may be why Newton's method came near a solution and not to it. Collective."""
+        if failure.kind == FLOATING or max(problem.residual.solid, problem.residual.flow) > FAR:
+            return False
+        return not solves_both(self.newton.solver, self.newton.balance, problem.operators.layout.solid_count)
 
     def destroy(self) -> None:
         """Free matrix and solvers. Collective."""

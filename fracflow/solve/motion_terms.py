@@ -65,15 +65,16 @@ class MovingTerms:
 
         A share CANCELLATION of alpha_0 M u, and of alpha_1 C u, counts as a term.
         """
-        alphas, term = self.alphas, balance.duplicate()
-        met = acceleration.copy()
-        if alphas.looks_back:
-            met.scale(alphas.inertia)
-            met.axpy(alphas.inertia_old, self.acceleration)
-        self.mass.mult(met, balance)
-        sizes = [largest(balance)]
-        self.mass.mult(displacement, term)
-        sizes.append(CANCELLATION * alphas.mass * largest(term))
+        alphas, term, sizes = self.alphas, balance.duplicate(), [0.0]
+        if alphas.mass > 0.0 or alphas.looks_back:
+            met = acceleration.copy()
+            if alphas.looks_back:
+                met.scale(alphas.inertia)
+                met.axpy(alphas.inertia_old, self.acceleration)
+            self.mass.mult(met, balance)
+            self.mass.mult(displacement, term)
+            sizes += [largest(balance), CANCELLATION * alphas.mass * largest(term)]
+            met.destroy()
         if self.before is not None:
             balance.axpy(alphas.balance_old, self.before)
             sizes.append(alphas.balance_old * largest(self.before))
@@ -85,7 +86,7 @@ class MovingTerms:
             each.damping.mult(displacement, term)
             sizes += [largest(force), CANCELLATION * alphas.a1 * largest(term)]
             force.destroy()
-        destroy(met, term)
+        term.destroy()
         return sizes
 
     def destroy(self) -> None:

@@ -28,7 +28,7 @@ from fracflow.solve.globalisation import (
     statuses,
 )
 from fracflow.solve.jacobian import JoinedMatrix
-from fracflow.solve.linear import factors_of, set_up, solve_nonlinear
+from fracflow.solve.linear import factors_of, renew, set_up, solve_nonlinear
 from fracflow.solve.problem import StepProblem
 from fracflow.solve.stiffness import NEWTON_METHODS, NewtonReport, SingularMatrix, softly_held
 
@@ -75,7 +75,7 @@ class Newton:
         self._inner, self._circles = StatusHistory(layout.comm), False
         self._rounds: ActiveSetRounds
         self._is_held = False
-        self._is_start, self._is_filled, self._polished = True, False, False
+        self._is_start, self._is_filled, self._polished, self._unaccounted = True, False, 0, np.inf
         self._out_of_balance: list[float] = []
         self._refusals: list[BaseException] = []  # of the functions below, until SNES has ended
 
@@ -96,12 +96,14 @@ class Newton:
         most = BRIEF_CHANGES if problem.request.expects_failure else MOST_CHANGES
         for _ in range(most):
             self._pack(problem)
-            self._is_start, self._circles, self._polished, self._is_held = True, False, False, False
+            self._is_start, self._circles, self._polished, self._is_held = True, False, 0, False
             del self._out_of_balance[-1:]  # the same iterate, before its sections changed
             try:
                 solve_nonlinear(self.snes, self.unknowns, f"time {problem.time:.6g}: {self.prefix}", self._refusals)
-            except Unsolved:
+            except Unsolved as error:
                 self._renew_balance()
+                if isinstance(error.__cause__, PETSc.Error):
+                    renew(self.solver, self.matrix)
                 raise
             except SingularMatrix as error:
                 raise self._failure("its matrix is singular", iterations + self.snes.getIterationNumber()) from error
@@ -352,13 +354,24 @@ class Newton:
         if not (self.holds or self._is_start):
             self._restless = problem.take_statuses(problem.sections.history)
         self._is_start = False
-        # one more where flow is small beside that at full pressure: the work of wells depends on its digits
-        more = problem.residual.carried > accuracy.residual and not (self._polished or self.only)
-        self._polished = self._balanced(problem, iteration)
-        if self._polished and not (more and iteration < accuracy.max_iterations):
+        is_balanced = self._balanced(problem, iteration)
+        self._polished = self._polished + 1 if is_balanced else 0
+        more = is_balanced and not self.only and iteration < accuracy.max_iterations and self._polishes(problem)
+        if is_balanced and not more:
             return int(reasons.CONVERGED_FNORM_RELATIVE)
         most = min(accuracy.max_iterations, problem.request.max_iterations or accuracy.max_iterations)
         return int(reasons.ITERATING if iteration < most else reasons.DIVERGED_MAX_IT)
+
+    def _polishes(self, problem: StepProblem) -> bool:
+        """Whether a balanced flow has one iteration more: the work of wells depends on its digits. Collective.
+
+        More follow while its unaccounted energy is too large and still falls.
+        """
+        is_first, least, before = self._polished == 1, self.scene.accuracy.residual, self._unaccounted
+        self._unaccounted = problem.unaccounted()
+        falls = is_first or self._unaccounted < 0.5 * before
+        is_small = is_first and problem.residual.carried > least  # beside that at full pressure
+        return is_small or (self._unaccounted > least and falls)
 
     def _balanced(self, problem: StepProblem, iteration: int) -> bool:
         accuracy, residual = self.scene.accuracy, problem.residual

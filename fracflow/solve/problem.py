@@ -8,6 +8,7 @@ flow   B_F' v + x' + K_F(u) p - Q = 0, x = d (exp(c_f (p - p0)) - 1) L/2 of a co
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.errors import NotConverged
 from fracflow.integrators import acceleration, velocity
 from fracflow.laws import LawStep
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.model.balance import static_balance, static_balance_of
 from fracflow.model.compressibility import compression_of, lost, uptake_at, why_not_finite
 from fracflow.model.dirichlet import PrescribedValues
@@ -40,6 +41,7 @@ from fracflow.solve.residual import (
     round_off_of_rock,
 )
 
+SOLVED = 1e-10  # of the terms of the balance at a node: the solver leaves less
 Guess = tuple[Floats, Floats]  # this rank's motion (n,) since the state, and pressures (m,)
 
 
@@ -96,25 +98,38 @@ class StepProblem:
         self._widest: list[float] | None = None
         self._before = 0.0 if operators.flow is None else np.abs(operators.flow.driving(state.pressure))
 
-    def impose(self, displacement: PETSc.Vec, pressure: PETSc.Vec) -> None:
-        """Write what is prescribed at the end of the step into both vectors."""
-        self.loads.impose(self.time, displacement, pressure, self.rule.adjacent, self.rule.rates)
-        for vector, parts, lags in (
-            (displacement, self.loads.supports, self.lag.displacement),
-            (pressure, self.loads.pressures, self.lag.pressure),
+    @cached_property
+    def _prescribed(self) -> tuple[tuple[Ints, Floats], tuple[Ints, Floats]]:
+        """Local numbers (n,) and values (n,) of what is prescribed at the end of the step: displacements, pressures."""
+        displacement, pressure, loads = self.displacement.copy(), self.pressure.copy(), self.loads
+        loads.impose(self.time, displacement, pressure, self.rule.adjacent, self.rule.rates)
+        found = []
+        for vector, parts, lags, rests in (
+            (
+                displacement,
+                loads.supports,
+                self.lag.displacement,
+                loads.resting if loads.at_rest else loads.resting[:0],
+            ),
+            (pressure, loads.pressures, self.lag.pressure, loads.resting[:0]),
         ):
+            values = vector.getArray()
             for part, lag in zip(parts, lags, strict=False):
-                vector.getArray()[part.numbers] += lag
-        if self.loads.at_rest:
-            still, old = self.loads.resting, self.state.motion.displacement.getArray(readonly=True)
-            displacement.getArray()[still] = old[still]
+                values[part.numbers] += lag
+            if len(rests):
+                values[rests] = self.state.motion.displacement.getArray(readonly=True)[rests]
+            numbers = np.concatenate([rests, *(part.numbers for part in parts)])
+            found.append((numbers, values[numbers]))
+        destroy(displacement, pressure)
+        return found[0], found[1]
 
     def move(self, increment: Floats) -> None:
         """Set the trial by the motion (n,) of this rank's unknowns since the last state, but for the prescribed."""
         old, held = self.state.motion.displacement.getArray(readonly=True), self.loads.held
         self.increment.setArray(increment)
         self.displacement.setArray(old + increment)
-        self.impose(self.displacement, self.pressure)
+        for vector, (numbers, values) in zip((self.displacement, self.pressure), self._prescribed, strict=True):
+            vector.getArray()[numbers] = values
         change, new = self.increment.getArray(), self.displacement.getArray(readonly=True)
         change[held] = new[held] - old[held]
 
@@ -270,6 +285,22 @@ class StepProblem:
                 f"time {self.time:.6g}: {why_not_finite(self.operators, self.conduction)}", kind="not finite"
             )
 
+    def unaccounted(self) -> float:
+        """Energy that the imbalance of the flow adds in this step, over the largest of the energy balance. Collective.
+
+        Along a wide fracture flows are round-off of its pressure, and hide that the inflow of the whole of it is not balanced.
+        """
+        if self.conduction is None:
+            return 0.0
+        assert self.operators.flow is not None
+        dt, driving = self.time - self.state.time, self.pressure.getArray() - self.operators.flow.resting.getArray()
+        spent = self.conduction.conductance @ np.ptp(self.conduction.pressure, axis=1) ** 2
+        brought = np.abs(self.source.getArray(readonly=True)) @ np.abs(driving)
+        here = np.array([self.flow_balance.getArray(readonly=True) @ driving, spent + brought])
+        left, power = self.operators.layout.comm.allreduce(here)
+        largest = max([abs(dt) * float(power), *map(abs, self.state.energy.values())])
+        return abs(dt * float(left)) / max(largest, TINY)
+
     def flow_scale(self) -> float:
         """Size of a volume rate, by which rows of the flow are divided. Collective."""
         if self.conduction is None:
@@ -283,6 +314,12 @@ class StepProblem:
         scale = max(self.alphas.a1 * scales.length * scales.displacement, conducts * scales.pressure)
         scale = max(scale, self.alphas.b1 * holds * scales.pressure)
         return float(2.0 ** np.round(np.log2(scale))) if scale > 0.0 else 1.0
+
+    def undetermined(self, nodes: Ints) -> float:
+        """Part of what nodes (n,) of this rank draw that is round-off, or left by the solver [volume rate per thickness]."""
+        if self._flow_rows is None:
+            return 0.0
+        return float(self._flow_noise[nodes].sum() + SOLVED * self._flow_rows[nodes].sum())
 
     def change_statuses(self) -> np.ndarray:
         """Give every section that has left its status the next one; return which (s,) of this rank did."""

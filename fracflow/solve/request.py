@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 
 from fracflow._petsc import PETSc
 from fracflow.integrators import Alphas, Stepper
-from fracflow.model.loads import Loads
+from fracflow.model.loads import Limit, Loads
 from fracflow.model.state import PreviousStep, State
 from fracflow.scene.time_table import AT_ONCE, JUST_AFTER, JUST_BEFORE, Around, Rates, TimeTable
 
 AT_A_JUMP = 1e-9  # of a step: times so near are one
-MOST_GROWTH = 1e3  # of steps, beyond which the last one has no influence
+MOST_GROWTH = 1.0 + 2.0**0.5
+"""Of steps in a row: up to here BDF2 is stable. A longer one after a short ramp would carry the walls on at its speed."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,15 @@ class StepRule:
         """Flow rate that a well demands in a step, over the whole depth [volume rate]."""
         return request.loads.demanded(well, request.time, request.controls, self.adjacent, self.rates)
 
+    def shut(self, request: StepRequest, well: str) -> float:
+        """Flow rate at the end of a step over which a well brings nothing, over the whole depth [volume rate]."""
+        rates = self.rates or Rates(around=self.adjacent)
+        return rates.of(TimeTable.constant(0.0), request.time, None, request.controls, well)
+
+    def pushes(self, request: StepRequest, limit: Limit) -> bool:
+        """Whether a well's flow rate in a step drives its pressure towards a limit."""
+        return limit.sign * (self.demanded(request, limit.well) - self.shut(request, limit.well)) > 0.0
+
 
 def to_next(times: Sequence[float], now: float, length: float) -> float:
     """Time to the next of some ascending times, or ``length``, if that is less."""
@@ -203,7 +213,7 @@ def rule_of(stepper: Stepper, state: State, request: StepRequest, follows: Stepp
 def begins_anew(rule: Stepper, begin: float, previous: PreviousStep, request: StepRequest) -> bool:
     """Whether a step from the time ``begin`` of a multistep rule is taken by backward Euler, without the previous step.
 
-    There is no previous step, or one so short that it is round-off. Or the next length is not known, by which a rule that
+    There is no previous step, or one that is far shorter. Or the next length is not known, by which a rule that
     weighs both ends divides the integral of a table. Or a rate jumps as the step begins, of which such a rule would take half.
     """
     dt, ahead = request.length, request.next_length

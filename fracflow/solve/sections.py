@@ -298,7 +298,8 @@ class SectionSolver:
             return exchange.back(alone)
         own = exchange.back(alone)[:, -1]
         opened = [each[:, :, -1] for each in by_pressure]
-        raised = self.flow.solve(problem, opened, self._weights, rows.slopes, own, own_slopes)
+        with np.errstate(invalid="ignore"):  # sections may have no answer, which the next trial refuses
+            raised = self.flow.solve(problem, opened, self._weights, rows.slopes, own, own_slopes)
         there = exchange.there(raised[:, None])[:, 0]
         for batch, answer in zip(self.clusters.batches, by_pressure, strict=True):
             alone[batch.sections] += np.einsum("cmip,cp->cmi", answer, there[batch.sections])

@@ -9,22 +9,18 @@ from __future__ import annotations
 
 import argparse
 import csv
-import importlib
 import json
 import os
 import platform
-import resource
 import shlex
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 import _network as network
+from _stopwatch import Stopwatch
 
 SIZES = (10_000, 100_000, 1_000_000)
 SOLVE = "PETSc's solve"
@@ -50,68 +46,6 @@ PARTS = {
     "checkpoint": ["simulation.recorder:Recorder.save"],
 }
 """Part -> the functions it consists of, module:name."""
-REST = "all else"
-COLUMNS = ("cpu", "wall", "memory", "helper_memory")
-
-
-def cpu_seconds() -> float:
-    """CPU time of this process and of those that it started and that have ended [s]."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(part.ru_utime + part.ru_stime for part in used)
-
-
-def peak(who: int) -> float:
-    """Largest memory so far [GB]."""
-    return resource.getrusage(who).ru_maxrss / 1024**2
-
-
-class Stopwatch:
-    """Times of parts that may lie inside each other; each gets its own time only."""
-
-    def __init__(self) -> None:
-        self.parts = {name: dict.fromkeys(COLUMNS, 0.0) for name in (*PARTS, REST)}
-        self._stack = [REST]
-        self._last = (cpu_seconds(), time.perf_counter())
-
-    def lap(self) -> None:
-        """Book the time since the last call on the part that runs."""
-        now, part = (cpu_seconds(), time.perf_counter()), self.parts[self._stack[-1]]
-        part["cpu"] += now[0] - self._last[0]
-        part["wall"] += now[1] - self._last[1]
-        part["memory"] = peak(resource.RUSAGE_SELF)
-        part["helper_memory"] = peak(resource.RUSAGE_CHILDREN)
-        self._last = now
-
-    @contextmanager
-    def within(self, name: str) -> Iterator[None]:
-        """Book on ``name`` meanwhile."""
-        self.lap()
-        self._stack.append(name)
-        try:
-            yield
-        finally:
-            self.lap()
-            self._stack.pop()
-
-    def around(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, its time booked on ``name``."""
-
-        def timed(*arguments: Any, **options: Any) -> Any:
-            with self.within(name):
-                return function(*arguments, **options)
-
-        return timed
-
-    def watch(self) -> None:
-        """Put the stopwatch around all functions of PARTS."""
-        for name, places in PARTS.items():
-            for place in places:
-                module, _, path = place.partition(":")
-                owner: Any = importlib.import_module(f"fracflow.{module}")
-                *outer, last = path.split(".")
-                for step in outer:
-                    owner = getattr(owner, step)
-                setattr(owner, last, self.around(name, getattr(owner, last)))
 
 
 def worker(scene_file: str, folder: str, result: str, *overrides: str) -> None:
@@ -123,8 +57,7 @@ def worker(scene_file: str, folder: str, result: str, *overrides: str) -> None:
 
     comm = MPI.COMM_WORLD
     scene = load(scene_file, ["output.pictures=false", *overrides])
-    watch = Stopwatch()
-    watch.watch()
+    watch = Stopwatch(PARTS)
     run(scene, folder, comm)
     watch.lap()
     found = comm.gather(watch.parts, root=0)

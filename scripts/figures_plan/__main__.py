@@ -173,13 +173,14 @@ def write(entries: Sequence[Entry], path: Path) -> None:
 
 def draw(entries: Sequence[Entry], folder: Path) -> None:
     """CPU of the two against each other, and the error of each scene over its tolerance."""
+    apart = [entry for entry in entries if entry.twins.ratio > LEAST]
     figure, axes = sheet(
-        "What a scene needs, against all in it",
+        "The parts that a scene needs, against all of them",
         'Each scene as it stands and with model = "full": CPU seconds of both, and how far apart they are.',
-        [["cpu", "error"]], (11.0, 2.5 + 0.13 * len(entries)),
+        [["cpu", "error"]], (11.0, max(5.0, 2.5 + 0.2 * len(apart))),
     )  # fmt: skip
     full, reduced = (np.array([getattr(entry, name) for entry in entries]) for name in ("full", "reduced"))
-    errors = np.array([entry.twins.ratio for entry in entries])
+    errors = np.array([entry.twins.ratio for entry in apart])
     colours = [ORANGE if entry.name.startswith("random") else BLUE for entry in entries]
     ends = np.array([0.7 * min(full.min(), reduced.min()), 1.4 * max(full.max(), reduced.max())])
     for times, text in ((1.0, "equal"), (1.0 / FASTER, f"{FASTER:g} times less")):
@@ -191,12 +192,13 @@ def draw(entries: Sequence[Entry], folder: Path) -> None:
             entry.name, (entry.full, entry.reduced), xytext=(4, -8), textcoords="offset points", fontsize=7
         )
     axes["cpu"].set(xscale="log", yscale="log", xlabel="CPU seconds, full", ylabel="CPU seconds, reduced")
-    place = np.arange(len(entries))[::-1]
-    axes["error"].scatter(np.clip(errors, LEAST, 1e3), place, c=colours, s=14, zorder=3)
+    place = np.arange(len(apart))[::-1]
+    shades = [ORANGE if entry.name.startswith("random") else BLUE for entry in apart]
+    axes["error"].scatter(np.clip(errors, LEAST, 1e3), place, c=shades, s=14, zorder=3)
     axes["error"].axvline(1.0, color=INK, lw=1)
-    label = "largest error over tolerance; none at the left edge"
-    axes["error"].set(xscale="log", xlim=(0.3 * LEAST, 3e3), xlabel=label)
-    axes["error"].set_yticks(place, [entry.name for entry in entries], fontsize=6)
+    label = f"largest error over tolerance; {len(entries) - len(apart)} more scenes have none"
+    axes["error"].set(xscale="log", xlim=(0.3 * min(errors, default=LEAST), 3e3), xlabel=label)
+    axes["error"].set_yticks(place, [entry.name for entry in apart], fontsize=7)
     save(figure, folder, "plan", f"Blue: meshes/, {INJECTION}, {NETWORK}; orange: random, by seed. One core. {COMMAND}")
 
 

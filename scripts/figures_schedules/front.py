@@ -80,7 +80,7 @@ def _picture(folder: Path, ran: Mapping[Schedule, Found], fine: Mapping[Schedule
     rows = [keys[first : first + COLUMNS] for first in range(0, len(keys), COLUMNS)]
     mosaic = [["front"] * COLUMNS + row + ["."] * (COLUMNS - len(row)) for row in rows]
     figure, axes = sheet(
-        "What wells can make a prestressed fault release, and by how large an event",
+        "Moment that wells release along a prestressed fault, against the largest event",
         "Application 5.5, twenty minutes; each number is a schedule; hollow: the same on a mesh twice as fine.",
         mosaic, (11.0, 5.0),
     )  # fmt: skip
@@ -97,8 +97,8 @@ def _picture(folder: Path, ran: Mapping[Schedule, Found], fine: Mapping[Schedule
             axis.plot(*_points([other]), "o", color=BLUE, markerfacecolor="white")
     axis.axline((0.0, 0.0), slope=1.0, color=INK, linewidth=0.8, linestyle="--", label="all in one event")
     axis.set(
-        xlabel="largest event [1e9 lbf]",
-        ylabel="moment released per thickness [1e9 lbf]",
+        xlabel="largest event [10⁹ lbf]",
+        ylabel="moment released per thickness [10⁹ lbf]",
         xlim=(0, None),
         ylim=(0, None),
     )

@@ -2,10 +2,14 @@
 
 import ast
 import re
+import runpy
+import sys
 from pathlib import Path
 
 import pytest
 from pages import ROOT
+
+from fracflow.cli.exit import abort
 
 pytestmark = pytest.mark.serial
 RAISED = {"InputError", "SolveError", "fault"}
@@ -62,3 +66,20 @@ def test_a_message_without_remedy_is_found(tmp_path):
     (tmp_path / "checks.py").write_text(source + 'def f():\n    yield ("a",), "is wrong"\n')
     found = [REMEDY.search(literal(each)) is None for _, each in messages(tmp_path / "checks.py") if literal(each)]
     assert found.count(True) == 2 and found.count(False) == 1
+
+
+def test_a_fault_in_a_script_names_its_line(tmp_path, monkeypatch, capsys):
+    """The script that registers a law is the user's: nobody need report what goes wrong there."""
+    script = tmp_path / "law.py"
+    script.write_text("def evaluate():\n    return [][0]\n")
+    for program, says in (
+        (script, f"a fault in line 2 of {script}; mend it"),
+        (tmp_path / "other.py", "a fault of the program"),
+    ):
+        monkeypatch.setattr(sys, "argv", [str(program)])
+        try:
+            runpy.run_path(str(script))["evaluate"]()
+        except IndexError:
+            with pytest.raises(SystemExit) as end:
+                abort()
+        assert end.value.code == 1 and says in capsys.readouterr().err.splitlines()[-1]

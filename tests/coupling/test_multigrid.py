@@ -84,3 +84,22 @@ def test_size_decides(monkeypatch):
     ]:
         defaults.set_defaults(given, unknowns)
         assert options[key] == chosen
+
+
+@pytest.mark.skipif(not PETSc.Sys.hasExternalPackage("suitesparse"), reason="needs SuiteSparse")
+def test_size_and_ranks_choose_the_factorisation():
+    """UMFPACK where its scene has some size, on each of several ranks where it is small, and nobody chose another."""
+    options, key = PETSc.Options(), "pc_factor_mat_solver_type"
+    for unknowns, ranks, given, chosen in [
+        (500, 1, {}, "mumps"),
+        (5_000, 1, {}, "umfpack"),
+        (5_000, 1, {"whole-lu_mat_mumps_icntl_14": 50}, "mumps"),
+        (5_000, 1, {f"whole-lu_{key}": "superlu"}, "superlu"),
+        (50_000, 2, {}, "mumps"),
+        (5_000_000, 1, {}, "mumps"),
+    ]:
+        defaults.set_defaults(given, unknowns, ranks)
+        assert options[f"whole-lu_{key}"] == chosen and options["whole-lu_pc_type"] == "lu"
+    defaults.set_defaults({}, 5_000, 2)
+    assert options["whole-lu_pc_type"] == "redundant" and options[f"whole-lu_redundant_{key}"] == "umfpack"
+    defaults.set_defaults({})

@@ -28,7 +28,7 @@ def _failure(folder, *overrides):
 def test_the_whole_step_names_block_direction_and_net_force(shared_tmp):
     """0.5 MPa too much on 3 m."""
     message = _failure(shared_tmp / "run", "accuracy.max_halvings=0")
-    expected = r'time 1: block 1 \(rock "rock", centred at \(1\.5, 1\.5\)\) has no support in x, y, rotation'
+    expected = r'time 1 s: block 1 \(rock "rock", centred at \(1\.5, 1\.5\)\) has no support in x, y, rotation'
     assert re.search(
         expected + r" \(all 12 joints open\): net force 1\.5e\+06 N/m in \+y; there is no equilibrium", message
     )
@@ -48,7 +48,7 @@ def test_a_layer_that_slides_is_named_too(shared_tmp):
     message = _failure(shared_tmp / "run", "load.1.traction=[[[0, 0], [1, 6e5]], 0]")
     assert "has no support in x (all 12 joints slide)" in message
     force = float(re.search(r"net force (\S+) N/m in \+x", message)[1])
-    time = float(re.search(r"time (\S+):", message)[1])
+    time = float(re.search(r"time (\S+) s:", message)[1])
     assert force == pytest.approx(3 * (6e5 * time - np.tan(np.radians(30)) * 1e6), rel=1e-3)
     assert 0 < 6e5 * time - np.tan(np.radians(30)) * 1e6 < 6e5 / 64
 

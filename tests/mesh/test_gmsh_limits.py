@@ -18,8 +18,8 @@ from fracflow.mesh.files import gmsh
 from fracflow.mesh.files.msh_check import check_msh
 from fracflow.mesh.read import read_mesh
 from fracflow.output import read_history
-from fracflow.scene.levels import at_level
 from fracflow.scene.scene import load
+from fracflow.simulation.levels import at_level
 from fracflow.simulation.run import resume, run
 
 pytestmark = pytest.mark.serial

@@ -51,6 +51,21 @@ def test_a_mark_keeps_its_name_off_a_line():
     assert at[0] < 300.0
 
 
+def test_at_a_crossing_of_wide_lines_a_name_stands_in_a_corner():
+    """The lines are drawn 6 wide; a name 80 long keeps its box off both of them."""
+    across = np.array([[[0.0, 300.0], [600.0, 300.0]], [[300.0, 0.0], [300.0, 600.0]]])
+    label = beside_point(np.array([300.0, 300.0]), (80.0, 10.0), 2.0, clear=3.0)
+    (at,) = placed([label], across, np.zeros((0, 4)), BOUNDS, clear=3.0)
+    assert np.all(np.abs(at - 300.0) - [40.0, 5.0] > 3.0)
+
+
+def test_a_name_keeps_its_distance_from_a_mark_where_it_can():
+    trace, mark = np.array([[100.0, 300.0], [500.0, 300.0]]), np.array([[295.0, 295.0, 305.0, 305.0]])
+    label = beside_trace(trace, (20.0, 10.0), 3.0)
+    (close,), (apart,) = (placed([label], trace[None], mark, BOUNDS, air=air) for air in (0.0, 9.0))
+    assert close[0] == 300.0 and abs(apart[0] - 300.0) >= 24.0
+
+
 @pytest.mark.parametrize(
     ("ends", "meets"),
     [

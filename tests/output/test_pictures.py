@@ -8,7 +8,7 @@ from matplotlib.image import imread
 
 from fracflow.errors import InputError
 from fracflow.output import EventLog, FieldWriter, FractureNodes, HistoryFile
-from fracflow.output.pictures import _probes, _wells, draw
+from fracflow.output.pictures import _overview, _probes, _wells, draw
 from fracflow.output.plot_style import styled
 from fracflow.output.reader import load_run_data
 
@@ -139,6 +139,27 @@ def test_an_axis_shows_neither_noise_nor_offsets(tmp_path):
     assert "node1, node2,\nnode3: 20 10³ lbf/ft²" in [text.get_text() for text in axes.texts]
     figure.draw_without_rendering()
     assert not any(axis.get_offset_text().get_text() for axes in figure.axes for axis in (axes.xaxis, axes.yaxis))
+
+
+def test_a_panel_shows_what_changes(tmp_path):
+    """Where nothing slips: openings, and a map of pressure; where the domain is a strip, it is as wide as the figure."""
+    data = load_run_data(make_run(tmp_path))
+    still = {f"probe/{name}/slip": np.zeros(STEPS) for name in data.probes}
+    grow = {f"probe/{name}/opening": np.linspace(0.0, 1e-3, STEPS) for name in data.probes}
+    fields = replace(data.fractures, after={**data.fractures.after, "plastic_slip": np.zeros(63)})
+    quiet = replace(data, history={**data.history, **still, **grow}, fractures=fields, wells={}, probes={})
+    flat = np.array([1.0, 0.02])
+    strip = replace(
+        quiet, rock=[cell * flat for cell in data.rock], fractures=replace(fields, points=fields.points * flat)
+    )
+    with styled():
+        figures = [_overview(replace(each, events=[])) for each in (quiet, strip)]
+    titles = [{axes.get_title(loc="left"): axes for axes in figure.axes} for figure in figures]
+    for found in titles:
+        assert "Opening at the probes" in found and "Pressure at 20 ms: no fracture had slipped" in found
+    wide, thin = (found["Pressure at 20 ms: no fracture had slipped"] for found in titles)
+    assert wide.get_ylabel() == "y [ft]" and thin.get_ylabel() == "y [ft]\nstretched ×5"
+    assert thin.bbox.width > 0.8 * figures[1].bbox.width and wide.bbox.width < 0.6 * figures[0].bbox.width
 
 
 def test_an_empty_folder_is_an_input_error(tmp_path):

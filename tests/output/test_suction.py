@@ -3,6 +3,7 @@
 import pytest
 
 from fracflow._petsc import MPI
+from fracflow.api import open as opened
 from fracflow.scene.advice import advice
 from fracflow.scene.scene import Scene
 from fracflow.simulation.run import run
@@ -50,10 +51,12 @@ def test_suction_is_told_once(start, least, shared_tmp, comm):
 
 @pytest.mark.parametrize(("least", "is_told"), [(2e6, True), (0.0, False)])
 def test_a_limit_beyond_the_pressure_at_the_start_is_told_before_and_during_a_run(least, is_told, shared_tmp):
-    """Held at 2 MPa between outlets of 1 MPa, a well that should draw lets fluid in: with no step from its rate."""
+    """At 1 MPa, below the 2 MPa that it must not draw below, a well is shut: it draws nothing, and lets nothing in."""
     scene = Scene.from_data(data(1e6, least))
     lines = [line for line in advice(scene) if "well.out.minimum_pressure = 2e+06" in line and "lower it" in line]
     assert len(lines) == is_told
     if is_told:
         done = run(scene, shared_tmp / "out", MPI.COMM_WORLD)
-        assert sum("well.out lets fluid in, against the sign of its flow_rate" in line for line in done.doubts) == 1
+        assert sum("well.out is shut, since the pressure around it is below" in line for line in done.doubts) == 1
+        found = opened(shared_tmp / "out").history
+        assert not found["well/out/rate"].any() and found["well/out/pressure"] == pytest.approx(1e6, rel=1e-12)

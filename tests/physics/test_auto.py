@@ -163,7 +163,7 @@ def test_a_wave_that_comes_in_is_an_event(tmp_path):
     assert auto["energy/work_incident"][-1] == pytest.approx(hand["energy/work_incident"][-1], rel=1e-3)
     events = [row for row in read_events(tmp_path / "auto" / "events.csv") if row["kind"] == "event"]
     assert len(events) == 1 and 5.0 < events[0]["start"] < 5.1  # its first slip
-    assert "time 5: an event begins: a wave comes in" in (tmp_path / "auto" / "log.txt").read_text()
+    assert "time 5 s: an event begins: a wave comes in" in (tmp_path / "auto" / "log.txt").read_text()
     assert auto["time"][-1] == pytest.approx(6.0) and (auto["step/kind"] == 1).sum() >= 3
 
 

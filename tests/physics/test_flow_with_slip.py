@@ -42,7 +42,7 @@ class OpensByPlasticSlip(ExactCubic):
 
 @pytest.mark.parametrize("law, slip", [(OpensBySlip, "slip"), (OpensByPlasticSlip, "plastic_slip")])
 def test_conductance_grows_with_slip(run_scene, monkeypatch, law, slip):
-    monkeypatch.setitem(FLOW_LAWS, "exact", law)
+    monkeypatch.setitem(FLOW_LAWS, "front", law)
     found = run_scene(STEADY)
     if MPI.COMM_WORLD.rank:
         return
@@ -63,7 +63,7 @@ def test_its_key_is_read_where_a_scene_chooses_it(tmp_path, run_scene, monkeypat
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
     law = Path(__file__).with_name("rough_walls.py")
     subprocess.run([sys.executable, law, "run", tmp_path / "scene.toml", "-o", tmp_path / "out"], check=True)
-    monkeypatch.setitem(FLOW_LAWS, "exact", OpensBySlip)
+    monkeypatch.setitem(FLOW_LAWS, "front", OpensBySlip)
     same, rate = run_scene(STEADY), read_history(tmp_path / "out" / "history.h5")["probe/middle/flow_rate"]
     assert rate == pytest.approx(same.probe("middle", "flow_rate"), rel=1e-9) and rate[-1] > 0.0
 

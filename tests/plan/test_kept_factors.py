@@ -6,7 +6,7 @@ import pytest
 from fracflow.output import read_history
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
-from fracflow.solve import linear
+from fracflow.solve import linear, options
 
 ROCK = """
 [output]
@@ -111,6 +111,19 @@ def test_kept_factors_change_nothing_but_the_work(history, monkeypatch, text, mo
     made, before = (each["step/factorisations"].sum() for each in (kept, new))
     assert made < 0.7 * before
     assert kept["step/newton"].sum() <= 1.6 * new["step/newton"].sum()
+
+
+def test_umfpack_changes_nothing_but_the_work(history, monkeypatch, comm):
+    """On one rank with factors that are kept, on several with the whole matrix on each."""
+    text = SLIDING.replace("steps = 40", "steps = 28")
+    new = history(text, "new")
+    monkeypatch.setattr(options, "SWIFT_FROM", 0)
+    swift = history(text, "kept")
+    found, sought = (each["probe/here/slip"] for each in (swift, new))
+    assert np.abs(sought).max() > 1e-7
+    np.testing.assert_allclose(found, sought, rtol=0.0, atol=1e-8 * np.abs(sought).max())
+    made, before = (each["step/factorisations"].sum() for each in (swift, new))
+    assert made < 0.7 * before if comm.size == 1 else made <= before
 
 
 @pytest.mark.serial

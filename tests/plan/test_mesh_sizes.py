@@ -113,6 +113,26 @@ def test_a_proposed_mesh_resolves_what_it_was_made_for(scene, why):
 
 
 @pytest.mark.serial
+def test_cells_that_keep_the_waves_of_drops_are_told():
+    """Joints of 2 m: cells of 6 m carry nothing under 12 m, a drop at one joint makes waves of 8 m."""
+    more = {"absorbing": [{"on": ["west", "east", "south", "north"]}], "stage": {"kind": "auto"}}
+
+    def said(size, drop, **method):
+        sizes = {"size": size, "size_at_fractures": 2.0, "growth": 0.5}
+        scene = scene_of(
+            [[[40, 50], [60, 50]]], fracture={"stick_slip_ratio": drop}, method=method, geometry={}, **more
+        )
+        scene = scene.with_geometry(sizes)
+        return [line for line in mesh_sizes.unresolved(scene, read_split(scene), {}) if "a tenth of the rock" in line]
+
+    (told,) = said(6.0, 0.95)
+    assert (
+        "over 2 times the joints of 2 m" in told and "or have cells below 4 m" in told and "generalised-alpha" in told
+    )
+    assert said(3.0, 0.95) == said(6.0, 1.0) == said(6.0, 0.95, stepper="generalised-alpha") == []
+
+
+@pytest.mark.serial
 def test_waves_of_loads_have_ten_cells():
     """A sine of 0.02 s, whose S wave is 25.3 m long."""
     times = np.linspace(0.0, 0.1, 101).tolist()
@@ -120,7 +140,7 @@ def test_waves_of_loads_have_ten_cells():
     side = {"on": ["south"], "wave": {"kind": "s", "velocity": table}}
     scene = sized(scene_of([], fracture={}, absorbing=[side], stage={"kind": "dynamic", "time_step": 1e-3}))
     mesh = read_split(scene)
-    assert "wave of 0.02 s, a load in stage dynamic, / 10 = 2.53, rock at (" in scene.notes[0]
+    assert "wave of 20 ms, a load in stage dynamic, / 10 = 2.53, rock at (" in scene.notes[0]
     assert 2.0 < mesh_sizes.cell_sizes(mesh).max() <= 0.02 * (4e9 / 2500.0) ** 0.5 / 10
     coarse = scene.with_geometry({"size": 8.0})
     (told,) = mesh_sizes.unresolved(coarse, read_split(coarse), {})

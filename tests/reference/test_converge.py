@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import fracflow
 from fracflow._petsc import MPI
 from fracflow.cli.app import app, with_levels
-from fracflow.scene.levels import at_level, order_in_time
+from fracflow.simulation.levels import at_level, order_in_time
 
 # A bar of E = rho = 1 and nu = 0, so that c = 1, held at one end and pushed at the other.
 BAR = """

@@ -94,6 +94,14 @@ def test_pressure_that_jumps_within_the_only_step(rule, tolerances):
         assert times[1] == jump and np.abs(found - exact).max() <= 2.0 * each and open_books < 1e-9
 
 
+def test_a_ramp_far_shorter_than_a_step_is_a_jump():
+    """At a step's end it has no time to act. A longer one acts in the whole step, by backward Euler."""
+    steep, slow = (
+        history_of_film(LINEAR, f"pressure = [[0, 0], [{END - ramp}, 0], [{END}, 1]]")[1][-1] for ramp in (1e-4, 1e-2)
+    )
+    assert steep[0] == slow[0] == 1.0 and steep[2] < 1e-3 and slow[2] > 0.1
+
+
 def oscillation(folder, *options):
     """Times and error of the block of R02, u'' + u = 1 from rest, over its largest displacement, 2."""
     given = ["output.pictures=false", "fracture.default.law=linear", "load.0.traction=[1, 0]", "stage.0.end=4"]

@@ -9,8 +9,7 @@ from pages import PAGES, SCENES, blocks
 
 from fracflow.errors import InputError
 from fracflow.scene.editor import editor_schema
-from fracflow.scene.renamed import RENAMED
-from fracflow.scene.scene import Scene, load
+from fracflow.scene.scene import RENAMED, Scene, load
 from fracflow.scene.toml import override
 
 pytestmark = pytest.mark.serial

@@ -1,8 +1,7 @@
 import pytest
 
 from fracflow.errors import InputError
-from fracflow.scene.renamed import RENAMED
-from fracflow.scene.scene import Scene, load
+from fracflow.scene.scene import RENAMED, Scene, load
 from fracflow.scene.schema import rows
 
 pytestmark = pytest.mark.serial

@@ -42,9 +42,9 @@ def test_foot_pound_second(make):
 
 
 def test_times_are_shown_in_the_unit_of_the_author(make, tmp_path):
-    """That of the last end, or of the time steps; where none has a unit of its own, none is chosen."""
+    """That of the last end, or of the time steps; where none has a unit of its own, one that suits the time."""
     last = "stage.1.end"
-    for setting, unit, hours in (("72 h", "h", "72 h"), ("3 d", "days", "3 days"), ("1 week", None, "259200 s")):
+    for setting, unit, hours in (("72 h", "h", "72 h"), ("3 d", "days", "3 days"), ("1 week", None, "3 days")):
         scene = make(f"{last}={setting}")
         assert (scene.output.time_unit, scene.time_text(259200.0)) == (unit, hours)
         (tmp_path / "scene.toml").write_text(scene.dump_toml())
@@ -145,7 +145,7 @@ def test_steps_cover_the_stage(make, end, step, count):
 
 def test_report_model_resolves_methods(make):
     default, report = make().method, make("model=report").method
-    assert (default.storage, default.conductance, default.newton_test) == ("lumped", "exact", "residual")
+    assert (default.storage, default.conductance, default.newton_test) == ("lumped", "front", "residual")
     assert (default.tangent, default.open_strength, default.quadrature) == ("consistent", "none", "nodal")
     assert (report.storage, report.conductance, report.newton_test) == ("report", "report", "out-of-balance")
     assert (report.tangent, report.open_strength, report.coupling) == ("decoupled", "cohesion", "auto")

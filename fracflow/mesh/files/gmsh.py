@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,9 @@ import numpy as np
 
 from fracflow.errors import MOST_NAMED, InputError
 from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.files.formats import FORMATS, sizes_beside
 from fracflow.mesh.files.geo_depth import Checked
 from fracflow.mesh.files.msh_check import check_msh
-from fracflow.mesh.files.others import FORMATS, beside
 from fracflow.storage.reader import OF_RANKS
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]
@@ -86,7 +87,7 @@ def open_msh(path: Path) -> Elements:
 
 def open_other(path: Path) -> Elements:
     """Read a mesh of another program by meshio. Raises InputError with its first error."""
-    job = {"meshio": str(path.absolute()), "bytes": sum(beside(path).values())}
+    job = {"meshio": str(path.absolute()), "bytes": sum(sizes_beside(path).values())}
     return run_worker(job, str(path))
 
 
@@ -159,20 +160,25 @@ def _work(job: Mapping[str, Any], what: str, texts: Mapping[str, bytes], sources
             for each, source in sources.items():
                 line = line.replace(str(folder / each), str(source)).replace(f"'{each}'", f"'{source}'")
             raise InputError(f"{what}: {line}; {_remedy(what, line, allowed)}")
-        if code or not (folder / "mesh.npz").exists():
+        if code or not (folder / "mesh").exists():
             last = (said.strip().splitlines() or ["it ended without a mesh"])[-1]
             how = f"crashed (signal {-code})" if code < 0 else f"failed: {last}"
             raise Crashed(f"{what}: {_name(what)} {how}; {_remedy(what, said, allowed)}", -code)
-        with np.load(folder / "mesh.npz") as arrays:
-            return Elements(
-                points=arrays["points"],
-                nodes={kind: arrays[kind] for kind in KINDS},
-                members={kind: arrays[f"{kind}_member"] for kind in KINDS},
-                others=tuple(str(other) for other in arrays["other"]),
-                group_dims=arrays["group_dim"],
-                group_tags=arrays["group_tag"],
-                group_names=tuple(str(group) for group in arrays["group_name"]),
-            )
+        with (folder / "mesh").open("rb") as file:
+            head = json.loads(file.readline())
+            arrays = {
+                name: np.fromfile(file, kind, prod(shape)).reshape(shape)
+                for name, (kind, shape) in head["arrays"].items()
+            }
+        return Elements(
+            points=arrays["points"],
+            nodes={kind: arrays[kind] for kind in KINDS},
+            members={kind: arrays[f"{kind}_member"] for kind in KINDS},
+            others=tuple(head["other"]),
+            group_dims=arrays["group_dim"],
+            group_tags=arrays["group_tag"],
+            group_names=tuple(head["group_name"]),
+        )
 
 
 def _run(folder: Path, allowed: Limits) -> tuple[int | None, str]:

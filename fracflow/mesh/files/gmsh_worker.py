@@ -1,7 +1,7 @@
 """The process that runs Gmsh: ``python -m fracflow.mesh.files.gmsh_worker FOLDER``.
 
-It reads job.json and writes mesh.npz in that folder. Gmsh may crash in C++; alone in its process, it
-takes nothing with it. Reports of Gmsh go to error.txt.
+It reads job.json in that folder and writes the file mesh: a line of JSON, then the arrays that it names. Gmsh may crash
+in C++; alone in its process, it takes nothing with it. Reports of Gmsh go to error.txt.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FRONTAL, RIGHT_ANGLED = 6, 8  # its algorithms: for triangles, and for triangles
 
 
 def main(folder: Path) -> int:
-    """Do the job in ``folder``; 0 if mesh.npz was written, 1 if error.txt was."""
+    """Do the job in ``folder``; 0 if the file mesh was written, 1 if error.txt was."""
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     keep_within(job["seconds"], job["memory"], job["parent"])
     try:
@@ -40,7 +40,12 @@ def main(folder: Path) -> int:
     except Exception as error:
         (folder / "error.txt").write_text(str(error) or type(error).__name__, encoding="utf-8")
         return 1
-    np.savez(folder / "mesh.npz", **arrays)
+    texts = {name: arrays.pop(name) for name in ("other", "group_name")}
+    kinds = {name: (values.dtype.str, values.shape) for name, values in arrays.items()}
+    with (folder / "mesh").open("wb") as file:
+        file.write(json.dumps({**texts, "arrays": kinds}).encode() + b"\n")
+        for values in arrays.values():
+            file.write(np.ascontiguousarray(values).data)
     return 0
 
 
@@ -131,10 +136,10 @@ def _arrays(
         "points": points,
         **{kind: np.concatenate([np.zeros((0, k), np.int64), *nodes[kind]]) for kind, k in CORNERS.items()},
         **{f"{kind}_member": np.concatenate([np.zeros((0, 2), np.int64), *members[kind]]) for kind in CORNERS},
-        "other": np.array(others, dtype=np.str_),
+        "other": others,
         "group_dim": np.array([dim for _, dim, _ in groups], dtype=np.int64),
         "group_tag": np.array([tag for tag, _, _ in groups], dtype=np.int64),
-        "group_name": np.array([name for _, _, name in groups], dtype=np.str_),
+        "group_name": [name for _, _, name in groups],
     }
 
 

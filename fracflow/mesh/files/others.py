@@ -8,7 +8,7 @@ are the names.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from fracflow.mesh.files.abaqus import abaqus_sets, check_abaqus, read_abaqus
 from fracflow.mesh.files.exodus import exodus_sets
+from fracflow.mesh.files.formats import FORMATS
 from fracflow.mesh.files.sets import FileFault, Set
 from fracflow.storage.files import shown_plain
 from fracflow.storage.worker import check_leads_nowhere
 
-FORMATS = {".inp": "abaqus", ".vtu": "vtu", ".e": "exodus", ".exo": "exodus", ".xdmf": "xdmf"}
 PREFERRED = ("gmsh:physical", "medit:ref", "cell_tags")  # of several data of cells
 MESHIO_KINDS = {"vertex": "point", "line": "line", "triangle": "triangle", "quad": "quad"}
 DIMS = {"point": 0, "line": 1, "triangle": 2, "quad": 2}
@@ -174,9 +174,3 @@ def heavy_files(path: Path) -> list[Path]:
         elif form != "XML":
             raise ValueError("has data in binary files; save it with HDF5")
     return sorted(found)
-
-
-def beside(path: Path) -> Mapping[str, int]:
-    """Sizes [bytes] of a mesh file and of HDF5 files that may be its data."""
-    names = [path, *path.parent.glob("*.h5"), *path.parent.glob("*.hdf5")] if path.suffix == ".xdmf" else [path]
-    return {each.name: each.stat().st_size for each in names if each.is_file()}

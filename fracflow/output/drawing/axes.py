@@ -20,7 +20,7 @@ from fracflow.scene.units import (
     STRESS,
     SURFACE_ENERGY,
     TIME,
-    TIME_UNITS,
+    TIME_LADDER,
     VELOCITY,
     VISCOSITY,
     VOLUME,
@@ -35,9 +35,6 @@ LINE_ROUND_OFF = 1e-8  # of the largest value: a line that varies less is consta
 NARROW = 1e-2  # of the largest value: lines that span less are drawn as differences from a round number
 _LEAST, _MOST = 5e-2, 1e4  # numbers that need no power of ten
 _NONE = 1e-250  # smaller numbers are zero in a picture
-
-_FEWEST = {"years": 2.0, "days": 2.0, "h": 2.0, "min": 3.0, "s": 0.5, "ms": 0.5, "µs": 0.0}  # of a unit of time
-_TIMES: Ladder = tuple((fewest * TIME_UNITS[name], TIME_UNITS[name], name) for name, fewest in _FEWEST.items())
 
 
 def _metric(unit: str, *prefixes: str) -> Ladder:
@@ -115,12 +112,12 @@ def suited_unit(dimension: str, largest: float, units: Mapping[str, str]) -> tup
     is_si = (units.get("length"), units.get("force"), units.get("time")) == ("m", "N", "s")
     ladder = _SI.get(dimension, ()) if is_si else ()
     if dimension == TIME and units.get("time") == "s":
-        ladder = _TIMES
+        ladder = TIME_LADDER
+    base = next((name for _, each, name in ladder if each == 1.0), own)
     if not _NONE < size < np.inf:
-        return 1.0, own
+        return 1.0, base
     if dimension == TIME and (stated := stated_time(units.get("shown_time"), size)):
         return stated
-    base = next((name for _, each, name in ladder if each == 1.0), own)
     fits = ((1.0 / each, name) for least, each, name in ladder if size >= least * (1.0 - 1e-12))
     return next(fits, (1.0, base))
 

@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fracflow.output.drawing.axes import Axis, Floats, axis_of
-from fracflow.output.drawing.network_map import Network, coloured, draw_map, name_all, plain_numbers, scaled
-from fracflow.output.plot_style import PALE, draw_head
+from fracflow.output.drawing.network_map import (
+    FLAT,
+    FLATTEST,
+    Network,
+    coloured,
+    draw_map,
+    name_all,
+    plain_numbers,
+    scaled,
+    shape_of,
+)
+from fracflow.output.plot_style import COLOURS, draw_head
 from fracflow.scene.units import PLAIN, STRESS
 
 if TYPE_CHECKING:
@@ -26,16 +36,22 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, _height(network)), layout="constrained")
+    shape = max(shape_of(network.rock), FLATTEST)
+    is_flat = shape <= FLAT
+    figure = Figure(figsize=(10 if is_flat else 11, 8), layout="constrained")
     draw_head(figure, title, below)
-    left, right = figure.subplots(1, 2)
+    left, right = figure.subplots(2, 1) if is_flat else figure.subplots(1, 2)
     share = "|τ|/σₙ′, shear over effective normal traction"
     more = "pressure above the initial one at which it slips or opens"
     drawn = [
         (left, _draw(left, network, "Slip tendency before the run", tendency, PLAIN, share, "viridis_r")),
         (right, _draw(right, network, "Pressure rise to slip", rise, STRESS, more, "viridis")),
     ]
-    right.set_ylabel("")
+    bars = len(figure.axes) - len(drawn)
+    beside = np.clip(4.9 * shape + 1.6 + 0.7 * bool(bars), 4.2, 8.0)
+    figure.set_figheight(18.0 * shape + 2.5 + 0.7 * bars if is_flat else beside)
+    if not is_flat:
+        right.set_ylabel("")
     handles, labels = left.get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside lower left", ncols=4, handletextpad=0.4)
@@ -45,30 +61,27 @@ def before_a_run(network: Network, title: str, below: str, tendency: Floats, ris
     return figure
 
 
-def _height(network: Network) -> float:
-    """Height in inches of two maps side by side, within limits."""
-    points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in network.rock)])
-    wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
-    return float(np.clip(5.8 * high / max(wide, 1e-300) + 2.3, 4.5, 9.0))
-
-
 def _draw(
     axes: Axes, network: Network, title: str, values: Floats, dimension: str, word: str, cmap: str
 ) -> tuple[Axis, Axis]:
     """One map, its fractures coloured by values (m,); returns its scales."""
+    from matplotlib.collections import LineCollection
+
     axes.set_title(title)
     scales = draw_map(axes, network)
     known = np.isfinite(values)
     if not known.any():
-        axes.text(0.5, 1.0, "no fracture here can slip", transform=axes.transAxes, ha="center", va="bottom", color=PALE)
+        axes.set_title(f"{title}: no fracture here can slip")
         return scales
     axis = axis_of(dimension, [np.r_[0.0, values[known]]], network.units)
     shown, low, top = axis(values[known]), *(float(end) for end in axis([values[known].min(), values[known].max()]))
     if top - low < _SAME * max(abs(top), 1e-300):
         axes.set_title(f"{title}: {axis.text(float(values[known][0]))} everywhere")
-        low, top = 0.0, top or 1.0
+        look: dict[str, Any] = dict(colors=COLOURS[0], linewidths=_WIDTH, capstyle="round", zorder=3)
+        axes.add_collection(LineCollection(list(scaled(network.segments[known], *scales)), **look))
+        return scales
     lines = coloured(axes, scaled(network.segments[known], *scales), shown, _WIDTH, cmap, (low, top))
-    look: dict[str, Any] = dict(location="bottom", shrink=0.8, aspect=40, pad=0.03, panchor=False)
+    look = dict(location="bottom", shrink=0.8, aspect=40, pad=0.03, panchor=False)
     bar = axes.figure.colorbar(lines, ax=axes, label=axis.label(word), **look)
     plain_numbers(bar.ax, "x")
     return scales

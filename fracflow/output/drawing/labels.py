@@ -33,6 +33,7 @@ ALONG = (
 )  # of the length of a trace, where a label may stand
 GAP = 2.0  # between a label and its line, in the unit of the sizes
 MOST_CROSSED = 1  # lines that the name of a trace may stand on at worst
+NEAR = 0.5  # of a line crossed: the cost of a name that nearly touches another or a mark
 
 
 @dataclass(frozen=True)
@@ -70,32 +71,41 @@ def beside_trace(trace: Floats, size: tuple[float, float], clear: float = 0.0) -
     return Label(size, np.concatenate([sides, beyond]))
 
 
-def beside_point(point: Floats, size: tuple[float, float], mark: float) -> Label:
-    """Candidates around a mark of that radius at a point (2,): right, left, above, below and the corners between."""
-    away = 0.5 * np.array(size) + mark + GAP
-    around = [(1, 0), (-1, 0), (0, 1), (0, -1), (0.9, 0.9), (-0.9, 0.9), (0.9, -0.9), (-0.9, -0.9)]
+def beside_point(point: Floats, size: tuple[float, float], mark: float, clear: float = 0.0) -> Label:
+    """Candidates around a mark of that radius at a point (2,): right, left, above, below and the corners between.
+
+    clear  half the width of lines that may cross at the point
+    """
+    away = 0.5 * np.array(size) + max(mark, clear) + GAP
+    around = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)]
     return Label(size, point + away * np.array(around), crosses=1000)
 
 
-def placed(labels: Sequence[Label], lines: Floats, taken: Floats, bounds: Floats) -> list[Floats | None]:
+def placed(
+    labels: Sequence[Label], lines: Floats, taken: Floats, bounds: Floats, clear: float = 0.0, air: float = 0.0
+) -> list[Floats | None]:
     """Greedy: each label in turn at its candidate that stands on the fewest lines; None where none is free.
 
     lines   (m, 2, 2) ends of line pieces, which labels avoid
     taken   (n, 4) boxes, left, bottom, right, top, which they never meet
     bounds  (4,) the box that holds all labels
+    clear   half the width of the lines
+    air     distance from boxes that labels keep where they can
     """
+    grown = np.array([-1.0, -1.0, 1.0, 1.0])
     boxes, found = [*np.reshape(taken, (-1, 4))], list[Floats | None]()
     for label in labels:
-        best, least = None, label.crosses + 1
+        best, least = None, label.crosses + 1.0
         half = 0.5 * np.array(label.size)
         for centre in label.centres:
             box = np.concatenate([centre - half, centre + half])
             if np.any(box[:2] < bounds[:2]) or np.any(box[2:] > bounds[2:]) or _meets(box, np.reshape(boxes, (-1, 4))):
                 continue
-            crossed = int(crossing(lines, box).sum())
-            if crossed < least:
-                best, least = box, crossed
-            if not crossed:
+            cost = float(crossing(lines, box + clear * grown).sum())
+            cost += NEAR * _meets(box + air * grown, np.reshape(boxes, (-1, 4)))
+            if cost < least:
+                best, least = box, cost
+            if not cost:
                 break
         if best is not None:
             boxes.append(best)

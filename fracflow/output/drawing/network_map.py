@@ -23,7 +23,10 @@ Places = Mapping[str, tuple[float, float]]
 
 MOST_NAMES = 150  # fractures that are named, the longest
 MOST_CELLS = 40_000  # whose edges are drawn
-SMALL, HALO = 7.0, 2.0  # size of names, and width of the white around them [points]
+SMALL, HALO = 7.5, 2.0  # size of names, and width of the white around them [points]
+AIR = 3.0  # between names, and between a name and the mark of another, where there is room [points]
+FLAT = 0.3  # height over width of a map that has the whole width of a figure
+FLATTEST, TALLEST = 0.1, 4.0  # height over width of a map: a domain beyond is drawn stretched
 _LOOKS = {"well": ("v", "#56B4E9", 10.0), "probe": ("o", "white", 5.0), "slipped first": ("*", "#D55E00", 11.0)}
 _SIDES = {"support": ("#7d7768", 3.5), "absorbing side": ("#CC79A7", 1.8)}  # colour, and width [points]
 
@@ -85,7 +88,9 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
 
     x, y = network.scales()
     axes.grid(False)
-    axes.set_aspect("equal", anchor="N")
+    ratio = shape_of(network.rock)
+    stretch = float(f"{np.clip(ratio, FLATTEST, TALLEST) / ratio:.2g}")
+    axes.set_aspect(stretch, anchor="N")
     look: dict[str, Any] = dict(facecolors="#f4f1ea", edgecolors="#dcd6c8", linewidths=0.25)
     if len(network.rock) > MOST_CELLS:
         look |= dict(edgecolors="face")
@@ -104,8 +109,18 @@ def draw_map(axes: Axes, network: Network) -> tuple[Axis, Axis]:
     axes.autoscale_view()
     axes.margins(0.03)
     plain_numbers(axes)
-    axes.set(xlabel=x.label("x"), ylabel=y.label("y"))
+    if ratio * stretch < 0.5:
+        plain_numbers(axes, "y", 2)
+    wider, higher = (f"\nstretched ×{times:.2g}" if times > 1.0 else "" for times in (1.0 / stretch, stretch))
+    axes.set(xlabel=x.label("x") + wider, ylabel=y.label("y") + higher)
     return x, y
+
+
+def shape_of(rock: Sequence[Floats]) -> float:
+    """Height over width of all cells, each with corners (k, 2); 1 for none."""
+    points = np.concatenate([np.zeros((0, 2)), *(cell.reshape(-1, 2) for cell in rock)])
+    wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
+    return float(high / wide) if wide > 0.0 and high > 0.0 else 1.0
 
 
 def coloured(
@@ -145,18 +160,20 @@ def name_all(axes: Axes, network: Network, scales: tuple[Axis, Axis], width: flo
     lines = lines[np.all(np.isfinite(lines), axis=(1, 2))]
     point = axes.figure.dpi / 72.0
     texts, labels, boxes = list[str](), list[Label](), list[Floats]()
+    clear = 0.5 * width * point
     for at, names, radius in _at_marks(network):
         here = pixels(scaled(np.array(at), *scales))
         boxes.append(np.concatenate([here - radius * point, here + radius * point]))
-        texts.append(", ".join(names))
-        labels.append(beside_point(here, name_size(axes, texts[-1]), radius * point))
+        if names:
+            texts.append(", ".join(names))
+            labels.append(beside_point(here, name_size(axes, texts[-1]), radius * point, clear))
     marks = len(texts)
     longest = sorted(network.traces().items(), key=lambda item: -_length(item[1]))
     for name, trace in longest[:MOST_NAMES]:
         texts.append(name)
-        labels.append(beside_trace(pixels(scaled(trace, *scales)), name_size(axes, name), 0.5 * width * point))
+        labels.append(beside_trace(pixels(scaled(trace, *scales)), name_size(axes, name), clear))
     bounds = np.ravel(axes.get_window_extent().get_points())
-    found = placed(labels, lines, np.array(boxes).reshape(-1, 4), bounds)
+    found = placed(labels, lines, np.array(boxes).reshape(-1, 4), bounds, clear, AIR * point)
     for number, (text, centre) in enumerate(zip(texts, found, strict=True)):
         if centre is not None:
             write_name(axes, text, axes.transData.inverted().transform(centre), INK if number < marks else "#5a5a5a")
@@ -167,7 +184,7 @@ def name_all(axes: Axes, network: Network, scales: tuple[Axis, Axis], width: flo
 
 
 def _at_marks(network: Network) -> list[tuple[tuple[float, float], list[str], float]]:
-    """Places of wells and probes with their names, each once, and the radius of the mark [points]."""
+    """Places of marks with the names of their wells and probes, each once, and the radius of the mark [points]."""
     there: dict[tuple[float, float], tuple[list[str], list[float]]] = {}
     for kind, places in network.marks.items():
         for name, at in places.items():
@@ -175,7 +192,7 @@ def _at_marks(network: Network) -> list[tuple[tuple[float, float], list[str], fl
                 names, sizes = there.setdefault(at, ([], []))
                 names += [name] if not name.startswith("\0") and name not in names else []
                 sizes.append(0.5 * _LOOKS[kind][2])
-    return [(at, names, max(sizes)) for at, (names, sizes) in there.items() if names]
+    return [(at, names, max(sizes)) for at, (names, sizes) in there.items()]
 
 
 def _length(trace: Floats) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from grids import Floats, graded, mirrored, onwards, tensor
 
 from figures_verification.case import Bar, Case
-from figures_verification.runs import solve
+from figures_verification.runs import Found, solve
 
 HALF, YOUNG, POISSON = 1.0, 50e9, 0.25
 MODULUS = YOUNG / (1 - POISSON**2)
@@ -88,35 +88,39 @@ def cells(size: float, period: float, triangles: bool = False) -> str:
     return tensor(x, mirrored(graded(tip, 1.5 * period, growth)), {"crack": (0.0, 0.0, HALF)}, triangles)
 
 
-def errors(kind: str, period: float, mesh: str = "quads") -> Callable[[float], tuple[float, ...]]:
-    """Of the jump in the middle, over x < 0.9 a, and of its sum, by the size of the cells."""
-    load = SHEAR - FRICTION * STRESS if kind == "sheared" else PRESSURE
-    stiffness = MODULUS / (4 * HALF)
+def loaded(kind: str, period: float, size: float, mesh: str = "quads") -> Found:
+    """Run a crack that is "sheared", "blown" or on "springs"."""
     law = 'law = "linear"' if kind == "springs" else "friction_coefficient = 0.5"  # walls that touch open at once
+    blown = BLOWN.format(law=law, stiffness=MODULUS / (4 * HALF), pressure=PRESSURE)
+    scene, grid = SCENE + (SHEARED if kind == "sheared" else blown), ""
+    if mesh == "unstructured":
+        scene += GEOMETRY.format(tip=size**2, growth=2 * size)
+    else:
+        grid = cells(size, period, mesh == "triangles")
+    return solve(scene, mesh=grid)
 
-    def at(size: float) -> tuple[float, ...]:
-        scene = SCENE + (
-            SHEARED if kind == "sheared" else BLOWN.format(law=law, stiffness=stiffness, pressure=PRESSURE)
-        )
-        if mesh == "unstructured":
-            scene, grid = scene + GEOMETRY.format(tip=size**2, growth=2 * size), ""
-        else:
-            grid = cells(size, period, mesh == "triangles")
-        state = solve(scene, mesh=grid).fractures[-1]
-        x, found = np.abs(state.points[:, 0]), state.point["slip" if kind == "sheared" else "opening"]
-        right, whole = opening(x, period, load), volume(period, load)
-        if kind == "springs":
-            right, whole = on_springs(x, stiffness)
-        middle, inner = int(np.argmin(x)), x < 0.9 * HALF
-        sizes = np.abs(np.diff(state.points[state.pieces, 0], axis=1))[:, 0]
-        total = float(np.sum(found[state.pieces].mean(axis=1) * sizes)) * (1 if mesh == "unstructured" else 2)
-        return (
-            abs(found[middle] / right[middle] - 1),
-            float(np.abs(found - right)[inner].max() / right[middle]),
-            abs(total / whole - 1),
-        )
 
-    return at
+def errors_of(found: Found, kind: str, period: float, mesh: str = "quads") -> tuple[float, ...]:
+    """Of the jump in the middle, over x < 0.9 a, and of its sum."""
+    load = SHEAR - FRICTION * STRESS if kind == "sheared" else PRESSURE
+    state = found.fractures[-1]
+    x, jump = np.abs(state.points[:, 0]), state.point["slip" if kind == "sheared" else "opening"]
+    right, whole = opening(x, period, load), volume(period, load)
+    if kind == "springs":
+        right, whole = on_springs(x, MODULUS / (4 * HALF))
+    middle, inner = int(np.argmin(x)), x < 0.9 * HALF
+    sizes = np.abs(np.diff(state.points[state.pieces, 0], axis=1))[:, 0]
+    total = float(np.sum(jump[state.pieces].mean(axis=1) * sizes)) * (1 if mesh == "unstructured" else 2)
+    return (
+        abs(jump[middle] / right[middle] - 1),
+        float(np.abs(jump - right)[inner].max() / right[middle]),
+        abs(total / whole - 1),
+    )
+
+
+def errors(kind: str, period: float, mesh: str = "quads") -> Callable[[float], tuple[float, ...]]:
+    """By the size of the cells."""
+    return lambda size: errors_of(loaded(kind, period, size, mesh), kind, period, mesh)
 
 
 SIZES, QUICK = (0.2, 0.1, 0.05), (0.2, 0.1)

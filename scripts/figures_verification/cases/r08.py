@@ -98,17 +98,18 @@ def pushed(
 
 
 def errors(stress: float, coupled: bool, triangles: bool = False) -> Callable[[float], tuple[float, ...]]:
+    """By the size of the cells."""
+    return lambda size: errors_of(pushed(stress, size, coupled, triangles), stress)
+
+
+def errors_of(found: Found, stress: float) -> tuple[float, ...]:
     """Of lambda and of the slip, over its largest; the tip is where slip^(2/3) would vanish, by a parabola."""
-
-    def at(size: float) -> tuple[float, ...]:
-        state = pushed(stress, size, coupled, triangles).fractures[-1]
-        x, found = np.abs(state.points[:, 0]) / LENGTH, state.point["plastic_slip"]
-        right = FRICTION * PUMPED * LENGTH / OUTER * slip(np.minimum(x, 1.0), stress)
-        last = (found > 0) & (x > 0.6 * x[found > 0].max())
-        tip = np.polyfit(found[last] ** (2 / 3), x[last], 2)[-1]
-        return float(abs(tip - 1)), float(np.abs(found - right).max() / right.max())
-
-    return at
+    state = found.fractures[-1]
+    x, slid = np.abs(state.points[:, 0]) / LENGTH, state.point["plastic_slip"]
+    right = FRICTION * PUMPED * LENGTH / OUTER * slip(np.minimum(x, 1.0), stress)
+    last = (slid > 0) & (x > 0.6 * x[slid > 0].max())
+    tip = np.polyfit(slid[last] ** (2 / 3), x[last], 2)[-1]
+    return float(abs(tip - 1)), float(np.abs(slid - right).max() / right.max())
 
 
 BARS = (Bar("lambda", 0.01, asked=0.02), Bar("slip", 0.01))

@@ -1,0 +1,164 @@
+"""CPU of a Newton iteration by its parts, at 1.2e3 nodes: a fracture 10 um wide under pressures that rise in jumps.
+
+    scripts/bench iteration [SCENE] [--cells N] [--ranks N] [--repeats N] [--set KEY=VALUE] [--out DIR]
+                            [--most SECONDS] [--outside SHARE]
+
+Runs the program itself with a stopwatch around the functions below; a part's time is its own, without that of the parts inside
+it. Milliseconds are those of rank 0 for each iteration of Newton's method, accepted or not; on several ranks they include its
+waiting. Of several runs the one with the least is shown. PETSc's own share is divided as the wall times of its log are. With
+--cells the scene is five steps of the network of ``size``. Exit 1 where an iteration, with all that belongs to a step but for
+its record, takes more than --most, or what is outside PETSc more than the share --outside of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+import _network as network
+from _stopwatch import Stopwatch
+
+SCENE = """\
+title = "A fracture 10 um wide in shale, wetted by pressures that rise in jumps"
+rock.rock = {youngs_modulus = 6.1065e9, poissons_ratio = 0.3275, density = 2450}
+initial_stress = {xx = -5.3e6, yy = -7.0e6, zz = -6.0e6}
+fluid = {viscosity = 1e-3, initial_pressure = 0.5e6, compressibility = 4.4e-10, specific_weight = 9810, flow_depth = 1}
+support = [{on = ["west", "east"], components = ["x"]}, {on = ["south", "north"], components = ["y"]}]
+stage = [{name = "test", kind = "quasi-static", time_step = 3, steps = 60}]
+[[well]]
+name = "injection"
+at = [0, 0]
+pressure = [[0, 0.5e6], [0.01, 0.7446e6], [23, 0.7446e6], [23.01, 1.919e6], [100, 1.919e6], [100.01, 3.627e6], [1e3, 3.627e6]]
+[[well]]
+name = "top"
+at = {fracture = "fault", end = "end"}
+pressure = "initial"
+[[well]]
+name = "bottom"
+at = {fracture = "fault", end = "start"}
+pressure = "initial"
+[geometry]
+domain = [-10, -10, 10, 10]
+size = 1.5
+size_at_fractures = 0.2
+fracture = [{name = "fault", points = [[-4.63235, -10], [4.63235, 10]]}]
+[fracture.fault]
+normal_stiffness = 20e9
+shear_stiffness = 20e9
+aperture = 10e-6
+friction_coefficient = 0.40403
+"""
+PETSC = "PETSc"
+OF_ITERATION = {
+    "joint laws": ["solve.problem:StepProblem.evaluate_joints"],
+    "balance of the flow": ["solve.problem:StepProblem._flow_balance"],
+    "balance of the rock": ["solve.problem:StepProblem.evaluate"],
+    "sizes of residuals": ["solve.problem:StepProblem._measure"],
+    "matrix": ["solve.jacobian:JoinedMatrix.fill"],
+    "line search, held conductances": ["solve.newton:Newton._search", "solve.newton:Newton._hold_conductances"],
+    "checks": ["solve.newton:Newton._pre_check", "solve.newton:Newton._converged", "solve.newton:Newton._floats"],
+    "unknowns to and from PETSc": ["solve.newton:Newton._function", "solve.newton:Newton._jacobian"],
+    PETSC: ["solve.newton:Newton.solve"],
+}
+OF_STEP = {
+    "beginning and end of steps": ["advance.step:SingleStep.advance"],
+    "ways to advance": ["advance.substeps:Substepped.advance"],
+    "record": ["simulation.recorder:Recorder.record", "simulation.recorder:Recorder.save"],
+}
+"""Part -> the functions it consists of, module:name."""
+EVENTS = {"factorisation": ("MatLUFactorSym", "MatLUFactorNum"), "solve": ("MatSolve",)}
+EVALUATIONS = "evaluations of an iteration"
+
+
+def worker(scene: str, folder: str, result: str, *overrides: str) -> None:
+    """Run a scene under the stopwatch; rank 0 writes milliseconds an iteration, by part."""
+    from fracflow._petsc import MPI, PETSc
+    from fracflow.scene.scene import load
+    from fracflow.simulation.run import run
+
+    given = load(scene, ["output.pictures=false", *overrides])
+    PETSc.Log.begin()
+    watch = Stopwatch(OF_ITERATION | OF_STEP)
+    totals = run(given, folder, MPI.COMM_WORLD)
+    watch.lap()
+    if MPI.COMM_WORLD.rank:
+        return
+    made = totals.newton + totals.wasted
+    each = {name: 1e3 * watch.parts[name]["cpu"] / made for name in (*OF_ITERATION, *OF_STEP)}
+    spent = {
+        name: sum(PETSc.Log.Event(event).getPerfInfo()["time"] for event in events) for name, events in EVENTS.items()
+    }
+    wall, cpu = watch.parts[PETSC]["wall"], each.pop(PETSC)
+    parts = {f"{PETSC}: {name}": cpu * seconds / wall for name, seconds in spent.items()}
+    rest = {f"{PETSC}: all else": cpu - sum(parts.values())}
+    facts = {"iterations": made, "factorisations": totals.factored, EVALUATIONS: totals.evaluations / made}
+    Path(result).write_text(json.dumps({"parts": parts | rest | each, "facts": facts}), encoding="utf-8")
+
+
+def measure(scene: Path, ranks: int, overrides: list[str]) -> dict[str, dict[str, float]]:
+    """One run in processes of its own; what ``worker`` found."""
+    clean = {
+        key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "OMPI_UNIVERSE"))
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "result.json"
+        command = [sys.executable, __file__, "--worker", str(scene), f"{folder}/run", str(result), *overrides]
+        subprocess.run(["mpirun", "-n", str(ranks), *command][3 * (ranks == 1) :], check=True, env=clean)
+        return json.loads(result.read_text(encoding="utf-8"))
+
+
+def main() -> None:
+    """Measure, print and judge."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", nargs="?", type=Path, help="a scene in place of the fracture in shale")
+    parser.add_argument("--ranks", type=int, default=1)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--set", action="append", default=[], help="key=value of the scene, as for fracflow run")
+    parser.add_argument("--cells", type=int, help="triangles of a network in its place")
+    parser.add_argument("--most", type=float, help="CPU seconds of an iteration; .015 of the fracture in shale")
+    parser.add_argument("--outside", type=float, default=1.0, help="share outside PETSc")
+    parser.add_argument("--out", type=Path, help="for iteration.csv")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        scene, overrides = given.scene or Path(folder) / "scene.toml", given.set
+        if given.cells:
+            make = [sys.executable, network.__file__, str(given.cells), f"{folder}/network.msh"]
+            subprocess.run(make, check=True)
+            scene.write_text(network.SCENE.format(cells=given.cells, mesh="network.msh"), encoding="utf-8")
+            overrides = ["stage.0.steps=5", *overrides]
+        elif given.scene is None:
+            scene.write_text(SCENE, encoding="utf-8")
+            given.most = given.most or 0.015
+        runs = [measure(scene.resolve(), given.ranks, overrides) for _ in range(given.repeats)]
+    found = min(runs, key=lambda run: sum(run["parts"].values()))
+    parts, facts = found["parts"], found["facts"]
+    inside = [name for name in parts if name not in OF_STEP]
+    newton, step = sum(parts[name] for name in inside), sum(parts.values()) - parts["record"]
+    outside = step - sum(parts[name] for name in inside if name.startswith(PETSC))
+    rows = [*((name, parts[name]) for name in inside), ("an iteration of Newton's method", newton)]
+    rows += [*((name, parts[name]) for name in OF_STEP), ("all of a step but its record", step)]
+    rows += [("of it outside PETSc", outside)]
+    for name, value in rows:
+        print(f"{name:34s} {value:8.3f} ms {100.0 * value / step:6.1f} %")
+    print(", ".join(f"{value:.5g} {name}" for name, value in facts.items()))
+    if given.out is not None:
+        given.out.mkdir(parents=True, exist_ok=True)
+        with (given.out / "iteration.csv").open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file)
+            table.writerow(("part", "cpu_ms", "ranks"))
+            table.writerows((name, f"{value:.4f}", given.ranks) for name, value in [*rows, *facts.items()])
+    sys.exit(outside > given.outside * step or (given.most is not None and step > 1e3 * given.most))
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--worker"]:
+        worker(*sys.argv[2:])
+    else:
+        main()

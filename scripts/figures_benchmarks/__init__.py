@@ -1,0 +1,1 @@
+"""Public problems run by one command: their table, a picture each, and error against CPU over all of them."""
