@@ -13,10 +13,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fracflow._petsc import PETSc, destroy
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Ints
-from fracflow.model.layout import Layout
+from fracflow.model.layout import Layout, local_rows
 from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps
 from fracflow.solve.fractured_rock.shared import Shared
 from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
@@ -90,11 +90,11 @@ class FracturedRock:
         if "intact" not in systems or self._alphas != self.filled.alphas:
             self._alphas = self.filled.alphas
             systems["intact"] = whole.PtAP(parts.intact, systems.get("intact"))
-            _fill_empty(systems["intact"], parts.intact)
+            _fill_empty(systems["intact"])
             systems["intact"].setBlockSize(self.node)
             self.solvers["intact"].setOperators(systems["intact"])
         systems["jumps"] = whole.PtAP(parts.jumps, systems.get("jumps"))
-        _fill_empty(systems["jumps"], parts.jumps)
+        _fill_empty(systems["jumps"])
         _shift(systems["jumps"])
         systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
         for part in ("jumps", "strips"):
@@ -135,14 +135,16 @@ def _shift(system: PETSc.Mat) -> None:
     diagonal.destroy()
 
 
-def _fill_empty(system: PETSc.Mat, moved: PETSc.Mat) -> None:
-    """Put 1 on the diagonal of displacements that move no unknown. Collective."""
-    ones, count = moved.createVecLeft(), moved.createVecRight()
-    ones.set(1.0)
-    moved.multTranspose(ones, count)
-    empty = np.flatnonzero(count.getArray(readonly=True) == 0.0) + count.getOwnershipRange()[0]
+def _fill_empty(system: PETSc.Mat) -> None:
+    """Put 1 on the diagonal of empty rows. Collective.
+
+    They belong to displacements of held unknowns, and to levels of pressure that no jump of the coarse grid sets.
+    """
+    rows, start = local_rows(system), system.getOwnershipRange()[0]
+    size = np.zeros(system.getLocalSize()[0])
+    np.maximum.at(size, rows.rows, np.abs(rows.values))
     system.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-    for number in empty:
+    round_off = 10.0 * np.finfo(float).eps * system.getComm().tompi4py().allreduce(size.max(initial=0.0), op=MPI.MAX)
+    for number in start + np.flatnonzero(size <= round_off):
         system.setValue(int(number), int(number), 1.0)
     system.assemble()
-    destroy(ones, count)
