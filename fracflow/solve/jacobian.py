@@ -183,6 +183,11 @@ class JoinedMatrix:
             np.where(self._keeping < 0, -1, free(self._keeping)),
         )
 
+    @property
+    def alphas(self) -> Alphas | None:
+        """Those of the last filling."""
+        return self._filled[0] if self._filled is not None else None
+
     def fill(
         self, alphas: Alphas, moduli: Floats, conduction: Conduction | None, flow_scale: float, only: str | None = None
     ) -> bool:

@@ -13,7 +13,8 @@ from fracflow._petsc import PETSc, destroy
 from fracflow.errors import Unsolved
 from fracflow.scene.scene import Scene
 from fracflow.solve.condensed_cost import USUAL, solves_per_factor
-from fracflow.solve.jacobian import PARTS, JoinedMatrix, tell_rigid_motions
+from fracflow.solve.fractured_rock import FracturedRock, parts_of
+from fracflow.solve.jacobian import PARTS, JoinedMatrix, node_size, tell_rigid_motions
 from fracflow.solve.residual import over_ranks
 
 STANDS = 10  # iterations in which a residual that still falls becomes less than half
@@ -109,6 +110,12 @@ def set_up(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     """Give a solver whose options are read the splits of the matrix, and the test above if it iterates. Collective."""
     if solver.getType() != "preonly":
         solver.setConvergenceTest(KrylovTest())
+    if solver.getPC().getType() == "shell":
+        operators = matrix.operators
+        parts = parts_of(operators.blocks, matrix.layout, operators.scales.length, matrix.fixed)
+        prefix = (solver.getOptionsPrefix() or "").removesuffix("_")
+        solver.getPC().setType("python")
+        solver.getPC().setPythonContext(FracturedRock(parts, matrix, prefix, node_size(operators)))
     if solver.getPC().getType() == "fieldsplit":
         solid, flow = matrix.layout.index_sets()
         tell_rigid_motions(matrix.operators, solid)

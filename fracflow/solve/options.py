@@ -54,12 +54,18 @@ MULTIGRID_FROM = 2_000_000
 """Displacement unknowns from which multigrid takes no more time than a factorisation, and a third less memory. At 2.0e6, on 2
 ranks, it took 72 to 94 against 98 CPU seconds and 3.5 against 4.9 GB a rank (scripts/bench size 2000000)."""
 
-# BoomerAMG, which stiff joints do not slow down; GAMG with the rigid motions is faster where joints are soft, and fails
-# where they are stiff. One sweep of the upper factor instead of the full one: half the multigrid cycles.
-MULTIGRID: dict[str, dict[str, Value]] = {
-    "monolithic": {"pc_fieldsplit_schur_fact_type": "upper", "fieldsplit_solid_pc_type": "hypre"},
-    "solid": {"ksp_type": "fgmres", "ksp_rtol": 1e-9, "ksp_max_it": 200, "ksp_gmres_restart": 100, "pc_type": "hypre"},
+# Unknowns of a node are those of one block: BoomerAMG's default for systems.
+_FRACTURED: dict[str, Value] = {
+    "ksp_type": "fgmres",
+    "ksp_rtol": 1e-5,
+    "ksp_max_it": 100,
+    "ksp_gmres_restart": 30,
+    "pc_type": "shell",  # fracflow/solve/fractured_rock
+    "intact_ksp_type": "preonly",
+    "intact_pc_type": "hypre",
+    **{f"{part}_{key}": value for part in ("jumps", "strips") for key, value in DIRECT.items()},
 }
+MULTIGRID: dict[str, dict[str, Value]] = {"monolithic": _FRACTURED, "solid": _FRACTURED}
 """Options that take the place of those above in large scenes."""
 
 

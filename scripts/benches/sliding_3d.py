@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,12 +31,13 @@ from fracflow._petsc import MPI, PETSc
 from fracflow.elements import facet, joint
 from fracflow.laws.elastic import solid_stiffness
 from fracflow.mesh.blocks import Blocks, petsc_ints
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, Ints
 from fracflow.mesh.distribute import distribute
 from fracflow.mesh.split import split, summary
 from fracflow.model.joints import jump_matrix, section_groups
-from fracflow.model.layout import add_blocks, create_matrix
+from fracflow.model.layout import add_blocks, create_matrix, layout_of
 from fracflow.model.solid import nodal_layout, node_unknowns, stiffness_of
+from fracflow.solve.fractured_rock import FracturedRock, parts_of
 from fracflow.solve.options import MULTIGRID_FROM, set_defaults
 
 SIZE, MODULUS, RATIO, PRESSURE = 10.0, 5e10, 0.25, 1e6
@@ -79,8 +81,8 @@ def moduli(sections: int, normal: float, shear: float) -> Floats:
     return result
 
 
-def assemble(blocks: Blocks, count: int, normal: float, shear: float) -> tuple[PETSc.Mat, PETSc.Vec, int]:
-    """Matrix and right side with the outer sides held, and the number of sections of all ranks. Collective.
+def assemble(blocks: Blocks, count: int, normal: float, shear: float) -> tuple[PETSc.Mat, PETSc.Vec, Ints, int]:
+    """Matrix and right side with the outer sides held, the held unknowns, and the sections of all ranks. Collective.
 
     count  cells along each side of the block
     """
@@ -110,7 +112,7 @@ def assemble(blocks: Blocks, count: int, normal: float, shear: float) -> tuple[P
     matrix.zeroRowsColumns(rows, MODULUS * SIZE, right.duplicate(), right)
     push.destroy()
     jump.destroy()
-    return matrix, right, blocks.comm.allreduce(len(sizes))
+    return matrix, right, rows, blocks.comm.allreduce(len(sizes))
 
 
 def describe(blocks: Blocks, matrix: PETSc.Mat) -> PETSc.Vec:
@@ -136,7 +138,9 @@ def write(folder: Path, matrix: PETSc.Mat, right: PETSc.Vec, places: PETSc.Vec) 
         viewer.destroy()
 
 
-def solve(matrix: PETSc.Mat, right: PETSc.Vec, unknowns: int) -> tuple[PETSc.Vec, dict[str, Any]]:
+def solve(
+    blocks: Blocks, matrix: PETSc.Mat, right: PETSc.Vec, held: Ints, unknowns: int
+) -> tuple[PETSc.Vec, dict[str, Any]]:
     """Solve as the program solves the displacements of a dry scene with so many unknowns. Collective."""
     set_defaults({}, unknowns)
     solver = PETSc.KSP().create(comm=matrix.getComm())
@@ -145,6 +149,12 @@ def solve(matrix: PETSc.Mat, right: PETSc.Vec, unknowns: int) -> tuple[PETSc.Vec
     solver.setOperators(matrix)
     result, left, facts = right.duplicate(), right.duplicate(), {}
     with timed(facts, "set_up_cpu_s"):
+        if solver.getPC().getType() == "shell":
+            parts = parts_of(blocks, layout_of(blocks, with_flow=False), SIZE, held)
+            facts["parts"] = {"jumps": parts.jumps.getSize()[1], "strips": parts.strips.getSize()}
+            filled = SimpleNamespace(matrix=matrix, alphas=None)
+            solver.getPC().setType("python")
+            solver.getPC().setPythonContext(FracturedRock(parts, filled, "solid", 3))
         solver.setUp()
     with timed(facts, "solve_cpu_s"):
         solver.solve(right, result)
@@ -181,7 +191,7 @@ def main() -> int:
     if mesh is not None:
         facts |= {key: value for key, value in summary(mesh).items() if key != "lengths"}
     with timed(facts, "assembly_cpu_s"):
-        matrix, right, facts["sections"] = assemble(blocks, count, given.normal, given.shear)
+        matrix, right, held, facts["sections"] = assemble(blocks, count, given.normal, given.shear)
         places = describe(blocks, matrix)
     facts["unknowns"], facts["entries"] = (
         matrix.getSize()[0],
@@ -190,7 +200,7 @@ def main() -> int:
     given.out.mkdir(parents=True, exist_ok=True)
     write(given.out, matrix, right, places)
     for name in given.solve:
-        result, facts[name] = solve(matrix, right, SOLVERS[name])
+        result, facts[name] = solve(blocks, matrix, right, held, SOLVERS[name])
         facts[name]["largest"] = float(result.norm(PETSc.NormType.INFINITY))
         result.destroy()
     if comm.rank == 0:

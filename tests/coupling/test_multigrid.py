@@ -75,31 +75,12 @@ def test_multigrid_finds_what_a_factorisation_finds(scene, overrides, natural, s
 
 def test_size_decides(monkeypatch):
     options = PETSc.Options()
-    key = "monolithic_fieldsplit_solid_pc_type"
+    key = "monolithic_pc_type"
     for unknowns, given, chosen in [
-        (defaults.MULTIGRID_FROM - 1, {}, "lu"),
-        (defaults.MULTIGRID_FROM, {}, "hypre"),
-        (defaults.MULTIGRID_FROM, {key: "gamg"}, "gamg"),
-        (0, {}, "lu"),
+        (defaults.MULTIGRID_FROM - 1, {}, "fieldsplit"),
+        (defaults.MULTIGRID_FROM, {}, "shell"),
+        (defaults.MULTIGRID_FROM, {key: "asm"}, "asm"),
+        (0, {}, "fieldsplit"),
     ]:
         defaults.set_defaults(given, unknowns)
         assert options[key] == chosen
-
-
-@pytest.mark.skipif(not PETSc.Sys.hasExternalPackage("suitesparse"), reason="needs SuiteSparse")
-def test_size_and_ranks_choose_the_factorisation():
-    """UMFPACK where its scene has some size, on each of several ranks where it is small, and nobody chose another."""
-    options, key = PETSc.Options(), "pc_factor_mat_solver_type"
-    for unknowns, ranks, given, chosen in [
-        (500, 1, {}, "mumps"),
-        (5_000, 1, {}, "umfpack"),
-        (5_000, 1, {"whole-lu_mat_mumps_icntl_14": 50}, "mumps"),
-        (5_000, 1, {f"whole-lu_{key}": "superlu"}, "superlu"),
-        (50_000, 2, {}, "mumps"),
-        (5_000_000, 1, {}, "mumps"),
-    ]:
-        defaults.set_defaults(given, unknowns, ranks)
-        assert options[f"whole-lu_{key}"] == chosen and options["whole-lu_pc_type"] == "lu"
-    defaults.set_defaults({}, 5_000, 2)
-    assert options["whole-lu_pc_type"] == "redundant" and options[f"whole-lu_redundant_{key}"] == "umfpack"
-    defaults.set_defaults({})

@@ -1,0 +1,150 @@
+"""A preconditioner of rock that slides and opens along fractures, of few iterations whatever the joints do.
+
+A displacement is one that the walls of a fracture share, and a jump across it. The shared one feels no joint: one cycle of
+multigrid solves for it, as in intact rock. Short jumps are solved for exactly in strips along the fractures, long ones on a
+coarse grid that the fractures cut; both with all pressures. Each part corrects what the one before has left (multiplicative
+Schwarz; Smith, Bjorstad and Gropp 1996). Only the two small systems change with the joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from fracflow._petsc import MPI, PETSc, destroy
+from fracflow.mesh.blocks import Blocks
+from fracflow.mesh.data import Ints
+from fracflow.model.layout import Layout, local_rows
+from fracflow.solve.fractured_rock.coarse_jumps import coarse_jumps
+from fracflow.solve.fractured_rock.shared import Shared
+from fracflow.solve.fractured_rock.subspaces import grown, intact, strips, walls
+
+LAYERS = 2  # of cells on either side of a fracture in its strip
+COARSE = 10.0  # mean joints in a cell of the coarse grid
+SHIFT = 1e-8  # of the diagonal of coarse jumps, which may depend on each other in small blocks of rock
+
+
+class Filled(Protocol):
+    """A matrix of all unknowns that is filled again and again; ``alphas`` differ where more than the joints does."""
+
+    matrix: PETSc.Mat
+
+    @property
+    def alphas(self) -> Any:
+        """Those of the last filling."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts of the unknowns of a step.
+
+    intact  E: from displacements that walls share
+    jumps   W: from jumps of long wavelength and pressures
+    strips  unknowns near fractures
+    """
+
+    intact: PETSc.Mat
+    jumps: PETSc.Mat
+    strips: PETSc.IS
+
+
+def parts_of(blocks: Blocks, layout: Layout, length: float, held: Ints) -> Parts:
+    """The parts, for joints of a mean ``length`` and with held unknowns (h,). The caller destroys them. Collective."""
+    nodes = Shared(layout.comm, blocks.solid.owned, blocks.sizes.nodes, blocks.solid.node_global)
+    wall = walls(blocks, nodes)
+    is_wall = wall >= 0.0
+    parts = Parts(
+        intact(blocks, layout, wall),
+        coarse_jumps(blocks, layout, nodes, is_wall, COARSE * length, held),
+        strips(blocks, layout, grown(blocks, nodes, is_wall, LAYERS)),
+    )
+    nodes.destroy()
+    return parts
+
+
+class FracturedRock:
+    """PETSc's context of the preconditioner: ``setUp``, ``apply`` and ``destroy`` are called by its PC.
+
+    Solvers of the parts have the prefixes -PREFIX_intact_, -PREFIX_jumps_ and -PREFIX_strips_.
+    """
+
+    def __init__(self, parts: Parts, filled: Filled, prefix: str, node: int) -> None:
+        """Make the solvers. ``parts`` are destroyed with this; a node has ``node`` unknowns, or 1. Collective."""
+        self.parts, self.filled, self.node = parts, filled, node
+        self.left = filled.matrix.createVecLeft()
+        self.solvers: dict[str, PETSc.KSP] = {}
+        self.systems: dict[str, PETSc.Mat] = {}
+        self.vectors: dict[str, tuple[PETSc.Vec, PETSc.Vec]] = {}
+        for part in ("intact", "jumps", "strips"):
+            self.solvers[part] = PETSc.KSP().create(comm=filled.matrix.getComm())
+            self.solvers[part].setOptionsPrefix(f"{prefix}_{part}_")
+            self.solvers[part].setFromOptions()
+        self.near: PETSc.Scatter | None = None
+        self._alphas: Any = None
+
+    def setUp(self, _: PETSc.PC) -> None:
+        """Take the present joints into the small systems, and the rock anew where the time step differs. Collective."""
+        whole, parts, systems = self.filled.matrix, self.parts, self.systems
+        if "intact" not in systems or self._alphas != self.filled.alphas:
+            self._alphas = self.filled.alphas
+            systems["intact"] = whole.PtAP(parts.intact, systems.get("intact"))
+            _fill_empty(systems["intact"])
+            systems["intact"].setBlockSize(self.node)
+            self.solvers["intact"].setOperators(systems["intact"])
+        systems["jumps"] = whole.PtAP(parts.jumps, systems.get("jumps"))
+        _fill_empty(systems["jumps"])
+        _shift(systems["jumps"])
+        systems["strips"] = whole.createSubMatrix(parts.strips, parts.strips, systems.get("strips"))
+        for part in ("jumps", "strips"):
+            self.solvers[part].setOperators(systems[part])
+        for part, system in systems.items():
+            self.vectors.setdefault(part, system.createVecs())
+        if self.near is None:
+            self.near = PETSc.Scatter().create(self.left, parts.strips, self.vectors["strips"][1], None)
+
+    def apply(self, _: PETSc.PC, given: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Correct by the intact rock, by coarse jumps, and by the strips. Collective."""
+        assert self.near is not None
+        result.set(0.0)
+        given.copy(self.left)
+        for part, moved in (("intact", self.parts.intact), ("jumps", self.parts.jumps)):
+            found, right = self.vectors[part]
+            moved.multTranspose(self.left, right)
+            self.solvers[part].solve(right, found)
+            moved.multAdd(found, result, result)
+            self.filled.matrix.mult(result, self.left)
+            self.left.aypx(-1.0, given)
+        found, right = self.vectors["strips"]
+        self.near.scatter(self.left, right)
+        self.solvers["strips"].solve(right, found)
+        self.near.scatter(found, result, addv=PETSc.InsertMode.ADD_VALUES, mode=PETSc.ScatterMode.REVERSE)
+
+    def destroy(self, _: PETSc.PC) -> None:
+        """Free all. Collective."""
+        destroy(self.parts.intact, self.parts.jumps, self.parts.strips, self.left, self.near)
+        destroy(*self.solvers.values(), *self.systems.values(), *(v for pair in self.vectors.values() for v in pair))
+
+
+def _shift(system: PETSc.Mat) -> None:
+    """Make the diagonal a little larger. Collective."""
+    diagonal = system.getDiagonal()
+    diagonal.scale(1.0 + SHIFT)
+    system.setDiagonal(diagonal)
+    diagonal.destroy()
+
+
+def _fill_empty(system: PETSc.Mat) -> None:
+    """Put 1 on the diagonal of empty rows. Collective.
+
+    They belong to displacements of held unknowns, and to levels of pressure that no jump of the coarse grid sets.
+    """
+    rows, start = local_rows(system), system.getOwnershipRange()[0]
+    size = np.zeros(system.getLocalSize()[0])
+    np.maximum.at(size, rows.rows, np.abs(rows.values))
+    system.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+    round_off = 10.0 * np.finfo(float).eps * system.getComm().tompi4py().allreduce(size.max(initial=0.0), op=MPI.MAX)
+    for number in start + np.flatnonzero(size <= round_off):
+        system.setValue(int(number), int(number), 1.0)
+    system.assemble()

@@ -1,0 +1,40 @@
+"""Values that belong to numbers several ranks hold: nodes, unknowns, cells of a grid."""
+
+from __future__ import annotations
+
+from fracflow._petsc import MPI, PETSc
+from fracflow.mesh.blocks import petsc_ints
+from fracflow.mesh.data import Floats, Ints
+
+
+class Shared:
+    """One value for each of ``total`` numbers, ``own`` of them kept on this rank; this rank uses those of ``numbers`` (k,)."""
+
+    def __init__(self, comm: MPI.Comm, own: int, total: int, numbers: Ints) -> None:
+        """Find the way between the two. Collective."""
+        self._all = PETSc.Vec().createMPI((own, total), comm=comm)
+        self._here = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
+        chosen = PETSc.IS().createGeneral(petsc_ints(numbers), comm=PETSc.COMM_SELF)
+        self._scatter = PETSc.Scatter().create(self._all, chosen, self._here, None)
+        chosen.destroy()
+
+    def largest(self, values: Floats) -> Floats:
+        """The largest (k,) of the values (k,) that ranks have for each number. Collective."""
+        self._all.set(float("-inf"))
+        self._here.setArray(values)
+        self._scatter.scatter(self._here, self._all, addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+        return self._fetch()
+
+    def of_owners(self, values: Floats) -> Floats:
+        """The values (k,) of this rank's numbers, from the values (own,) that each rank has for those it keeps. Collective."""
+        self._all.setArray(values)
+        return self._fetch()
+
+    def _fetch(self) -> Floats:
+        self._scatter.scatter(self._all, self._here)
+        return self._here.getArray().copy()
+
+    def destroy(self) -> None:
+        """Free vectors and scatter. Collective."""
+        for each in (self._scatter, self._all, self._here):
+            each.destroy()
