@@ -43,7 +43,9 @@ def intact(blocks: Blocks, layout: Layout, wall: Floats) -> PETSc.Mat:
     cols = np.zeros(len(rows), dtype=np.int64)
     cols[is_whole] = starts[comm.rank] + np.arange(whole[comm.rank])
     owner = np.searchsorted(blocks.flow.starts, flow[~is_whole], side="right") - 1
-    cols[~is_whole] = starts[owner] + whole[owner] + dim * (flow[~is_whole] - blocks.flow.starts[owner]) + axis[~is_whole]
+    cols[~is_whole] = (
+        starts[owner] + whole[owner] + dim * (flow[~is_whole] - blocks.flow.starts[owner]) + axis[~is_whole]
+    )
     here = layout.solid_count + layout.flow_count, layout.total
     result = create_matrix((here, (int(sizes[comm.rank]), int(starts[-1]))), 1, comm)
     add_blocks(result, layout.solid_numbers(rows)[:, None], cols[:, None], np.ones((len(rows), 1, 1)))
