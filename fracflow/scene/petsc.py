@@ -22,7 +22,7 @@ SOLVERS = (
 """Prefixes of the program's solvers; each has one, so that an option without one reaches none."""
 _SOLVER = re.compile(f"(?:{'|'.join(SOLVERS)})_")
 _INNER = re.compile(
-    r"fieldsplit_(?:solid|flow|\d{1,2})_|mg_(?:coarse|levels|fine)_(?:\d{1,2}_)?|(?:sub|redundant|ksp|esteig|inner|upper)_"
+    r"fieldsplit_(?:solid|flow|\d{1,2})_|mg_(?:coarse|levels|fine)_(?:\d{1,2}_)?|(?:sub|redundant|ksp|esteig|inner|upper|intact|jumps|strips)_"
 )
 _NUMBER = r"[-+]?(?:\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})(?:[eE][-+]?\d{1,3})?"
 _NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER}){{0,19}}")

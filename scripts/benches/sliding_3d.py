@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,11 +81,18 @@ def moduli(sections: int, normal: float, shear: float) -> Floats:
     return result
 
 
-def assemble(blocks: Blocks, count: int, normal: float, shear: float) -> tuple[PETSc.Mat, PETSc.Vec, Ints, int]:
-    """Matrix and right side with the outer sides held, the held unknowns, and the sections of all ranks. Collective.
+class System(NamedTuple):
+    """Matrix and right side, the unknowns ``held`` of the outer sides, and the number of sections of all ranks."""
 
-    count  cells along each side of the block
-    """
+    blocks: Blocks
+    matrix: PETSc.Mat
+    right: PETSc.Vec
+    held: Ints
+    sections: int
+
+
+def assemble(blocks: Blocks, count: int, normal: float, shear: float) -> System:
+    """The system with ``count`` cells along each side of the block. Collective."""
     block = blocks.solid
     cells = np.arange(len(block.cells))
     matrix = stiffness_of(blocks, cells, np.repeat(solid_stiffness(MODULUS, RATIO), len(cells), axis=0))
@@ -112,7 +119,7 @@ def assemble(blocks: Blocks, count: int, normal: float, shear: float) -> tuple[P
     matrix.zeroRowsColumns(rows, MODULUS * SIZE, right.duplicate(), right)
     push.destroy()
     jump.destroy()
-    return matrix, right, rows, blocks.comm.allreduce(len(sizes))
+    return System(blocks, matrix, right, rows, blocks.comm.allreduce(len(sizes)))
 
 
 def describe(blocks: Blocks, matrix: PETSc.Mat) -> PETSc.Vec:
@@ -138,15 +145,15 @@ def write(folder: Path, matrix: PETSc.Mat, right: PETSc.Vec, places: PETSc.Vec) 
         viewer.destroy()
 
 
-def solve(
-    blocks: Blocks, matrix: PETSc.Mat, right: PETSc.Vec, held: Ints, unknowns: int
-) -> tuple[PETSc.Vec, dict[str, Any]]:
-    """Solve as the program solves the displacements of a dry scene with so many unknowns. Collective."""
+def solve(system: System, unknowns: int) -> tuple[PETSc.Vec, dict[str, Any]]:
+    """Solve, to 1e-9, as the program solves the displacements of a dry scene with so many unknowns. Collective."""
+    blocks, matrix, right, held, _ = system
     set_defaults({}, unknowns)
     solver = PETSc.KSP().create(comm=matrix.getComm())
     solver.setOptionsPrefix("solid_")
     solver.setFromOptions()
     solver.setOperators(matrix)
+    solver.setTolerances(rtol=1e-9)
     result, left, facts = right.duplicate(), right.duplicate(), {}
     with timed(facts, "set_up_cpu_s"):
         if solver.getPC().getType() == "shell":
@@ -191,16 +198,17 @@ def main() -> int:
     if mesh is not None:
         facts |= {key: value for key, value in summary(mesh).items() if key != "lengths"}
     with timed(facts, "assembly_cpu_s"):
-        matrix, right, held, facts["sections"] = assemble(blocks, count, given.normal, given.shear)
+        system = assemble(blocks, count, given.normal, given.shear)
+        matrix, facts["sections"] = system.matrix, system.sections
         places = describe(blocks, matrix)
     facts["unknowns"], facts["entries"] = (
         matrix.getSize()[0],
         int(matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]),
     )
     given.out.mkdir(parents=True, exist_ok=True)
-    write(given.out, matrix, right, places)
+    write(given.out, matrix, system.right, places)
     for name in given.solve:
-        result, facts[name] = solve(blocks, matrix, right, held, SOLVERS[name])
+        result, facts[name] = solve(system, SOLVERS[name])
         facts[name]["largest"] = float(result.norm(PETSc.NormType.INFINITY))
         result.destroy()
     if comm.rank == 0:

@@ -67,9 +67,9 @@ class Outcome(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        """Whether error and order are within their bars."""
+        """Whether the error is within its bar, and the order where there are two sizes."""
         least = self.bar.order
-        slow = least is not None and (self.order is None or self.order < least)
+        slow = least is not None and len(self.sizes) > 1 and (self.order is None or self.order < least)
         return bool(self.errors[-1] <= self.most) and not slow
 
     @property

@@ -1,7 +1,7 @@
 """Jumps of long wavelength: hat functions of a coarse grid, cut by the fractures (Hansbo and Hansbo 2004).
 
-The support of a hat is parted where fractures cut it. Each part moves alone, so that parts jump, slide and open; the hats of a
-part sum to 1 and to its coordinates, so that every block of rock can also move rigidly.
+The support of a hat is parted where fractures cut it. Each part moves alone, so that parts jump, slide and open. The hats of a
+part sum to 1 and to its coordinates, and every block of rock can also move rigidly.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components
 
 from fracflow._petsc import MPI, PETSc
 from fracflow.mesh.blocks import Blocks
 from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.mesh.graph import components
 from fracflow.model.layout import Layout, add_blocks, create_matrix
 from fracflow.solve.fractured_rock.shared import Shared
 
@@ -149,5 +148,4 @@ def _local_parts(cells: Ints, number: Ints) -> Ints:
     which, entries = np.take_along_axis(which, order, axis=1), np.take_along_axis(entries, order, axis=1)
     joins = (which[:, 1:] == which[:, :-1]) & (which[:, 1:] >= 0)
     one, other = entries[:, 1:][joins], entries[:, :-1][joins]
-    graph = sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(number.size, number.size))
-    return np.asarray(connected_components(graph, directed=False)[1]).reshape(number.shape)
+    return components(one, other, number.size).reshape(number.shape)
