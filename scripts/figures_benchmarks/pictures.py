@@ -79,11 +79,11 @@ def chart(results: Sequence[Result], folder: Path, command: str) -> None:
                     )
                     drawn.append(there)
     axis.set_ylim(LEAST * 0.7, None)
-    axis.legend(handles=keys(results), fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    note = f"First observable of each problem, joined over sizes of cells or steps; {STARRED}. {command}"
+    legend = axis.legend(handles=keys(results), fontsize=8, loc="lower left", labelspacing=0.3)
+    note = f"Each problem's first error, over sizes of cells or steps; {STARRED}. {command}"
     figure.supxlabel(note, fontsize=7.5, color=PALE, x=0.012, ha="left")
     figure.draw_without_rendering()
-    place(axis, labels, drawn)
+    place(axis, labels, drawn, [legend.get_window_extent()])
     folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / "benchmarks.png")
 
@@ -92,20 +92,22 @@ def keys(results: Sequence[Result]) -> list[Line2D]:
     """The meaning of colours and shapes."""
     style = {"ls": "-", "marker": "o", "ms": 5, "lw": 1.4}
     shown = [Line2D([], [], color=colour, label=kind, **style) for kind, (colour, _) in KINDS.items()]
-    shown.append(Line2D([], [], color=INK, label="filled: fracflow", **style))
+    shown.append(Line2D([], [], color=INK, label="fracflow", **style))
     for program, sign in OTHERS.items():
         ran = {each.here for result in results for each in result.others if each.program.startswith(program)}
         for here in ran:
-            label = program + ("" if here else ",\nmeasured earlier, not here")
+            label = program + ("" if here else " (not run here)")
             shown.append(
                 Line2D([], [], color=INK, ls="--" if here else ":", marker=sign, ms=5, lw=0.9, mfc="white", label=label)
             )
     return shown
 
 
-def place(axis: Axes, labels: Sequence[tuple[str, str, Points]], drawn: Sequence[Points]) -> None:
+def place(
+    axis: Axes, labels: Sequence[tuple[str, str, Points]], drawn: Sequence[Points], filled: Sequence[Bbox] = ()
+) -> None:
     """Put each name beside a point of its curve where it covers no curve and no other name, the last point if it can."""
-    taken = []  # boxes, and how much it matters that they stay free
+    taken = [(20.0, box) for box in filled]  # boxes, and how much it matters that they stay free
     for curve in drawn:
         corners = axis.transData.transform(curve)
         at = np.linspace(0, len(curve) - 1, 24 * len(curve))

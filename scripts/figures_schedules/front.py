@@ -89,8 +89,14 @@ def _picture(folder: Path, ran: Mapping[Schedule, Found], fine: Mapping[Schedule
     axis.plot(*_points([values[i] for i in best]), "-", color=GREEN, label="front")
     axis.plot(*_points(values), "o", color=BLUE)
     for number, (schedule, found) in enumerate(ran.items()):
+        x, y = found.largest / BILLION, found.total / BILLION
+        beside = any(0 < other.largest / BILLION - x < 8 and abs(other.total / BILLION - y) < 20 for other in values)
         axis.annotate(
-            str(number + 1), (found.largest / BILLION, found.total / BILLION), (4, 4), textcoords="offset points"
+            str(number + 1),
+            (x, y),
+            (-4 if beside else 4, 4),
+            textcoords="offset points",
+            ha="right" if beside else "left",
         )
         if other := fine.get(schedule):
             axis.plot(*_points([found, other]), ":", color=PALE)

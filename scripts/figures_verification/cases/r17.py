@@ -131,12 +131,16 @@ def profiles_of(found: Found) -> Profiles:
     return Profiles(opening, 0.5 * (np.interp(PLACES, x, slip) + np.interp(-PLACES, x, slip)))
 
 
-def errors(size: float) -> tuple[float, ...]:
+def errors_of(found: Found) -> tuple[float, ...]:
     """Largest ones of opening and slip, over the largest opening and slip."""
     return tuple(
-        float(np.abs(here - there).max() / there.max())
-        for here, there in zip(profiles_of(pressed(size)), limit(), strict=True)
+        float(np.abs(here - there).max() / there.max()) for here, there in zip(profiles_of(found), limit(), strict=True)
     )
+
+
+def errors(size: float) -> tuple[float, ...]:
+    """Those of a run on joints of ``size``."""
+    return errors_of(pressed(size))
 
 
 BARS = (Bar("opening", 0.0095, 0.8, 0.01), Bar("slip", 0.0095, 0.8, 0.01))
