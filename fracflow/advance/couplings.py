@@ -12,7 +12,7 @@ from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
 from fracflow.solve import COUPLINGS, Coupling
 from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
-from fracflow.solve.options import is_large, is_meant
+from fracflow.solve.options import is_meant, takes_multigrid
 
 MOST_KEPT = 4  # solvers, with their factors, for different loads: wells go from one limit to the next, seldom back
 
@@ -65,7 +65,8 @@ class Couplings:
             return "condensed"
         if self.model.operators.flow is None and name != "condensed":
             return "monolithic"
-        return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
+        is_iterative = takes_multigrid(scene.method.rock_solver, unknowns) or is_meant("monolithic")
+        return "monolithic" if name == "auto" and is_iterative else name
 
     def _as_line(self) -> str:
         """Stages that are condensed, the numbers of unknowns, and the number of steps from which on condensing pays."""
