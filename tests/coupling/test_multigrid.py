@@ -95,3 +95,15 @@ def test_scene_or_size_decides():
 def test_a_factorisation_of_the_whole_is_no_multigrid():
     with pytest.raises(InputError, match='"multigrid": contradicts coupling = "whole-lu"; use'):
         load("meshes/crossings/scene.toml", ["method.rock_solver=multigrid", "method.coupling=whole-lu"])
+
+
+@pytest.mark.serial
+def test_a_step_that_multigrid_does_not_solve_is_solved_by_a_factorisation(tmp_path):
+    few = ["petsc.monolithic_ksp_max_it=1", "petsc.monolithic_ksp_rtol=1e-12", "method.rock_solver=multigrid"]
+    settings = ["output.pictures=false", "stage.1.steps=2"]
+    ends = []
+    for name, more in (("direct", []), ("multigrid", few)):
+        run(load("meshes/crossings/scene.toml", [*settings, *more]), tmp_path / name)
+        ends.append(read_history(tmp_path / name / "history.h5"))
+    found = [name for name in ends[0] if name.startswith("probe/") and name.endswith("/pressure")]
+    assert found and all(np.abs(ends[1][name] - ends[0][name]).max() < 1e-8 * 5e6 for name in found)
