@@ -10,9 +10,9 @@ from fracflow.advance.outcome import Log
 from fracflow.integrators import Stepper
 from fracflow.model.loads import Loads
 from fracflow.model.setup import Model
-from fracflow.solve import COUPLINGS, Coupling
+from fracflow.solve import COUPLINGS, Coupling, Multigrid
 from fracflow.solve.condensed_cost import condensing, is_chosen, key_of, planned
-from fracflow.solve.options import is_large, is_meant
+from fracflow.solve.options import is_meant, takes_multigrid
 
 MOST_KEPT = 4  # solvers, with their factors, for different loads: wells go from one limit to the next, seldom back
 
@@ -45,7 +45,8 @@ class Couplings:
             if len(self._kept) == MOST_KEPT:
                 self._kept.pop(next(iter(self._kept))).destroy()
             name = self._way()
-            coupling = COUPLINGS[name](self.model.scene, self.model.operators, loads)
+            kind: type[Coupling] = Multigrid if name == "multigrid" else COUPLINGS[name]
+            coupling = kind(self.model.scene, self.model.operators, loads)
             coupling.expect(self._planned)
             if name == "condensed" and not self._is_logged:
                 self.log(self._as_line())
@@ -63,9 +64,11 @@ class Couplings:
         scene, name, unknowns = self.model.scene, self.model.scene.method.coupling, self._unknowns
         if is_chosen(scene, unknowns, self._planned):
             return "condensed"
+        if name in ("auto", "monolithic") and takes_multigrid(scene.method.rock_solver, unknowns):
+            return "multigrid"
         if self.model.operators.flow is None and name != "condensed":
             return "monolithic"
-        return "monolithic" if name == "auto" and (is_large(unknowns) or is_meant("monolithic")) else name
+        return "monolithic" if name == "auto" and is_meant("monolithic") else name
 
     def _as_line(self) -> str:
         """Stages that are condensed, the numbers of unknowns, and the number of steps from which on condensing pays."""

@@ -76,6 +76,11 @@ def _method(scene: Tables) -> Iterator[Fault]:
     for key, allowed in against_condensing(scene) if method.coupling == "condensed" else ():
         names = " or ".join(f'"{value}"' for value in allowed)
         yield ("method", key), f'contradicts coupling = "condensed", which needs {names}; or use "monolithic"'
+    if method.rock_solver == "multigrid" and method.coupling not in ("auto", "monolithic"):
+        yield (
+            ("method", "rock_solver"),
+            f'contradicts coupling = "{method.coupling}"; use coupling = "auto", or "auto" here',
+        )
     if method.contact == "redistributed" and scene.has_flow and scene.has_dynamics:
         yield (
             ("method", "contact"),

@@ -37,7 +37,7 @@ from fracflow.simulation.observer import Observer, observer_of
 from fracflow.simulation.recorder import Recorder
 from fracflow.simulation.signals import RunRequest, SignalWatch
 from fracflow.simulation.totals import Totals
-from fracflow.solve.options import is_large, set_defaults
+from fracflow.solve.options import set_defaults, takes_multigrid
 from fracflow.storage.sealed import AGAIN
 
 OnStep = Callable[[Step], None]
@@ -208,9 +208,10 @@ def _go(begun: _Begun, progress: Observer | OnStep | None) -> Totals:
     """From a step to the end of the last stage. Collective."""
     model, recorder, step = begun.model, begun.recorder, begun.step
     unknowns = int(model.operators.layout.solid_starts[-1])
-    set_defaults(model.scene.petsc, unknowns, model.operators.layout.comm.size)
-    if is_large(unknowns):
-        recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation")
+    rock_solver = model.scene.method.rock_solver
+    set_defaults(model.scene.petsc, unknowns, model.operators.layout.comm.size, rock_solver)
+    if takes_multigrid(rock_solver, unknowns):
+        recorder.log(f"{unknowns} displacements: multigrid (BoomerAMG) in the place of a factorisation of the rock")
     stepping = Stepping(model, recorder.log)
     observer = observer_of(progress)
     recorder.report_saved(observer.saved)

@@ -9,7 +9,7 @@ from fracflow.scene.scene import Scene
 from fracflow.solve.condensed import Condensed
 from fracflow.solve.condensed_cost import Condensing
 from fracflow.solve.fixed_point.iteration import FixedPoint
-from fracflow.solve.monolithic import Auto, Monolithic, WholeLU
+from fracflow.solve.monolithic import Auto, Monolithic, Multigrid, WholeLU
 from fracflow.solve.problem import StepProblem
 
 
@@ -36,4 +36,4 @@ COUPLINGS: dict[str, type[Coupling]] = {
     "condensed": Condensed,
 }
 
-__all__ = ["COUPLINGS", "Coupling"]
+__all__ = ["COUPLINGS", "Coupling", "Multigrid"]

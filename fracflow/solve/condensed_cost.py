@@ -15,7 +15,7 @@ from fracflow.integrators import EXPLICIT, Alphas, stepper_from
 from fracflow.scene.boundary import Stage
 from fracflow.scene.checks import against_condensing
 from fracflow.scene.scene import Scene
-from fracflow.solve.options import is_large, is_meant
+from fracflow.solve.options import is_meant, takes_multigrid
 
 REFERENCE, JUMPS = 1e5, 800.0  # sizes at which the shares below were measured
 BESIDES = 0.3  # cost of an iteration on all unknowns beside LU: matrix, solve, balances
@@ -122,7 +122,8 @@ def condensing(scene: Scene, unknowns: int, jumps: int, ranks: int, damps: bool)
 def is_chosen(scene: Scene, unknowns: int, plan: Condensing) -> bool:
     """Whether the program chooses to condense the rock: the scene allows it, its methods permit it, and it pays."""
     allowed = scene.model == "default" and scene.method.coupling == "auto" and scene.method.newton == "newton"
-    suits = allowed and SMALLEST <= unknowns and not is_large(unknowns) and not any(against_condensing(scene))
+    is_multigrid = takes_multigrid(scene.method.rock_solver, unknowns)
+    suits = allowed and SMALLEST <= unknowns and not is_multigrid and not any(against_condensing(scene))
     return suits and plan.any_worth and not (is_meant("monolithic") or is_meant("solid"))
 
 

@@ -132,6 +132,8 @@ def renew(solver: PETSc.KSP, matrix: JoinedMatrix) -> None:
     new.setOptionsPrefix(solver.getOptionsPrefix())
     new.setOperators(*old.getOperators())
     new.setFromOptions()
+    if old.getType() == "python":
+        old.setType("none")  # ends its context now: PETSc may keep the solver until Python has ended
     solver.setPC(new)
     set_up(solver, matrix)
 

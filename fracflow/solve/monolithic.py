@@ -76,6 +76,8 @@ class WholeLU(Monolithic):
 class Auto(WholeLU):
     """The same, and FGMRES where LU leaves much of a balance: nearly closed fractures beside wide ones."""
 
+    second = "monolithic"
+
     def __init__(self, scene: Scene, operators: Operators, loads: Loads) -> None:
         """Make matrix and solver; the other solver when it is first needed. Collective."""
         super().__init__(scene, operators, loads)
@@ -90,7 +92,7 @@ class Auto(WholeLU):
                 isinstance(failure, Unsolved) or self._solves_badly(problem, failure)
             ):
                 raise
-            self.other, first = self.other or Newton(self.scene, self.matrix, "monolithic"), failure
+            self.other, first = self.other or Newton(self.scene, self.matrix, self.second), failure
         start_again(problem)
         problem.evaluate()
         try:
@@ -110,6 +112,15 @@ class Auto(WholeLU):
         """Free matrix and solvers. Collective."""
         destroy(self.other)
         super().destroy()
+
+
+class Multigrid(Auto):
+    """FGMRES with multigrid for the rock, and LU of the whole for steps in which its linear solves do not converge."""
+
+    prefix, second = "monolithic", "whole-lu"
+
+    def _solves_badly(self, problem: StepProblem, failure: NotConverged) -> bool:
+        return False
 
 
 def _is_left(problem: StepProblem, failure: NotConverged) -> bool:

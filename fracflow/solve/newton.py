@@ -400,4 +400,6 @@ class Newton:
 
     def destroy(self) -> None:
         """Free the solver. Collective."""
+        if self.solver.getPC().getType() == "python":  # PETSc may keep a solver that broke until Python has ended
+            self.solver.getPC().setType("none")
         destroy(self.factors, self.snes, self.solver, self.unknowns, self.balance)

@@ -118,16 +118,16 @@ def is_meant(prefix: str) -> bool:
     return any(name.startswith(f"{prefix}_") for name in _given)
 
 
-def is_large(unknowns: int) -> bool:
-    """Whether so many displacements are better solved for by multigrid."""
-    return unknowns >= MULTIGRID_FROM
+def takes_multigrid(rock_solver: str, unknowns: int) -> bool:
+    """Whether so many displacements are solved for by multigrid: as the scene says, or else where it takes no more time."""
+    return rock_solver == "multigrid" or (rock_solver == "auto" and unknowns >= MULTIGRID_FROM)
 
 
-def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0) -> None:
+def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0, rock_solver: str = "auto") -> None:
     """Put the defaults and the scene's own options into PETSc's database; those of the command line stay.
 
-    ``unknowns`` of displacement decide between factorisation and multigrid, and with ``ranks`` between factorisations. Options
-    of an earlier call, for this scene or another of this process, are removed.
+    ``rock_solver`` and ``unknowns`` of displacement decide between factorisation and multigrid, and with ``ranks`` between
+    factorisations. Options of an earlier call, for this scene or another of this process, are removed.
     """
     database = PETSc.Options()
     forget()
@@ -135,7 +135,7 @@ def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0) 
     _given.update(given, database.getAll())
     tables = [
         OPTIONS,
-        *([MULTIGRID] if is_large(unknowns) else []),
+        *([MULTIGRID] if takes_multigrid(rock_solver, unknowns) else []),
         *([_swift(ranks)] if is_swift(unknowns, ranks) else []),
     ]
     merged = {f"{prefix}_{key}": v for table in tables for prefix, own in table.items() for key, v in own.items()}

@@ -59,12 +59,9 @@ def worker(way: str, scene: str, out: str, result: str) -> None:
     from fracflow.output import read_history
     from fracflow.scene.scene import load
     from fracflow.simulation.run import run
-    from fracflow.solve import options
 
-    if way == "multigrid":
-        options.MULTIGRID_FROM = 0
-    failure = ""
-    read = load(Path(scene), ["output.pictures=false", *(['method.coupling="whole-lu"'] if way == "lu" else [])])
+    failure, choice = "", "method.rock_solver=multigrid" if way == "multigrid" else "method.coupling=whole-lu"
+    read = load(Path(scene), ["output.pictures=false", choice])
     try:
         run(read, Path(out))
     except (InputError, SolveError) as error:
@@ -143,7 +140,7 @@ def one_step(unknowns: int, normal: float, shear: float, ways: tuple[str, ...]) 
     reach = np.clip(np.sqrt(aperture**3 * normal / (12 * coupling.VISCOSITY * rule.alphas.a1)), 2.0, 300.0)
     rate = pressure * (aperture**3 / (12 * coupling.VISCOSITY * reach) + rule.alphas.a1 * reach / normal)
     for way in ways:
-        options.set_defaults(model.scene.petsc, options.MULTIGRID_FROM if way == "multigrid" else 0)
+        options.set_defaults(model.scene.petsc, rock_solver="multigrid" if way == "multigrid" else "direct")
         solver = (WholeLU if way == "lu" else Monolithic)(model.scene, ops, model.loads)
         solves = coupling.watch(solver.newton)
         problem = StepProblem(replace(ops), state, StepRequest(1.0, 1.0, {}, model.loads), rule)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fracflow._petsc import MPI, PETSc
+from fracflow.errors import InputError
 from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
@@ -53,14 +54,14 @@ def test_rigid_motions_strain_neither_rock_nor_joints(scene, comm):
     ],
     ids=["with fluid", "dry"],
 )
-def test_multigrid_finds_what_a_factorisation_finds(scene, overrides, natural, shared_tmp, monkeypatch):
+def test_multigrid_finds_what_a_factorisation_finds(scene, overrides, natural, shared_tmp):
     def ran(name):
-        run(load(f"meshes/{scene}/scene.toml", ["output.pictures=false", *overrides]), shared_tmp / name)
+        settings = ["output.pictures=false", f"method.rock_solver={name}", *overrides]
+        run(load(f"meshes/{scene}/scene.toml", settings), shared_tmp / name)
         MPI.COMM_WORLD.barrier()
         return read_history(shared_tmp / name / "history.h5")
 
     direct = ran("direct")
-    monkeypatch.setattr(defaults, "MULTIGRID_FROM", 0)
     multigrid = ran("multigrid")
     assert "multigrid" in (shared_tmp / "multigrid" / "log.txt").read_text(encoding="utf-8")
     assert direct["step/slipping"].max() > 0
@@ -73,14 +74,36 @@ def test_multigrid_finds_what_a_factorisation_finds(scene, overrides, natural, s
     assert 0 < more <= FEW * multigrid["step/newton"].sum()
 
 
-def test_size_decides(monkeypatch):
+@pytest.mark.serial
+def test_scene_or_size_decides():
     options = PETSc.Options()
     key = "monolithic_pc_type"
-    for unknowns, given, chosen in [
-        (defaults.MULTIGRID_FROM - 1, {}, "fieldsplit"),
-        (defaults.MULTIGRID_FROM, {}, "shell"),
-        (defaults.MULTIGRID_FROM, {key: "asm"}, "asm"),
-        (0, {}, "fieldsplit"),
+    for unknowns, solver, given, chosen in [
+        (defaults.MULTIGRID_FROM - 1, "auto", {}, "fieldsplit"),
+        (defaults.MULTIGRID_FROM, "auto", {}, "shell"),
+        (defaults.MULTIGRID_FROM, "auto", {key: "asm"}, "asm"),
+        (defaults.MULTIGRID_FROM, "direct", {}, "fieldsplit"),
+        (0, "multigrid", {}, "shell"),
+        (0, "auto", {}, "fieldsplit"),
     ]:
-        defaults.set_defaults(given, unknowns)
+        defaults.set_defaults(given, unknowns, rock_solver=solver)
         assert options[key] == chosen
+    assert list(defaults.MULTIGRID) == ["monolithic", "solid"]
+
+
+@pytest.mark.serial
+def test_a_factorisation_of_the_whole_is_no_multigrid():
+    with pytest.raises(InputError, match='"multigrid": contradicts coupling = "whole-lu"; use'):
+        load("meshes/crossings/scene.toml", ["method.rock_solver=multigrid", "method.coupling=whole-lu"])
+
+
+@pytest.mark.serial
+def test_a_step_that_multigrid_does_not_solve_is_solved_by_a_factorisation(tmp_path):
+    few = ["petsc.monolithic_ksp_max_it=1", "petsc.monolithic_ksp_rtol=1e-12", "method.rock_solver=multigrid"]
+    settings = ["output.pictures=false", "stage.1.steps=2"]
+    ends = []
+    for name, more in (("direct", []), ("multigrid", few)):
+        run(load("meshes/crossings/scene.toml", [*settings, *more]), tmp_path / name)
+        ends.append(read_history(tmp_path / name / "history.h5"))
+    found = [name for name in ends[0] if name.startswith("probe/") and name.endswith("/pressure")]
+    assert found and all(np.abs(ends[1][name] - ends[0][name]).max() < 1e-8 * 5e6 for name in found)

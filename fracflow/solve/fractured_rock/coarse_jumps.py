@@ -38,8 +38,7 @@ def hats(blocks: Blocks, size: float) -> Hats:
     points, comm = blocks.solid.points, blocks.comm
     dim = blocks.sizes.dim
     extremes = np.stack([points.min(axis=0), -points.max(axis=0)]) if len(points) else np.full((2, dim), np.inf)
-    low, high = comm.allreduce(extremes, op=_LEAST)
-    high = -high
+    low, high = np.min(comm.allgather(extremes), axis=0) * [[1.0], [-1.0]]
     shape = np.floor((high - low) / size).astype(np.int64) + 2
     cell = np.floor((points - low) / size).astype(np.int64)
     within = (points - low) / size - cell
@@ -51,13 +50,6 @@ def hats(blocks: Blocks, size: float) -> Hats:
             value[:, corner] *= within[:, axis] if side else 1.0 - within[:, axis]
     number[value < 1e-9] = -1
     return Hats(number, value, int(shape.prod()))
-
-
-def _least(one: Floats, other: Floats, _: object) -> Floats:
-    return np.minimum(one, other)
-
-
-_LEAST = MPI.Op.Create(_least, commute=True)
 
 
 def coarse_jumps(blocks: Blocks, layout: Layout, nodes: Shared, wall: Bools, size: float, held: Ints) -> PETSc.Mat:
