@@ -29,7 +29,7 @@ RESOLVED = 0.1  # of the slip over which strength falls: in a shorter step it ca
 LIMITS = ((1.0, 0.7), (0.95, 1.0))
 """Least shares of a state without a near equilibrium: of the sliding patch, which grows by a joint; of one that also counts
 the sections that almost slide."""
-REMEDY = '; slip goes on with inertia: set kind = "auto", or let a stage of kind = "dynamic" follow'
+REMEDY = '; slip goes on with inertia: let a stage of kind = "dynamic" follow, or begin a new run with kind = "auto"'
 MOST_HALVED = 40  # times: a step of a year is a millisecond then
 SEEN = 1e-2  # of the largest slip of a mode: what is less is beside the patch
 
