@@ -144,7 +144,7 @@ class FrontCubic(ExactCubic):
 
     Behind a front d goes as the power 2/3 of the distance to it (Desroches et al., 1994), and the place of the front in the
     element is not known. The mean of a line to the shut end would hold the front back until that end gapes all at once.
-    Here x is what the openings of the ends differ by beyond the aperture at rest: nothing is added where walls part by less,
+    Here x is what the openings of the ends differ by beyond the aperture at rest. Nothing is added where walls part by less,
     and next to nothing where elements are small beside the opening. Walls pressed into each other count as shut, so that x is
     no more than the wide end opened by. FRONT is the mean of the middle's d^3 over that of the wide end's, each over all places
     of the front in the element.

@@ -75,7 +75,7 @@ def test_multigrid_finds_what_a_factorisation_finds(scene, overrides, natural, s
 
 
 def test_parts_that_jump_are_the_same_on_any_number_of_ranks(comm):
-    """Of each hat that fractures cut; a part that ranks share is one."""
+    """A part that ranks share is one."""
 
     def count(on):
         operators = prepare(load("meshes/crossings/scene.toml"), on).operators

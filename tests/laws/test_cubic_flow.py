@@ -90,7 +90,7 @@ def test_derivatives_with_a_front():
 
 
 def test_walls_pressed_into_each_other_are_shut():
-    """By however much; and next to a front, shut elements conduct nothing, with numbers for derivatives."""
+    """By however much. Shut elements beside a front conduct nothing."""
     opening = np.array([[2.0, -1.0], [2.0, -5.0], [-2.0, -5.0], [-1.0, -5.0], [-5.0, 9.0]])
     found = two_ends(1.0, opening)
     assert found.value == pytest.approx([2**4 / 3 / 8, 2**4 / 3 / 8, 0.0, 0.0, 9**4 / 10 / 8])

@@ -113,7 +113,7 @@ def test_records_beside_it_are_of_its_chain(tmp_path, monkeypatch):
 
 @pytest.mark.serial
 def test_a_record_damaged_beside_it_is_none(tmp_path, monkeypatch):
-    """A bit that a crash turned ends what is there; the records before it are read, without an error."""
+    """The records before it are read."""
     monkeypatch.setattr("fracflow.storage.hdf5.SHARE", 1e9)
     path = tmp_path / "h.h5"
     with HistoryFile(path) as history:
