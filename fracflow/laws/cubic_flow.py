@@ -145,22 +145,25 @@ class FrontCubic(ExactCubic):
     Behind a front d goes as the power 2/3 of the distance to it (Desroches et al., 1994), and the place of the front in the
     element is not known. The mean of a line to the shut end would hold the front back until that end gapes all at once.
     Here x is what the openings of the ends differ by beyond the aperture at rest. Nothing is added where walls part by less,
-    and next to nothing where the opening hardly changes along the element. FRONT is the mean of the middle's d^3 over that of
-    the wide end's, each over all places of the front in the element.
+    and next to nothing where the opening hardly changes along the element. Walls pressed into each other count as shut, so that
+    x is no more than the wide end opened by. FRONT is the mean of the middle's d^3 over that of the wide end's, each over all
+    places of the front in the element.
     """
 
     def conductance(self, opening: Floats, slip: Floats, history: History, step: LawStep = INSTANT) -> Conductance:
         """As for ``CubicLaw``, of openings (n, 2), with what a front lets through."""
         found = super().conductance(opening, slip, history, step)
-        parted = opening[:, 0] - opening[:, 1]
-        beyond = np.abs(parted) - self.aperture.mean(axis=1)
+        rest = self.aperture.mean(axis=1)
+        is_apart = opening > -rest[:, None]
+        parted = -np.diff(np.where(is_apart, opening, -rest[:, None]), axis=1)[:, 0]
+        beyond = np.abs(parted) - rest
         there = beyond > 0.0
         if not there.any():
             return found
         hydraulic, by_opening, by_slip = self.hydraulic(opening, slip, history, step)
-        beyond, total = np.where(there, beyond, 1.0), hydraulic.sum(axis=1)
+        beyond, total = np.where(there, beyond, 1.0), np.where(there, hydraulic.sum(axis=1), 1.0)
         front = conductance(np.where(there, FRONT * beyond**4 / total, 0.0), self.length, self.viscosity)
-        away = (4.0 * front * np.sign(parted) / beyond)[:, None] * np.array([1.0, -1.0])
+        away = (4.0 * front * np.sign(parted) / beyond)[:, None] * np.array([1.0, -1.0]) * is_apart
         narrower = (front / total)[:, None]
         return Conductance(
             found.value + front,

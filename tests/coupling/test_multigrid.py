@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from fracflow._petsc import MPI, PETSc
+from fracflow._petsc import MPI, PETSc, destroy
 from fracflow.errors import InputError
 from fracflow.output import read_history
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.scene import load
 from fracflow.simulation.run import run
 from fracflow.solve import options as defaults
+from fracflow.solve.fractured_rock.preconditioner import parts_of
 from fracflow.solve.jacobian import near_null_space, rigid_motions
 
 FEW = 20  # Krylov iterations in a Newton iteration, beyond those with exact blocks
@@ -72,6 +73,24 @@ def test_multigrid_finds_what_a_factorisation_finds(scene, overrides, natural, s
         assert np.abs(multigrid[name] - direct[name]).max() <= 1e-8 * size, name
     more = multigrid["step/krylov"].sum() - direct["step/krylov"].sum()
     assert 0 < more <= FEW * multigrid["step/newton"].sum()
+
+
+def test_parts_that_jump_are_the_same_on_any_number_of_ranks(comm):
+    """A part that ranks share is one."""
+
+    def count(on):
+        operators = prepare(load("meshes/crossings/scene.toml"), on).operators
+        parts = parts_of(operators.blocks, operators.layout, operators.scales.length / 5.0, np.zeros(0, dtype=np.int64))
+        found = (
+            parts.jumps.getSize()[1] - operators.blocks.flow.starts[-1],
+            parts.intact.getSize()[1],
+            parts.jumps.norm(),
+        )
+        destroy(parts.jumps, parts.intact, parts.strips)
+        return found
+
+    found = count(comm)
+    assert found == pytest.approx(count(MPI.COMM_SELF), rel=1e-12) and found[0] > 0
 
 
 @pytest.mark.serial

@@ -89,6 +89,15 @@ def test_derivatives_with_a_front():
         assert np.allclose(by, found.by_opening[:, end], rtol=1e-6, atol=1e-6)
 
 
+def test_walls_pressed_into_each_other_are_shut():
+    """By however much. Shut elements beside a front conduct nothing."""
+    opening = np.array([[2.0, -1.0], [2.0, -5.0], [-2.0, -5.0], [-1.0, -5.0], [-5.0, 9.0]])
+    found = two_ends(1.0, opening)
+    assert found.value == pytest.approx([2**4 / 3 / 8, 2**4 / 3 / 8, 0.0, 0.0, 9**4 / 10 / 8])
+    assert np.isfinite(found.by_opening).all() and not found.by_opening[2:4].any()
+    assert found.by_opening[1, 1] == 0.0 and found.by_opening[4, 0] == 0.0
+
+
 class RidesUp(FrontCubic):
     """Walls that a slip of one component along the joint parts for the fluid by half of it."""
 

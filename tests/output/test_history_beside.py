@@ -112,6 +112,31 @@ def test_records_beside_it_are_of_its_chain(tmp_path, monkeypatch):
 
 
 @pytest.mark.serial
+def test_a_record_damaged_beside_it_is_none(tmp_path, monkeypatch):
+    """The records before it are read."""
+    monkeypatch.setattr("fracflow.storage.hdf5.SHARE", 1e9)
+    path = tmp_path / "h.h5"
+    with HistoryFile(path) as history:
+        for i in range(9):
+            history.append({"time": float(i)})
+        whole = redo_of(path).read_bytes()
+        each = len(whole) // 8
+        for place in (
+            5 * each,
+            5 * each + 10,
+            5 * each + 14,
+            6 * each - 40,
+            6 * each - 1,
+        ):  # head, checksum, length, row
+            damaged = bytearray(whole)
+            damaged[place] ^= 1
+            redo_of(path).write_bytes(damaged)
+            assert len(read_history(path)["time"]) == 6
+        redo_of(path).write_bytes(whole[: 6 * each - 1])
+        assert len(read_history(path)["time"]) == 6
+
+
+@pytest.mark.serial
 def test_what_is_put_down_beside_it_stays_short(tmp_path, monkeypatch):
     monkeypatch.setattr("fracflow.storage.hdf5.SHARE", 1e9)
     monkeypatch.setattr("fracflow.storage.hdf5.LONGEST_REDO", 10_000)
