@@ -147,7 +147,7 @@ def catalogue_of(scene: Scene, mesh: SplitMesh, place: Ints, notes: Mapping[str,
     if all(stage.kind != "auto" for stage in scene.stage):
         return None
     catalogue = Catalogue(fault_ends(scene, mesh, place))
-    if notes is not None:
+    if notes is not None and notes["catalogue"]:  # empty where a stage auto was added to the scene
         catalogue.remember(notes["catalogue"])
     return catalogue
 

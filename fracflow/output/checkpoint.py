@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -138,10 +138,17 @@ def restoring(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: {_NO_CHECKPOINT} of this version ({what}); {AGAIN}") from error
 
 
-def check_stage(notes: Mapping[str, Any], stages: int) -> None:
-    """Raise InputError for a checkpoint of a stage that the scene, which has so many, has not."""
-    if notes["stage"] >= stages:
-        raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} of this scene (stage {notes['stage']} of {stages}); {AGAIN}")
+def check_stage(notes: Mapping[str, Any], kinds: Sequence[str]) -> None:
+    """Raise InputError for a checkpoint amid a stage that the scene, with stages of these kinds, has not, or of another kind."""
+    number, progress = notes["stage"], notes["progress"] or {}
+    if number >= len(kinds):
+        raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} of this scene (stage {number} of {len(kinds)}); {AGAIN}")
+    is_amid = bool(progress) and not progress.keys() & {"fresh", "done", "moving"}
+    if is_amid and ("least" in progress) != (kinds[number] == "auto"):
+        raise InputError(
+            f'scene.toml: stage.{number}.kind = "{kinds[number]}": the run was stopped amid this stage, of another kind;'
+            " put its kind back and let a stage follow it, or begin a new run: fracflow run"
+        )
 
 
 def spread(comm: MPI.Comm, arrays: Arrays | None) -> Arrays:

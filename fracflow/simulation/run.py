@@ -150,7 +150,7 @@ def resume(
         refuse_imbalance(model)
         model, facts = planned(model, notes["totals"]["undone"], cell_rank)
         with restoring(saved):
-            check_stage(notes, len(scene.stage))
+            check_stage(notes, [stage.kind for stage in scene.stage])
             state = restore_state(model.operators, arrays, notes)
         step = Step(state, notes["stage"], 0.0, StepReport(), notes["progress"])
         recorder = Recorder(model, facts, folder, comm, notes)

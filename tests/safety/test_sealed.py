@@ -191,6 +191,21 @@ def test_a_scene_with_other_probes_cannot_go_on(folder, monkeypatch, capfd):
     assert "probes or controls of the scene were changed" in said
 
 
+def test_a_stage_that_was_begun_keeps_its_kind(folder, monkeypatch, capfd):
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace('kind = "quasi-static"', 'kind = "auto"'))
+    said = refused(folder, monkeypatch, capfd)
+    assert 'stage.0.kind = "auto": the run was stopped amid this stage' in said and "let a stage follow it" in said
+
+
+def test_a_stage_auto_may_follow_in_a_run_that_had_none(folder):
+    text = (folder / "scene.toml").read_text()
+    more = '[[stage]]\nkind = "auto"\ntime_step = 21600.0\nend = 237600.0\n'
+    (folder / "scene.toml").write_text(text + more)
+    resume(folder)
+    assert read_history(folder / "history.h5")["time"][-1] == 66 * 3600.0
+
+
 def test_a_folder_without_seals_goes_on_with_a_line(folder, whole, recwarn):
     """As earlier versions left them: the same to the bit, and sealed from then on."""
     with changed_notes(folder / "checkpoint.h5") as notes:
