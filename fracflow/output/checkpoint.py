@@ -139,7 +139,7 @@ def restoring(path: Path) -> Iterator[None]:
 
 
 def check_stage(notes: Mapping[str, Any], kinds: Sequence[str]) -> None:
-    """Raise InputError for a checkpoint amid a stage that the scene, with stages of these kinds, has not, or of another kind."""
+    """Raise InputError for a checkpoint of a stage that the scene has not, or of another of its ``kinds``."""
     number, progress = notes["stage"], notes["progress"] or {}
     if number >= len(kinds):
         raise InputError(f"checkpoint.h5: {_NO_CHECKPOINT} of this scene (stage {number} of {len(kinds)}); {AGAIN}")
