@@ -132,7 +132,7 @@ def _of_traces(table: Path, path: Path) -> SceneParts:
 domain = [{", ".join(f"{each:.10g}" for each in corners)}] # xmin, ymin, xmax, ymax: around the traces
 fractures_csv = {write_value(_relative(table, path))}
 size = {_round(coarse)} # of cells away from fractures; leave both sizes out, and they follow from the scene
-size_at_fractures = {_round(fine)}
+size_at_fractures = {_below(fine)}
 {_named(order)}"""
     return SceneParts(text, extent, order)
 
@@ -165,6 +165,12 @@ file = {write_value(_relative(file, path))}
 def _round(size: float) -> str:
     """A size with two digits."""
     return f"{float(f'{size:.2g}'):.10g}"
+
+
+def _below(size: float) -> str:
+    """The largest size of two digits that is no larger: `check` holds cells beside fractures against it."""
+    unit = 10.0 ** (math.floor(math.log10(size)) - 1)
+    return f"{math.floor(size / unit + 1e-9) * unit:.10g}"
 
 
 def _relative(file: Path, path: Path) -> str:

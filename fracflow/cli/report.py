@@ -20,7 +20,7 @@ from fracflow.output.drawing.axes import shown, unit_for
 from fracflow.output.events import read_events
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.fracture_table import COLUMNS, fracture_table
-from fracflow.output.history import read_attributes, read_history, read_units, shut_line
+from fracflow.output.history import last_of, read_attributes, read_history, read_units, shut_line
 from fracflow.output.slip_at_crossings import crossing_lines
 from fracflow.scene.quantities import quantities
 from fracflow.scene.scene import load
@@ -102,7 +102,7 @@ def _report_wells(history: Mapping[str, Any], units: Mapping[str, str], console:
         word = row.name.removeprefix("well/")
         if word == "limit":
             continue
-        values = np.array([history[f"well/{name}/{word}"][-1] for name in names], dtype=float)
+        values = np.array([last_of(history[f"well/{name}/{word}"]) for name in names], dtype=float)
         factor, unit = unit_for(row.dimension, _largest(values), units)
         table.add_column(escape(f"{word} [{shown_plain(unit)}]" if unit else word), justify="right")
         columns.append([f"{factor * value:.5g}" if np.isfinite(value) else "-" for value in values])

@@ -20,6 +20,7 @@ from fracflow.storage.sealed import AGAIN, SEAL, WIDTH, chain, chain_start, dige
 
 _ROWS_A_CHUNK = 256
 AT_LIMIT, SHUT = 1, 2  # values of well/NAME/limit
+ROUND_OFF = 1e-9  # of the largest value of a history
 MOST_SPANS = 3  # of times in which a well was shut, in a line
 _NO_HISTORY, _REMEDY = "is no readable history", f"put back a copy of the file, or {AGAIN}"
 
@@ -233,6 +234,12 @@ def read_table(path: str | Path, key: str, attrs: Mapping[str, Any] | None = Non
     except (ValueError, TypeError, RecursionError):
         pass
     raise InputError(f"{path}: its attribute {key} is no table; {_REMEDY}")
+
+
+def last_of(values: NDArray[Any]) -> float:
+    """The last of values (n,) in time; 0 where it is round-off of the largest, as the rate of a well that is shut."""
+    largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    return 0.0 if abs(values[-1]) < ROUND_OFF * largest else float(values[-1])
 
 
 def shut_times(history: Mapping[str, NDArray[Any]], well: str) -> list[tuple[float, float]]:

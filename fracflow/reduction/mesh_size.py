@@ -385,7 +385,8 @@ def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]
         return []
     from scipy.spatial import cKDTree  # imports much
 
-    joints = view.joints
+    joints, growth = view.joints, getattr(view.scene.geometry, "growth", None)
+    remedy = "refine" if growth is not None and growth <= GENTLE else f"geometry.growth = {GENTLE:g}, or refine"
     middle = mesh.points[mesh.joint_bottom].mean(axis=1)
     reach = np.nanmin(np.where(view.weakens, slip.nucleation_lengths(view), np.inf), axis=1)
     weak = np.flatnonzero(np.isfinite(reach))
@@ -401,7 +402,6 @@ def coarse_beside(view: CheckInput, mesh: SplitMesh, edges: Floats) -> list[str]
             lines.append(
                 f"mesh: the nucleation length of {name} is not resolved in the rock beside it: within"
                 f" {reach[own[here]].min():.3g}{view.unit(LENGTH)} cells grow by {grows:.3g} of the distance, more than"
-                f" {GENTLE:g}, which holds the fracture too stiffly and lets slip run away late: geometry.growth ="
-                f" {GENTLE:g}, or refine"
+                f" {GENTLE:g}, which holds the fracture too stiffly and lets slip run away late: {remedy}"
             )
     return lines

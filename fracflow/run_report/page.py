@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fracflow._version import __version__
 from fracflow.output.folder import write_atomic
-from fracflow.output.history import shut_line
+from fracflow.output.history import last_of, shut_line
 from fracflow.run_report.catalogue import Charts, events_of, figure
 from fracflow.run_report.data import Chart, RunReport, Series, number, read_run
 from fracflow.run_report.map import Frames, map_record, read_frames
@@ -185,7 +185,7 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
     ends = [(quantity, _OF_WELLS[quantity], lines) for quantity, lines in histories.items() if lines]
     rows = [
         (name, f"({run.shown(x, LENGTH, 5)}, {run.shown(y, LENGTH, 5)})", frames.nearest((x, y)) if frames else "–",
-         *(run.shown(float(lines[name][1][-1]), dimension) if name in lines else "–" for _, dimension, lines in ends))
+         *(run.shown(last_of(lines[name][1]), dimension) if name in lines else "–" for _, dimension, lines in ends))
         for name, (x, y) in run.wells.items()
     ]  # fmt: skip
     if rows:
