@@ -157,7 +157,7 @@ def solve_nonlinear(snes: PETSc.SNES, unknowns: PETSc.Vec, name: str, refusals: 
             raise refusals.pop()
     except (Unsolved, PETSc.Error) as error:
         solver = snes.getKSP()
-        if solver.getPC().getType() in ("lu", "redundant"):
+        if solver.getPC().getType() == "lu":
             solver.getPC().reset()
         if isinstance(error, Unsolved) or error.ierr != BROKEN:
             raise

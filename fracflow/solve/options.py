@@ -72,17 +72,11 @@ MULTIGRID: dict[str, dict[str, Value]] = {"monolithic": _FRACTURED, "solid": _FR
 """Options that take the place of those above in large scenes."""
 
 
-SWIFT_FROM = 1_000
-SWIFT_TO, SWIFT_ON_EACH = 400_000, 6_000
-"""Displacement unknowns between which UMFPACK takes the place of MUMPS: on one rank, and on each of several ranks the whole
-matrix. From 1.3e3 to 3.2e5 unknowns it factors in the same time, and solves in a fifth to a third of it. Ranks of MUMPS wait
-for each other: at 2.6e3 unknowns, on 2 ranks that share a core, it took 3.5 times as much CPU (scripts/bench iteration).
-There factors are not kept, since iterations of FGMRES make ranks wait as well."""
+SWIFT_FROM, SWIFT_TO = 1_000, 400_000
+"""Displacement unknowns between which UMFPACK takes the place of MUMPS on one rank. From 1.3e3 to 3.2e5 unknowns it factors in
+the same time, and solves in a fifth to a third of it (scripts/bench iteration)."""
 
 _UMFPACK: dict[str, Value] = {"pc_factor_mat_solver_type": "umfpack"}
-_ON_EACH = {"pc_type": "redundant", **{f"redundant_{key}": value for key, value in _UMFPACK.items()}}
-
-
 _SMALL_PARTS: dict[str, dict[str, Value]] = {
     prefix: {f"{part}_{key}": value for part in ("jumps", "strips") for key, value in _UMFPACK.items()}
     for prefix in MULTIGRID
@@ -91,14 +85,14 @@ _SMALL_PARTS: dict[str, dict[str, Value]] = {
 
 def is_swift(unknowns: int, ranks: int) -> bool:
     """Whether so many displacements are solved for by UMFPACK."""
-    most = SWIFT_TO if ranks == 1 else SWIFT_ON_EACH
-    return ranks > 0 and SWIFT_FROM < unknowns <= most and bool(PETSc.Sys.hasExternalPackage("suitesparse"))
+    fits = ranks == 1 and SWIFT_FROM < unknowns <= SWIFT_TO
+    return fits and bool(PETSc.Sys.hasExternalPackage("suitesparse"))
 
 
-def _swift(ranks: int) -> dict[str, dict[str, Value]]:
+def _swift() -> dict[str, dict[str, Value]]:
     """UMFPACK for the solvers whose factorisation neither the scene nor the command line chooses."""
     own = [p for p in ("whole-lu", "solid") if not any(name.startswith((f"{p}_pc_", f"{p}_mat_")) for name in _given)]
-    return dict.fromkeys(own, _UMFPACK if ranks == 1 else _ON_EACH)
+    return dict.fromkeys(own, _UMFPACK)
 
 
 def solver_of(matrix: PETSc.Mat, prefix: str) -> PETSc.KSP:
@@ -147,7 +141,7 @@ def set_defaults(given: Mapping[str, Value], unknowns: int = 0, ranks: int = 0, 
         OPTIONS,
         *([MULTIGRID] if is_multigrid else []),
         *([_SMALL_PARTS] if is_multigrid and ranks == 1 and PETSc.Sys.hasExternalPackage("suitesparse") else []),
-        *([_swift(ranks)] if is_swift(unknowns, ranks) else []),
+        *([_swift()] if is_swift(unknowns, ranks) else []),
     ]
     merged = {f"{prefix}_{key}": v for table in tables for prefix, own in table.items() for key, v in own.items()}
     for key, value in {**merged, **given}.items():

@@ -85,7 +85,10 @@ def measure_model(model: Any, state: Any, apertures: list[float], blocks: str, c
     from fracflow.solve.request import StepRequest, StepRule
 
     kinds = {"steady": Steady(), "quasi-static": BackwardEuler(), "dynamic": STEPPERS["newmark"]()}
-    defaults.set_defaults(model.scene.petsc, defaults.MULTIGRID_FROM if blocks == "multigrid" else 0)
+    sharp = {"monolithic_ksp_rtol": 1e-9}  # with either
+    defaults.set_defaults(
+        {**model.scene.petsc, **sharp}, rock_solver="multigrid" if blocks == "multigrid" else "direct"
+    )
     solver = Monolithic(model.scene, model.operators, model.loads)
     solves = watch(solver.newton)
     length = EXTENT * np.diff(FAULTS[case["fault"]])[0]
