@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from PIL import Image
 from sheets import ROOT
 
 QUICK = (
@@ -30,6 +31,7 @@ SHOWN = {
     "report_5_5-overview": "report_5_5/overview.png",
 }
 """Name of a picture -> where meshes/ shows it."""
+WIDE = 1400  # pixels of a picture in meshes/: sharp at the width of a page, and below a megabyte
 
 
 def main() -> int:
@@ -47,11 +49,18 @@ def main() -> int:
     if given.into_meshes:
         for name, shown in SHOWN.items():
             if name.partition("-")[0] in names and (given.output / f"{name}.png").exists():
-                shutil.copyfile(given.output / f"{name}.png", ROOT / "meshes" / shown)
+                _show(given.output / f"{name}.png", ROOT / "meshes" / shown)
     print(f"{len(names) - len(failed)} of {len(names)} scenes drawn into {given.output}")
     for name in failed:
         print(f"{name}: failed")
     return 1 if failed else 0
+
+
+def _show(picture: Path, shown: Path) -> None:
+    """Put a picture where a page shows it, no wider than that needs."""
+    with Image.open(picture) as image:
+        image.thumbnail((WIDE, image.height), Image.Resampling.LANCZOS)
+        image.convert("RGB").save(shown, optimize=True)
 
 
 def _drawn(name: str, output: Path) -> list[bool]:
