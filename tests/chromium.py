@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-import time
 
 
 class Chromium:
@@ -18,7 +17,7 @@ class Chromium:
         found = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
         program = next(filter(None, found), None)
         assert program, "Chromium is missing: scripts/test installs it (apt-get install chromium)"
-        self.faults, self._last, self._rest = [], 0, b""
+        self.faults, self._last, self._rest, self._loaded = [], 0, b"", set()
         self._home = tempfile.mkdtemp(prefix="fracflow-chromium-")
         theirs, self._to = os.pipe()
         self._from, ours = os.pipe()
@@ -36,6 +35,7 @@ class Chromium:
         self._session = self.call("Target.attachToTarget", **about)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+        self.call("Page.setLifecycleEventsEnabled", enabled=True)
 
     _session = None
 
@@ -77,6 +77,8 @@ class Chromium:
             self.faults.append(str(params["args"]))
         if found.get("method") == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
             self.faults.append(params["entry"]["text"])
+        if found.get("method") == "Page.lifecycleEvent" and params["name"] == "load":
+            self._loaded.add(params["loaderId"])
         if found.get("method") == "Network.requestWillBeSent":
             url = params["request"]["url"]
             self.faults += [] if url.startswith(("file:", "data:", "about:")) else [f"asked for {url}"]
@@ -86,11 +88,20 @@ class Chromium:
         """Show a file, at a width of the window."""
         metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600}
         self.call("Emulation.setDeviceMetricsOverride", **metrics)
-        self.call("Page.navigate", url=f"file://{os.path.abspath(path)}")
-        end = time.monotonic() + 60
-        while self.value("document.readyState") != "complete" or self.value("location.href") == "about:blank":
-            assert time.monotonic() < end, "the page does not load"
-            time.sleep(0.02)
+        document = self.call("Page.navigate", url=f"file://{os.path.abspath(path)}")
+        assert "errorText" not in document, document
+        while (
+            "loaderId" in document and document["loaderId"] not in self._loaded
+        ):  # its scripts run in a page that stays
+            self._read()
+        return self
+
+    def follow(self, link):
+        """Click a link, by its selector, that leads to another document, and await it."""
+        before = len(self._loaded)
+        self.value(f"document.querySelector({json.dumps(link)}).click(); 0")
+        while len(self._loaded) == before:
+            self._read()
         return self
 
     def value(self, script):

@@ -7,6 +7,8 @@ on each rank and within a rank follow the original numbers.
 
 from __future__ import annotations
 
+import ctypes
+import os
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
@@ -55,12 +57,21 @@ def partition_cells(mesh: SplitMesh, ranks: int) -> Ints:
     partitioner.setAdjacency(adjacency)
     partitioner.setType("ptscotch")
     partitioner.setFromOptions()
+    _begin_anew()
     partitioner.apply(result)
     found = result.getIndices().astype(np.int64)
     for name in given:
         options.delValue(name)
     destroy(result, partitioner, adjacency)
     return found
+
+
+def _begin_anew() -> None:
+    """Let Scotch find the same partition again: one thread, since threads race, and its random numbers from the first on."""
+    os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
+    reset = getattr(ctypes.CDLL(PETSc.__file__), "SCOTCH_randomReset", None)  # found among the libraries of PETSc
+    if reset is not None:
+        reset()
 
 
 def distribute(
