@@ -197,7 +197,7 @@ def _draw_lines(
         _say_nothing(axes)
         return
     if len(shown) < len(lines):
-        axes.set_title(f"{title} (the {len(shown)} that change most)")
+        axes.set_title(f"{title} ({len(shown)} of {len(lines)})")
     scale = axis_of(dimension, [lines[name][span] for name in shown], run.units, run.noise.get(dimension, 0.0))
     drawn = {name: scale(lines[name][span]) for name in shown}
     for (_, values), colour in zip(drawn.items(), COLOURS, strict=False):

@@ -130,7 +130,7 @@ def magnitude(vectors: Any) -> Any:
 Q = OutputQuantity
 _ROWS = (
     Q("displacement", LENGTH, "node", of("displacement"), "of the rock; on a fracture, of its top wall, the left of the trace",
-      "vector", label="displacement in the direction of its largest"),
+      "vector", label="displacement along its main direction"),
     Q("displacement_bottom", LENGTH, "wall", of("bottom"), "of the bottom wall, the right of the trace", "vector", drawn=False),
     Q("velocity", VELOCITY, "node", of("velocity"), "of the rock; on a fracture, of its top wall", "vector", drawn=False),
     Q("acceleration", ACCELERATION, "node", of("acceleration"), "of the rock; on a fracture, of its top wall", "vector",
