@@ -59,7 +59,7 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
 
 
 def remembered_by_terms(problem: StepProblem) -> dict[str, Floats]:
-    """Memories of terms at the end of the step. Collective."""
+    """Memories (j, 2, m) of terms at the end of the step. Collective."""
     network, memory = problem.operators.flow, problem.state.memory
     if network is None or not memory:
         return {}

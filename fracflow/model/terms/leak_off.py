@@ -72,7 +72,7 @@ class LeakOff(Term):
         return new
 
     def lost(self, memory: Floats, dt: float) -> float:
-        """Volume that this rank's joints lost in the last step, of length ``dt`` [volume per thickness]."""
+        """Volume that this rank's joints lost in a step of length ``dt``, by the memory (j, 2, m) after it [volume/thickness]."""
         return float(memory[..., MEAN].sum()) * dt
 
     def _volume(self, memory: Floats, pressure: Floats, dt: float) -> tuple[Floats, Floats]:

@@ -110,15 +110,15 @@ class Term:
 
     def memory(self) -> Floats:
         """Its memory (j, 2, m) at the ends of this rank's joints at the start, if it remembers."""
-        raise NotImplementedError
+        return np.zeros((0, 2, 0))
 
     def remembered(self, pressure: Floats, step: StepOfTerms) -> Floats:
         """Its memory (j, 2, m) after a step to these pressures (j, 2); likewise."""
-        raise NotImplementedError
+        return step.memory[self.name]
 
     def lost(self, memory: Floats, dt: float) -> float:
-        """Fluid that left this rank's joints in the last step, by its memory [volume per thickness]; likewise."""
-        raise NotImplementedError
+        """Fluid that left this rank's joints in the last step, by the memory (j, 2, m) after it [volume per thickness]."""
+        return 0.0
 
     def leaving(self, pressure: Floats, aperture: Floats, step: StepOfTerms) -> Leaving:
         """Fluid that leaves by it at pressures and apertures (j, 2) of the ends of this rank's joints [stress], [length]."""
