@@ -87,7 +87,8 @@ def equilibrium_state(model: Model) -> State:
     controls = {name: control.initial for name, control in scene.control.items()}
     holding, friction = _holding(model, motion, sections, pressure), np.zeros(len(ops.joints.weights))
     state = State(0.0, motion, pressure, sections, holding, controls, empty_balance(ops.terms), friction=friction)
-    state = replace(state, left={term.name: 0.0 for term in ops.terms if term.drains})
+    memory = {term.name: term.memory() for term in ops.terms if term.remembers}
+    state = replace(state, left={term.name: 0.0 for term in ops.terms if term.drains}, memory=memory)
     return state if scene.initial is None else _moved(model, state)
 
 

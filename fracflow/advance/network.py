@@ -23,6 +23,7 @@ from fracflow.model.network_parts import (
 )
 from fracflow.model.setup import Model
 from fracflow.model.state import State
+from fracflow.model.terms.term import StepOfTerms
 from fracflow.scene.time_table import JUST_AFTER, JUST_BEFORE
 from fracflow.scene.units import FLOW_RATE
 from fracflow.solve.initial_rates import EnclosedComponent
@@ -48,7 +49,7 @@ class FlowNetwork:
         self.model, self.log = model, log
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
-        self._leaves = leaving(model.operators)
+        self._leaves, self._leaks_off = (leaving(model.operators, remembered) for remembered in (False, True))
         self._logged: np.ndarray | None = None
         self._has_logged_digits = False
         self._parts: tuple[NetworkComponent, ...] = ()
@@ -75,12 +76,19 @@ class FlowNetwork:
         into which wells pump from that instant what its walls do not take up. Collective.
         """
         found, depth = self._found(loads, True, at_start=True), self.model.scene.flow_depth
-        lost = self._lost(self._conduction(state)) if found.parts else np.zeros(0)
+        if not found.parts:
+            return found.loads
+        conduction = self._conduction(state)
+        lost, carried = self._lost(conduction), conduction.conductance * np.ptp(conduction.pressure, axis=1)
+        # no balance was held closer than to this share of the largest flow
+        comm = self.model.operators.layout.comm
+        largest = comm.allreduce(float(carried.max(initial=0.0)), op=MPI.MAX)
+        least = self.model.scene.accuracy.residual * depth * largest
         for part, wells, _ in found.parts:
             rates = [loads.demanded(well, state.time, state.controls, state.adjacent_steps) for well in wells]
             rates.append(-depth * float(lost[part.nodes].sum()))
             taken, moved = self._taken(part, state)
-            if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved):
+            if abs(sum(rates) - depth * taken) > AGREES * (sum(map(abs, rates)) + depth * moved) + least:
                 raise SolveError(
                     f"time {state.time:.6g}: no initial pressures: {self._sum_of(wells, rates)} from the first instant in"
                     f" {part}, which no pressure drains, and its walls, as they move, take up {depth * taken:.6g}: let flow"
@@ -172,7 +180,7 @@ class FlowNetwork:
         ops = self.model.operators
         assert ops.flow is not None
         walls = ops.joints.walls(state.sections, ops.flow.law)
-        return ops.flow.conduct(state.motion.displacement, state.pressure, walls)
+        return ops.flow.conduct(state.motion.displacement, state.pressure, walls, StepOfTerms(state.memory))
 
     def check(self, conduction: Conduction) -> None:
         """Find the parts anew where elements have begun or ceased to conduct, or nodes to hold fluid. Collective."""
@@ -219,6 +227,8 @@ class FlowNetwork:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
         drained, gives = self._drained(loads), change_volume(operators, self._parts, loads.fixed_solid)
+        if stores and not at_start:  # a rate that is remembered settles no pressure at an instant
+            drained = drained | self._leaks_off
         parts, closures = [], []
         nodes = {pattern.well: self._node(pattern.vector) for pattern in loads.wells if pattern.well}
         for part, moves in zip(self._parts, gives.tolist(), strict=True):

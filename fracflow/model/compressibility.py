@@ -14,7 +14,7 @@ from fracflow.model.loads import Loads
 from fracflow.model.network_parts import Closure
 from fracflow.model.operators import Operators
 from fracflow.model.state import State
-from fracflow.model.terms.term import Term
+from fracflow.model.terms.term import StepOfTerms, Term
 
 
 def compression_of(operators: Operators, state: State) -> Compression | None:
@@ -34,7 +34,7 @@ def _apertures(operators: Operators, state: State) -> Floats:
 def rate_by(operators: Operators, term: Term, state: State) -> PETSc.Vec:
     """Rates at which fluid leaves by a term at the flow nodes, in a new vector [volume rate per thickness]. Collective."""
     network, result = operators.network, operators.layout.flow_vector()
-    leaving = term.leaving(network.at_ends(state.pressure), _apertures(operators, state))
+    leaving = term.leaving(network.at_ends(state.pressure), _apertures(operators, state), StepOfTerms(state.memory))
     network.taken_up(leaving.rate, result)
     return result
 
@@ -174,6 +174,9 @@ def leaked(ops: Operators, old: State, new: State, dt: float, scheme: Scheme, de
     found = {}
     instants = (new,) if scheme.balance == "end" else (old, new)
     for term in ops.flow.terms if ops.flow is not None else ():
+        if term.name in new.memory:
+            found[term.name] = depth * ops.layout.comm.allreduce(term.lost(new.memory[term.name], dt))
+            continue
         rates = [rate_by(ops, term, state) for state in instants]
         found[term.name] = depth * dt / len(instants) * sum(float(rate.sum()) for rate in rates)
         destroy(*rates)

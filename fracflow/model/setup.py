@@ -322,7 +322,7 @@ def refuse_lone_wells(scene: Scene, mesh: SplitMesh, wells: Mapping[str, tuple[i
         return
     label = components(mesh.joint_flow[:, 0], mesh.joint_flow[:, 1], count)
     drained = {int(label[node]) for w in scene.well if w.pressure is not None for node in wells[w.name]}
-    held = [name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
+    held = [scene.drains(name) or scene.fracture_named(name).pressure is not None for name in mesh.fractures]
     drained |= set(label[mesh.joint_flow[np.array(held, dtype=bool)[mesh.joint_fracture]]].ravel().tolist())
     pumped: dict[int, list[str]] = {}
     limited = {w.name for w in scene.well if w.maximum_pressure is not None or w.minimum_pressure is not None}

@@ -194,6 +194,8 @@ def gather_state(operators: Operators, state: State) -> Arrays | None:
             whole[group.sections] = values
             rows = whole.reshape(len(joints), points, *values.shape[1:])
             arrays[f"past/{number}/{name}"] = blocks.gather(joints, rows, blocks.sizes.joints)
+    for name, values in state.memory.items():
+        arrays[f"memory/{name}"] = blocks.gather(joints, values, blocks.sizes.joints)
     rank = np.full(len(blocks.solid.cell_ids), blocks.comm.rank)
     arrays["cell_rank"] = blocks.gather(blocks.solid.cell_ids, rank, blocks.sizes.cells)
     return None if blocks.comm.rank else {name: values for name, values in arrays.items() if values is not None}
@@ -256,6 +258,7 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
         injected=notes.get("injected", notes.get("totals", {}).get("injected", 0.0)),
         left=notes.get("left", {}),
         volumes=FluidVolumes(**notes.get("volumes", {})),
+        memory={name: arrays[f"memory/{name}"][blocks.joints.ids] for name in _memories(operators)},
         adjacent_steps=tuple(notes.get("around", (0.0, 0.0))),
     )
 
@@ -263,6 +266,12 @@ def restore_state(operators: Operators, arrays: Arrays, notes: Mapping[str, Any]
 def _names_of_terms(operators: Operators, arrays: Arrays) -> list[str]:
     """The terms with stored forces."""
     return [term.name for term in operators.terms if term.name in arrays]
+
+
+def _memories(operators: Operators) -> dict[str, tuple[int, ...]]:
+    """Shapes (j, 2, m) of what terms remember, of all ranks' joints."""
+    joints = operators.blocks.sizes.joints
+    return {term.name: (joints, *term.memory().shape[1:]) for term in operators.terms if term.remembers}
 
 
 def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:
@@ -281,6 +290,7 @@ def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers
     for number, group in enumerate(operators.joints.laws):
         past = zero_history(group.law.history, 1, sizes.dim)
         shapes |= {f"past/{number}/{name}": (*joint, *past[name].shape[1:]) for name in group.law.history}
+    shapes |= {f"memory/{name}": shape for name, shape in _memories(operators).items()}
     for name, shape in shapes.items():
         found = arrays[name].shape if name in arrays else (0,)
         if found != shape:

@@ -16,6 +16,7 @@ from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
 from fracflow.model.state import Sections, State
+from fracflow.model.terms.term import StepOfTerms
 from fracflow.output.profiles import KEPT
 from fracflow.scene.quantities import OutputQuantity, quantities
 from fracflow.scene.scene import Scene
@@ -174,7 +175,7 @@ class JointEnds:
         if flow is None:
             return None
         walls = self._operators.joints.walls(state.sections, flow.law)
-        return flow.conduct(state.motion.displacement, state.pressure, walls)
+        return flow.conduct(state.motion.displacement, state.pressure, walls, StepOfTerms(state.memory))
 
     @property
     def _through(self) -> Floats:

@@ -39,7 +39,7 @@ def is_at_rest(facts: ReductionInput) -> bool:
     scene = facts.scene
     still = all(stage.kind in ("steady", "equilibrate") for stage in scene.stage)
     kept = [isinstance(well.pressure, TimeTable) and len(well.pressure.times) == 1 for well in scene.well]
-    return still and any(kept) and all(kept) and not scene.drained
+    return still and any(kept) and all(kept) and not scene.is_drained
 
 
 def one_way(facts: ReductionInput) -> Iterator[Decision]:

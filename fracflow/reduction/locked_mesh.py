@@ -96,7 +96,7 @@ def _of_mesh(model: Model) -> Fractures | None:
     probed = np.array([node for place in probes for node in place.stands_on], np.int64)
     wells = mesh.flow_origin[np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)]
     named = np.union1d(wells, mesh.origin[probed])
-    barred = np.array([name in scene.drained for name in mesh.fractures], dtype=bool)
+    barred = np.array([scene.loses(name) for name in mesh.fractures], dtype=bool)
     barred[fracture[np.isin(mesh.flow_origin[mesh.joint_flow], named).any(axis=1)]] = True
     barred[fracture[~deforms(mesh, scene)[mesh.joint_cells].all(axis=1)]] = True
     if redistributes(scene):

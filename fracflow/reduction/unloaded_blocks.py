@@ -52,7 +52,7 @@ def idle_nodes(model: Model) -> tuple[Bools, UnloadedBlocks]:
     for name in loaded_names(scene):
         loaded[part[named_nodes(model, mesh, name)]] = True
     flow = np.array([node for nodes in placed.wells.values() for node in nodes], dtype=np.int64)
-    driven = (name in scene.drained or scene.fracture_named(name).pressure is not None for name in mesh.fractures)
+    driven = (scene.drains(name) or scene.fracture_named(name).pressure is not None for name in mesh.fractures)
     held = [scene.has_flow and each for each in driven]
     drives = np.isin(mesh.joint_flow, flow).any(axis=1) | np.array(held, dtype=bool)[mesh.joint_fracture]
     loaded[part[mesh.joint_bottom[drives].ravel()]] = True

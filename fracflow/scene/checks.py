@@ -29,6 +29,7 @@ def contradictions(scene: Tables) -> Iterator[Fault]:
     yield from _method(scene)
     yield from _absorbing(scene)
     yield from _terms(scene)
+    yield from _leak_off(scene)
     yield from _geometry(scene)
     yield from _materials(scene)
     yield from _controls(scene)
@@ -118,6 +119,15 @@ def _terms(scene: Tables) -> Iterator[Fault]:
     for key, tables in scene.term_tables.items():
         if any(table.drains for table in tables) and not scene.has_flow:
             yield (key,), "needs [fluid] with a viscosity: without it no fluid is modelled; give it, or remove this"
+
+
+def _leak_off(scene: Tables) -> Iterator[Fault]:
+    for name, table in scene.fracture.items():
+        if table.leak_off is not None and not scene.has_flow:
+            yield (
+                ("fracture", name, "leak_off"),
+                "needs [fluid] with a viscosity: without it no fluid is modelled; give it, or remove this",
+            )
 
 
 def _geometry(scene: Tables) -> Iterator[Fault]:

@@ -130,6 +130,16 @@ class _Joint(Table):
     """arctan of friction_coefficient, in place of it [degree]"""
 
 
+class LeakOff(Table):
+    """[fracture.NAME.leak_off] Porous rock behind both walls, a half space each: it takes fluid and is not meshed."""
+
+    permeability: Annotated[float, Quantity(units.AREA, at_least=0.0)]
+    """k of the rock [length**2]"""
+    storage: Annotated[float, Quantity(units.COMPRESSIBILITY, above=0.0)]
+    """S, change of the fluid in a volume of the rock by pressure: porosity times the compressibility of the fluid, plus
+    that of the pores [length**2/force]; the pressure diffuses by k/(mu S)"""
+
+
 class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # type: ignore[misc]
     """[fracture.NAME] Joint law and aperture of a fracture; "default" serves all, and fills what a table leaves open."""
 
@@ -143,6 +153,9 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
     """pressure prescribed in the whole fracture: a number, [[t, p], ...], {along, value} or {along, time, value}
     [force/length**2]"""
 
+    leak_off: LeakOff | None = None
+    """fluid that the fracture loses to porous rock behind its walls"""
+
     @model_validator(mode="after")
     def _consistent(self) -> Fracture:
         check(self.law, vars(self))
@@ -151,6 +164,16 @@ class Fracture(create_model("_LawKeys", __base__=_Joint, **law_fields())):  # ty
                 self.__dict__[name] = value  # so that the table that is written back says it
         check_order(self.law, {**vars(self), "friction_coefficient": self.friction})
         return self
+
+    @property
+    def leak_permeability(self) -> float:
+        """That of ``leak_off``; 0 without [length^2]."""
+        return self.leak_off.permeability if self.leak_off is not None else 0.0
+
+    @property
+    def leak_storage(self) -> float:
+        """That of ``leak_off``; 0 without [1/stress]."""
+        return self.leak_off.storage if self.leak_off is not None else 0.0
 
     @property
     def friction(self) -> Property:

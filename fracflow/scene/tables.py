@@ -204,9 +204,22 @@ class Tables(TablesOfLaws):
         return {key: v for key, v in given.items() if isinstance(v, tuple) and v and isinstance(v[0], TermTable)}
 
     @property
-    def drained(self) -> frozenset[str]:
-        """Names of the fractures that fluid leaves by terms."""
-        return frozenset(name for table in self.terms if table.drains for name in table.on)
+    def leaks_off(self) -> bool:
+        """Whether fractures lose fluid to porous rock."""
+        return any(table.leak_off is not None for table in self.fracture.values())
+
+    @property
+    def is_drained(self) -> bool:
+        """Whether fluid leaves fractures by terms."""
+        return self.leaks_off or any(table.drains for table in self.terms)
+
+    def drains(self, fracture: str) -> bool:
+        """Whether fluid leaves this fracture by a term whose rate its pressure settles at any time."""
+        return any(table.drains and fracture in table.on for table in self.terms)
+
+    def loses(self, fracture: str) -> bool:
+        """The same, or whether it loses fluid to porous rock."""
+        return self.drains(fracture) or self.fracture_named(fracture).leak_off is not None
 
     @property
     def time_tables(self) -> tuple[TimeTable, ...]:

@@ -34,6 +34,7 @@ ENERGY = "force*length/length"  # per thickness
 SURFACE_ENERGY = "force*length/length**2"
 ENERGY_DENSITY = "force*length/length**3"
 LENGTH = "length"
+AREA = "length**2"
 TIME = "time"
 ANGLE = "angle"
 PLAIN = "1"
@@ -51,6 +52,7 @@ EXAMPLES = {
     ACCELERATION: "9.81 m/s^2",
     RATE: "0.1 1/s",
     LENGTH: "1 mm",
+    AREA: "1e-18 m^2",
     TIME: "10 ms",
     ANGLE: "30 deg",
 }
@@ -82,6 +84,7 @@ USUAL = {
     "N/m": {"N/m": 1.0, "kN/m": 1e3, "MN/m": 1e6},
     "m/s": {"m/s": 1.0, "mm/s": 0.001, "km/s": 1e3},
     "m/s**2": {"m/s^2": 1.0},
+    "m**2": {"m^2": 1.0},
     "degree": {"deg": 1.0},
     "ft": {"ft": 1.0},
     "lbf/ft**2": {"lbf/ft^2": 1.0},

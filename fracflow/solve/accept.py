@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fracflow._petsc import MPI
+from fracflow.mesh.data import Floats
 from fracflow.model.compressibility import taken_between
 from fracflow.model.contact_mass import follow
 from fracflow.model.operators import Operators
@@ -52,8 +53,18 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
     pressure, controls = problem.pressure.copy(), dict(problem.controls)
     new = State(problem.time, motion, pressure, problem.sections, forces, controls, energy, uptake=problem.uptake())
+    new = replace(new, memory=remembered_by_terms(problem))
     drive = max(problem.state.max_overpressure, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX))
     return replace(new, max_overpressure=drive, max_dissipation=max(problem.state.max_dissipation, power))
+
+
+def remembered_by_terms(problem: StepProblem) -> dict[str, Floats]:
+    """Memories (j, 2, m) of terms at the end of the step. Collective."""
+    network, memory = problem.operators.flow, problem.state.memory
+    if network is None or not memory:
+        return {}
+    pressure, step = network.at_ends(problem.pressure), problem.step_of_terms()
+    return {term.name: term.remembered(pressure, step) for term in network.terms if term.name in memory}
 
 
 def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepReport:

@@ -23,6 +23,7 @@ from fracflow.model.dirichlet import PrescribedValues
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
 from fracflow.model.state import Forces, Motion, MotionValues, SectionHistory, Sections, State
+from fracflow.model.terms.term import StepOfTerms
 from fracflow.solve.motion_terms import MovingTerms, TermsOfStep, Unapplied
 from fracflow.solve.request import StepRequest, StepRule
 from fracflow.solve.residual import (
@@ -180,6 +181,10 @@ class StepProblem:
         """The ``LawStep`` of this step: its length, since the history of the sections was accepted."""
         return LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
 
+    def step_of_terms(self) -> StepOfTerms:
+        """The same for terms that remember."""
+        return StepOfTerms(self.state.memory, self.alphas, self.time - self.state.time)
+
     def accept(self, answer: Sections) -> None:
         """Take the response of the sections to the present motion."""
         before, self._moved = self.state.sections, self.operators.joints.moved(self.increment)
@@ -233,7 +238,10 @@ class StepProblem:
         terms.append(largest(flow))
         rows += np.abs(flow.getArray())
         walls = self.operators.joints.walls(self.sections, network.law, self.law_step())
-        self.conduction, self._widest = network.conduct(self.displacement, self.pressure, walls), None
+        self.conduction, self._widest = (
+            network.conduct(self.displacement, self.pressure, walls, self.step_of_terms()),
+            None,
+        )
         network.outflow(self.conduction, flow)
         flow.axpy(-1.0, self.source)
         now = self.conduction.compression

@@ -63,7 +63,7 @@ class FlowOnJoints:
         """
         network, joints, flow = self.operators.network, self.operators.joints, problem.flow_balance
         walls = joints.walls(problem.sections, network.law, problem.law_step())
-        conduction = network.conduct(problem.displacement, problem.pressure, walls)
+        conduction = network.conduct(problem.displacement, problem.pressure, walls, problem.step_of_terms())
         problem.conduction = conduction
         swept = problem.alphas.a1 * (joints.weights * change[:, -1]).reshape(-1, 2)
         slope = conduction.tangents(problem.alphas.b1)[1]

@@ -13,9 +13,11 @@ from fracflow.mesh.data import Floats
 from fracflow.model.operators import Operators
 from fracflow.model.properties import outward, side_facets
 from fracflow.model.solid import assembled_at_nodes
-from fracflow.model.terms.term import Leaving, Term
+from fracflow.model.terms.term import Leaving, StepOfTerms, Term
 from fracflow.scene.scene import Scene
 from fracflow.scene.terms import LawTable
+
+NOW = StepOfTerms()
 
 
 def terms_of_laws(operators: Operators, scene: Scene) -> tuple[Term, ...]:
@@ -74,7 +76,7 @@ class OnFractures(Term):
         """Numbers (k,) of this rank's joints whose pressure it settles: what leaves at a given rate settles none."""
         return self._settled
 
-    def leaving(self, pressure: Floats, aperture: Floats) -> Leaving:
+    def leaving(self, pressure: Floats, aperture: Floats, step: StepOfTerms = NOW) -> Leaving:
         """Fluid that leaves at the ends of this rank's joints (j, 2)."""
         total = Leaving(*(np.zeros(pressure.shape) for _ in range(3)))
         for here, law in self._laws:

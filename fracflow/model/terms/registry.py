@@ -8,6 +8,7 @@ from dataclasses import replace
 from fracflow.model.operators import Operators
 from fracflow.model.terms.absorbing import absorbing_sides
 from fracflow.model.terms.fault_damping import fault_damping
+from fracflow.model.terms.leak_off import leak_off
 from fracflow.model.terms.of_laws import terms_of_laws
 from fracflow.model.terms.term import Term, summed
 from fracflow.scene.scene import Scene
@@ -18,6 +19,7 @@ Maker = Callable[[Operators, Scene], Sequence[Term]]
 TERMS: tuple[Maker, ...] = (
     absorbing_sides,
     fault_damping,
+    leak_off,
     terms_of_laws,
 )
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracflow._petsc import PETSc
+from fracflow.integrators import Alphas
 from fracflow.mesh.data import Floats, Ints
 from fracflow.scene.time_table import Around
 
@@ -48,6 +49,19 @@ class Leaving(NamedTuple):
     by_aperture: Floats
 
 
+class StepOfTerms(NamedTuple):
+    """A step as terms with a memory see it.
+
+    memory  of each such term at the start of the step, or at the instant, by its name
+    alphas  of the step's rule; None at an instant
+    dt      its length [time]
+    """
+
+    memory: Mapping[str, Floats] = {}
+    alphas: Alphas | None = None
+    dt: float = 0.0
+
+
 class Term:
     """A term of a balance; what a term does not say stays as it is here: nothing.
 
@@ -56,6 +70,7 @@ class Term:
     stiffness  K, which ``Operators.stiffness`` has in it [force/length per thickness]
     damping    C, which ``Operators.damping`` has in it; it acts where there is inertia [force time/length per thickness]
     drains     whether fluid leaves by it
+    remembers  whether the rate at which it leaves depends on the pressures so far
     """
 
     name: str
@@ -63,6 +78,7 @@ class Term:
     stiffness: PETSc.Mat | None = None
     damping: PETSc.Mat | None = None
     drains: bool = False
+    remembers: bool = False
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -92,7 +108,19 @@ class Term:
         """Numbers (k,) of this rank's joints whose pressure it settles, for what leaves depends on it."""
         return np.zeros(0, dtype=np.int64)
 
-    def leaving(self, pressure: Floats, aperture: Floats) -> Leaving:
+    def memory(self) -> Floats:
+        """Its memory (j, 2, m) at the ends of this rank's joints at the start, if it remembers."""
+        return np.zeros((0, 2, 0))
+
+    def remembered(self, pressure: Floats, step: StepOfTerms) -> Floats:
+        """Its memory (j, 2, m) after a step to these pressures (j, 2); likewise."""
+        return step.memory[self.name]
+
+    def lost(self, memory: Floats, dt: float) -> float:
+        """Fluid that left this rank's joints in the last step, by the memory (j, 2, m) after it [volume per thickness]."""
+        return 0.0
+
+    def leaving(self, pressure: Floats, aperture: Floats, step: StepOfTerms) -> Leaving:
         """Fluid that leaves by it at pressures and apertures (j, 2) of the ends of this rank's joints [stress], [length]."""
         return Leaving(*(np.zeros(pressure.shape) for _ in range(3)))
 
