@@ -49,7 +49,7 @@ class FlowNetwork:
         self.model, self.log = model, log
         self._conducts: np.ndarray | None = None
         self._holds = np.zeros(0, dtype=bool)
-        self._leaves, self._leaks_off = (leaving(model.operators, remembered) for remembered in (False, True))
+        self._leaves, self._leaks_off = (leaving(model.operators, by_memory) for by_memory in (False, True))
         self._logged: np.ndarray | None = None
         self._has_logged_digits = False
         self._parts: tuple[NetworkComponent, ...] = ()
@@ -227,7 +227,7 @@ class FlowNetwork:
         operators, fluid = self.model.operators, self.model.scene.fluid
         assert fluid is not None
         drained, gives = self._drained(loads), change_volume(operators, self._parts, loads.fixed_solid)
-        if stores and not at_start:  # a rate that is remembered settles no pressure at an instant
+        if stores and not at_start:  # a rate by a memory settles no pressure at an instant
             drained = drained | self._leaks_off
         parts, closures = [], []
         nodes = {pattern.well: self._node(pattern.vector) for pattern in loads.wells if pattern.well}

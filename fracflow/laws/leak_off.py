@@ -62,7 +62,7 @@ def leak_off_coefficient(permeability: Floats, storage: Floats, viscosity: float
     return found
 
 
-def remembered(kernel: Exponentials, memory: Floats, change: Floats, dt: float) -> Floats:
+def memory_after(kernel: Exponentials, memory: Floats, change: Floats, dt: float) -> Floats:
     """Memories (..., m) [stress] after a step in which the pressure changes evenly by ``change`` (...), from ``memory``."""
     mean, _ = _shares(kernel, dt)
     found: Floats = np.exp(-kernel.rates * dt) * memory + mean * change[..., None]

@@ -88,13 +88,13 @@ def holding(operators: Operators, compression: Compression | None) -> np.ndarray
     return np.concatenate(layout.comm.allgather(found[0] > CONDUCTS * found[1]))
 
 
-def leaving(operators: Operators, remembered: bool = False) -> np.ndarray:
-    """Whether fluid leaves by terms at each flow node (n,), which determines its pressure; by those that remember, or others.
+def leaving(operators: Operators, by_memory: bool = False) -> np.ndarray:
+    """Whether fluid leaves by terms at each flow node (n,), which determines its pressure; by those with a memory, or others.
 
     Collective.
     """
     layout, flow = operators.layout, operators.blocks.joints.flow
-    joints = [term.joints() for term in operators.terms if term.drains and term.remembers == remembered]
+    joints = [term.joints() for term in operators.terms if term.drains and term.has_memory == by_memory]
     here = flow[np.concatenate([np.zeros(0, dtype=np.int64), *joints])].ravel()
     return np.isin(np.arange(int(layout.flow_starts[-1])), np.concatenate(layout.comm.allgather(here)))
 

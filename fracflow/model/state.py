@@ -175,7 +175,7 @@ class State:
     injected  net volume that wells have brought since the start, in a scene with a stage auto [length^3]
     left      net volume that has left the network by each term since the start, by their names [length^3]
     volumes   that wells have brought since the start
-    memory    of terms that remember the pressures so far, by their names: arrays (j, 2, m) at this rank's joint ends
+    memory    of terms, of the pressures so far, by their names: arrays (j, 2, m) at this rank's joint ends
     adjacent_steps  lengths of the step that led here and of the planned next one, by which jumps in time were sampled
     uptake    rate at which compression takes up fluid at the flow nodes [volume rate per thickness]; None where it does not
     max_overpressure  largest pressure, above that at rest, at the end of a step since the start [stress]

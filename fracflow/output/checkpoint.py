@@ -269,9 +269,9 @@ def _names_of_terms(operators: Operators, arrays: Arrays) -> list[str]:
 
 
 def _memories(operators: Operators) -> dict[str, tuple[int, ...]]:
-    """Shapes (j, 2, m) of what terms remember, of all ranks' joints."""
+    """Shapes (j, 2, m) of the memories of terms, of all ranks' joints."""
     joints = operators.blocks.sizes.joints
-    return {term.name: (joints, *term.memory().shape[1:]) for term in operators.terms if term.remembers}
+    return {term.name: (joints, *term.memory().shape[1:]) for term in operators.terms if term.has_memory}
 
 
 def _check_shapes(arrays: Arrays, operators: Operators, unknowns: int, remembers: bool) -> None:

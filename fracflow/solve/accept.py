@@ -53,18 +53,18 @@ def accept(problem: StepProblem, energy: Mapping[str, float]) -> State:
     power = flow_power(problem.operators, problem.conduction, problem.pressure, forces.source, given)
     pressure, controls = problem.pressure.copy(), dict(problem.controls)
     new = State(problem.time, motion, pressure, problem.sections, forces, controls, energy, uptake=problem.uptake())
-    new = replace(new, memory=remembered_by_terms(problem))
+    new = replace(new, memory=memories_after(problem))
     drive = max(problem.state.max_overpressure, problem.operators.layout.comm.allreduce(drive, op=MPI.MAX))
     return replace(new, max_overpressure=drive, max_dissipation=max(problem.state.max_dissipation, power))
 
 
-def remembered_by_terms(problem: StepProblem) -> dict[str, Floats]:
+def memories_after(problem: StepProblem) -> dict[str, Floats]:
     """Memories (j, 2, m) of terms at the end of the step. Collective."""
     network, memory = problem.operators.flow, problem.state.memory
     if network is None or not memory:
         return {}
     pressure, step = network.at_ends(problem.pressure), problem.step_of_terms()
-    return {term.name: term.remembered(pressure, step) for term in network.terms if term.name in memory}
+    return {term.name: term.memory_after(pressure, step) for term in network.terms if term.name in memory}
 
 
 def step_report(report: NewtonReport, residual: Residual, cycles: int) -> StepReport:

@@ -182,7 +182,7 @@ class StepProblem:
         return LawStep(self.time, self.time - self.state.time, self.alphas.a0 > 0.0, hold)
 
     def step_of_terms(self) -> StepOfTerms:
-        """The same for terms that remember."""
+        """The same for terms with a memory."""
         return StepOfTerms(self.state.memory, self.alphas, self.time - self.state.time)
 
     def accept(self, answer: Sections) -> None:

@@ -6,7 +6,7 @@ from scipy.special import erfc
 
 from fracflow.api import open as opened
 from fracflow.errors import InputError
-from fracflow.laws.leak_off import exponentials, leak_off_coefficient, leaked_volume, remembered
+from fracflow.laws.leak_off import exponentials, leak_off_coefficient, leaked_volume, memory_after
 from fracflow.scene.scene import load
 from fracflow.simulation.run import resume, run
 
@@ -94,7 +94,7 @@ def test_the_sum_of_exponentials():
         for _ in range(steps):
             change = np.full(1, 1.0 / steps)
             volume += leaked_volume(kernel, memory, change, 1.0 / steps)[0][0]
-            memory = remembered(kernel, memory, change, 1.0 / steps)
+            memory = memory_after(kernel, memory, change, 1.0 / steps)
         assert volume == pytest.approx(4.0 / 3.0 / np.sqrt(np.pi), rel=3e-4)
     assert leak_off_coefficient(np.array(4e-18), np.array(1e-10), 1e-3) == pytest.approx(
         4.0 * np.sqrt(1e-25), rel=1e-12

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow.integrators import first_rate
-from fracflow.laws.leak_off import Exponentials, exponentials, leak_off_coefficient, leaked_volume, remembered
+from fracflow.laws.leak_off import Exponentials, exponentials, leak_off_coefficient, leaked_volume, memory_after
 from fracflow.mesh.data import Floats, Ints
 from fracflow.model.operators import Operators
 from fracflow.model.properties import along_fractures
@@ -22,7 +22,7 @@ class LeakOff(Term):
     """The leak-off of all fractures of a scene that have it."""
 
     name, entry = "leak_off", "leak_off"
-    drains = remembers = True
+    drains = has_memory = True
 
     def __init__(self, operators: Operators, scene: Scene, permeability: Floats, storage: Floats) -> None:
         """Sample permeability and storage (j, 2) at the joint ends."""
@@ -56,7 +56,7 @@ class LeakOff(Term):
         rate = first_rate(step.alphas, volume, 0.0, memory[..., RATE], memory[..., MEAN])
         return Leaving(rate, step.alphas.b1 * slope, none)
 
-    def remembered(self, pressure: Floats, step: StepOfTerms) -> Floats:
+    def memory_after(self, pressure: Floats, step: StepOfTerms) -> Floats:
         """Memory (j, 2, m) after a step to these pressures (j, 2) at the joint ends; a steady one leaves rock all its time."""
         memory = step.memory[self.name]
         if step.alphas is None or step.alphas.b1 == 0.0:
@@ -64,7 +64,7 @@ class LeakOff(Term):
             return self._at_rest(pressure) if is_steady else memory
         volume, _ = self._volume(memory, pressure, step.dt)
         new = memory.copy()
-        new[..., :PRESSURE] = remembered(
+        new[..., :PRESSURE] = memory_after(
             self._kernel, memory[..., :PRESSURE], pressure - memory[..., PRESSURE], step.dt
         )
         new[..., PRESSURE], new[..., MEAN] = pressure, volume / step.dt
@@ -72,7 +72,7 @@ class LeakOff(Term):
         return new
 
     def lost(self, memory: Floats, dt: float) -> float:
-        """Volume that this rank's joints lost in a step of length ``dt``, by the memory (j, 2, m) after it [volume/thickness]."""
+        """Volume that this rank's joints lost in a step of length ``dt``, by the memory (j, 2, m) after it [area]."""
         return float(memory[..., MEAN].sum()) * dt
 
     def _volume(self, memory: Floats, pressure: Floats, dt: float) -> tuple[Floats, Floats]:

@@ -70,7 +70,7 @@ class Term:
     stiffness  K, which ``Operators.stiffness`` has in it [force/length per thickness]
     damping    C, which ``Operators.damping`` has in it; it acts where there is inertia [force time/length per thickness]
     drains     whether fluid leaves by it
-    remembers  whether the rate at which it leaves depends on the pressures so far
+    has_memory  whether the rate at which it leaves depends on the pressures so far
     """
 
     name: str
@@ -78,7 +78,7 @@ class Term:
     stiffness: PETSc.Mat | None = None
     damping: PETSc.Mat | None = None
     drains: bool = False
-    remembers: bool = False
+    has_memory: bool = False
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -109,10 +109,10 @@ class Term:
         return np.zeros(0, dtype=np.int64)
 
     def memory(self) -> Floats:
-        """Its memory (j, 2, m) at the ends of this rank's joints at the start, if it remembers."""
+        """Its memory (j, 2, m) at the ends of this rank's joints at the start, if it has one."""
         return np.zeros((0, 2, 0))
 
-    def remembered(self, pressure: Floats, step: StepOfTerms) -> Floats:
+    def memory_after(self, pressure: Floats, step: StepOfTerms) -> Floats:
         """Its memory (j, 2, m) after a step to these pressures (j, 2); likewise."""
         return step.memory[self.name]
 
