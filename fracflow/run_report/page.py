@@ -7,7 +7,7 @@ import datetime
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from fracflow.run_report.words import (
     items,
     key_numbers,
     mesh_line,
+    notes_of,
     plan_table,
     safe,
     scene_in_words,
@@ -45,6 +46,7 @@ from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, TIME, VELOCI
 WORDS = {"pressure": "pressure", "aperture": "aperture", "plastic_slip": "plastic slip"}
 _OF_WELLS = {"pressure": STRESS, "rate": FLOW_RATE, "volume": VOLUME}
 MOST_SHOWN = 9  # fractures whose fields are open at once, those that slip most
+MOST_OPEN = 8  # warnings, and notes, that are open at once
 MOST_LOG = 200  # lines of the log
 
 
@@ -65,7 +67,7 @@ def page(run: RunReport) -> str:
     drawn = map_record(run, frames)
     charts: Charts = {}
     made = [
-        ("warnings", "Warnings", _warnings(run)),
+        ("warnings", "Warnings", _lines(list(warnings_of(run))) or "<p>None.</p>"),
         ("scene", "The scene", _scene(run)),
         ("mesh", "Mesh and fractures", _mesh(run, frames)),
         ("wells", "Wells", _wells(run, charts, frames)),
@@ -76,6 +78,7 @@ def page(run: RunReport) -> str:
         ("energy", "Energy balance", _energy(run, charts)),
         ("model", "Parts modelled and left out", _model(run)),
         ("steps", "Steps", _steps(run, charts)),
+        ("notes", "Notes", _lines(list(notes_of(run)))),
         ("repeat", "How to repeat it", _repeat(run)),
     ]
     body = "".join(f'<section id="{key}"><h2>{safe(head)}</h2>{text}</section>' for key, head, text in made if text)
@@ -118,17 +121,12 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _warnings(run: RunReport) -> str:
-    found = list(warnings_of(run))
-    if not found:
-        return "<p>None.</p>"
+def _lines(found: Sequence[tuple[str, str]]) -> str:
+    """A list of headings and texts, the first few of them open."""
     lines = [f"<li><b>{safe(head)}</b> {safe(text)}</li>" for head, text in found]
-    more = (
-        f"<details><summary>{len(lines) - 8} more</summary><ul>{''.join(lines[8:])}</ul></details>"
-        if len(lines) > 8
-        else ""
-    )
-    return f'<ul class="warnings">{"".join(lines[:8])}</ul>{more}'
+    few, rest = "".join(lines[:MOST_OPEN]), "".join(lines[MOST_OPEN:])
+    more = f"<details><summary>{len(lines) - MOST_OPEN} more</summary><ul>{rest}</ul></details>" if rest else ""
+    return f'<ul class="lines">{few}</ul>{more}' if few else ""
 
 
 def _scene(run: RunReport) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
+from fracflow.output.remarks import MARK, alike, is_note, is_routine
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
@@ -21,12 +21,7 @@ from fracflow.storage.files import shown_plain
 OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
-_ROUTINE = re.compile(
-    r"^well\..* is on (?!.* from where it was asked)|"
-    r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.(snap|size))"
-    r"|^geometry\.growth = \S+: rock far"
-    r"|^(incipient failure|work in all:|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
-)
+LONGEST_HEAD = 40  # letters that stand before the colon of a line
 MOST_SEEN = 12  # rows of a long table that are seen at once
 
 
@@ -96,25 +91,31 @@ def warnings_of(run: RunReport) -> Iterator[tuple[str, str]]:
             value, limit = each.get("value_text", ""), each.get("limit_text", "")
             head = f"check of {each.get('name', '')}"
             yield head, f"{each.get('where', '')}: {value}, limit {limit or 'none'}; {each.get('remedy', '')}"
-    for each in run.plan:
-        if each.get("undone"):
-            yield f"plan: {each.get('part', '')}", f"taken back during the run: {each['undone']}"
     left = energy_left(run)
     if left is not None and left > OPEN:
         yield (
             "energy balance",
             f"{number(left, 2)} of its largest entry is left over; results are not known better than that",
         )
-    yield from (("log", line) for line in log_lines(run.log))
+    yield from log_lines(run.log, of_notes=False)
 
 
-def log_lines(lines: Sequence[str]) -> list[str]:
-    """Lines of the log that are no routine, those alike once."""
-    alike: dict[str, list[str]] = {}
-    for line in lines:
-        if line.strip() and not _ROUTINE.search(line):
-            alike.setdefault(re.sub(r"\bof \S+ is\b|[-+.\d]+(e[-+]\d+)?", "#", line)[:120], []).append(line)
-    return [group[0] + (f" (and {len(group) - 1} lines like it)" if len(group) > 1 else "") for group in alike.values()]
+def notes_of(run: RunReport) -> Iterator[tuple[str, str]]:
+    """Heading and text of what was done in the run, about which nothing is to be done."""
+    for each in run.plan:
+        if each.get("undone"):
+            yield (
+                f"plan, {each.get('part', '')}",
+                f"taken back during the run, which began anew with it: {each['undone']}",
+            )
+    yield from log_lines(run.log, of_notes=True)
+
+
+def log_lines(lines: Sequence[str], of_notes: bool) -> Iterator[tuple[str, str]]:
+    """Heading and text of the warnings, or of the notes, among the lines of the log that are no routine, those alike once."""
+    for line in alike(line for line in lines if not is_routine(line) and is_note(line) == of_notes):
+        head, _, text = line.removeprefix(MARK).partition(": ")
+        yield (head, text) if text and len(head) <= LONGEST_HEAD else ("log", line.removeprefix(MARK))
 
 
 def energy_left(run: RunReport) -> float | None:

@@ -61,7 +61,7 @@ def scene(tmp_path):
 def said(*words):
     done = CliRunner().invoke(app, list(words))
     assert done.exit_code == 0, done.output
-    return [line.removeprefix("note: ") for line in done.output.splitlines()]
+    return [line.removeprefix("note: ").removeprefix("! ") for line in done.output.splitlines()]
 
 
 def test_wells_that_no_fluid_can_join_are_told_with_their_parts(scene, tmp_path):
