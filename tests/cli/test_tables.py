@@ -13,7 +13,7 @@ from fracflow.cli.check import set_up
 from fracflow.diagnostics import as_records as card_records
 from fracflow.output.remarks import saved
 from fracflow.reduction import as_records
-from fracflow.scene.advice import advice
+from fracflow.scene.advice import advice, degrees
 from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
@@ -30,6 +30,7 @@ def printed(show, records, width) -> str:
 @pytest.mark.parametrize("path", WHOLE, ids=[path.parent.name for path in WHOLE])
 def test_tables_fit_and_lose_nothing(path):
     scene = load(path)
+    assert not [*degrees(scene)]
     sizes, moved, numbers, decisions, _ = set_up(scene)
     for show, records in ((report_checks, card_records(numbers)), (report_plan, as_records(decisions))):
         for width in (NARROW, 300):
