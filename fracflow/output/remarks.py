@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from math import isfinite
 from typing import Any
 
 ACT, MARK = "! ", "note: "  # before a warning, and before a note
@@ -19,7 +20,8 @@ _TOLD = (
     r"^well\..* is on ",
     r", \S+( \S+)? from where it was asked$",
     r"^geometry\.(snap|size\w*) = ",
-    r"^geometry\.growth = \S+: rock far",
+    r"^geometry\.growth = \S+: (rock far|beside fractures that weaken)",
+    r"^rock condensed to its joints, ",
     r": cut at .*, where it leaves the domain",
     r": shares \S+ from .*, which keeps it$",
     r" moved by \S+ to ",
@@ -51,6 +53,11 @@ _TOLD = (
 )
 """Patterns of lines on what was done, about which nothing is to be done; any other line is a warning."""
 _NOTE = re.compile("|".join(_TOLD))
+_COORDINATE = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+_LIMIT = re.compile(
+    r"limit point: (?:.* is near: )?"
+    rf"(?P<words>fracture .*? at \((?P<x>{_COORDINATE}), (?P<y>{_COORDINATE})\), slipping patch [^;]*)"
+)
 _DIFFERS = re.compile(r"^(probe|well)\.\S+|\bof \S+ is\b|[-+.\d]+(e[-+]?\d+)?")
 
 
@@ -82,7 +89,14 @@ def alike(lines: Iterable[str]) -> list[str]:
     found: dict[str, list[str]] = {}
     for line in lines:
         found.setdefault(_DIFFERS.sub("#", line)[:120], []).append(line)
-    return [group[0] + (f" (and {len(group) - 1} lines like it)" if len(group) > 1 else "") for group in found.values()]
+    return [group[0] + (f" (and {len(group) - 1} more like it)" if len(group) > 1 else "") for group in found.values()]
+
+
+def last_limit(lines: Iterable[str]) -> tuple[str, tuple[float, float]] | None:
+    """The last limit point of a log, in words and its place in the plane [length]; None where there is none."""
+    found = [match for line in lines if (match := _LIMIT.search(line))]
+    places = [(float(match["x"]), float(match["y"])) for match in found[-1:]]
+    return (found[-1]["words"], places[0]) if places and all(map(isfinite, places[0])) else None
 
 
 def saved(decision: Mapping[str, Any]) -> str:

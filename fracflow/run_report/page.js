@@ -186,6 +186,10 @@ function drawMap() {
     pen.fillStyle = "#56b4e9"; pen.beginPath(); pen.moveTo(x(px) - 6, y(py) - 10); pen.lineTo(x(px) + 6, y(py) - 10); pen.lineTo(x(px), y(py)); pen.closePath(); pen.fill(); pen.stroke();
     taken.push([x(px) - 7, y(py) - 11, x(px) + 7, y(py)]);
   }
+  if (map.limit.length) {
+    const [px, py] = [x(map.limit[0]), y(map.limit[1])];
+    pen.fillStyle = "#cc79a7"; pen.beginPath(); pen.moveTo(px, py - 7); pen.lineTo(px + 7, py); pen.lineTo(px, py + 7); pen.lineTo(px - 7, py); pen.closePath(); pen.fill(); pen.stroke();
+  }
   const traces = [];
   for (let i = 0; map.at && i < map.at.length; i += 2) traces.push([x(map.at[i]) - 3, y(map.at[i + 1]) - 3, x(map.at[i]) + 3, y(map.at[i + 1]) + 3]);
   const hits = (box) => (t) => t[0] < box[2] && box[0] < t[2] && t[1] < box[3] && box[1] < t[3];

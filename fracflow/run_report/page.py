@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fracflow._version import __version__
 from fracflow.output.folder import write_atomic
 from fracflow.output.history import last_of, shut_line
+from fracflow.output.remarks import last_limit
 from fracflow.run_report.catalogue import Charts, events_of, figure
 from fracflow.run_report.data import Chart, RunReport, Series, number, read_run
 from fracflow.run_report.map import Frames, map_record, read_frames
@@ -71,7 +72,7 @@ def page(run: RunReport) -> str:
         ("scene", "The scene", _scene(run)),
         ("mesh", "Mesh and fractures", _mesh(run, frames)),
         ("wells", "Wells", _wells(run, charts, frames)),
-        ("map", "Map", _map(drawn)),
+        ("map", "Map", _map(drawn, last_limit(run.log))),
         ("along", "Along the fractures", _along(frames)),
         ("probes", "Probes", _probes(run, charts)),
         ("events", "Events", events_of(run, charts)),
@@ -207,7 +208,7 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
     return text
 
 
-def _map(drawn: dict[str, Any] | None) -> str:
+def _map(drawn: dict[str, Any] | None, limit: tuple[str, tuple[float, float]] | None) -> str:
     if drawn is None:
         return "<p>The run folder has neither a plane mesh nor fields of fractures to draw.</p>"
     if not drawn.get("times"):
@@ -220,6 +221,9 @@ def _map(drawn: dict[str, Any] | None) -> str:
         f'<option value="{i}"{" selected" * (i == drawn["most"])}>{safe(name)}</option>'
         for i, (name, _, _) in enumerate(drawn["fractures"])
     )
+    diamond = (
+        f" Diamond: the last limit point, from which slip runs away: {safe(limit[0])}." if limit is not None else ""
+    )
     last = len(drawn["times"]) - 1
     slider = f'<input type="range" id="slider" min="0" max="{last}" value="{last}" aria-label="state shown on the map">'
     return (
@@ -228,7 +232,7 @@ def _map(drawn: dict[str, Any] | None) -> str:
         f'<button type="button" id="play">play</button>{slider}<output id="now"></output></div>'
         '<div id="chart-map"><canvas></canvas></div><div id="scale"></div><p id="under"></p>'
         "<p>Orange: sections that slip between this state and the one before. Circles: events so far, larger with the"
-        " magnitude. Triangles: wells. Dots: probes.</p>"
+        f" magnitude. Triangles: wells. Dots: probes.{diamond}</p>"
         f'<figure class="chart" id="profile"><figcaption>Along <select id="fracture">{names}</select> at this time,'
         " and at the first state (dashed)</figcaption><div></div></figure>"
     )

@@ -21,7 +21,7 @@ from fracflow.storage.files import shown_plain
 OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
-LONGEST_HEAD = 40  # letters that stand before the colon of a line
+LONGEST_HEAD = 60  # letters that stand before the colon of a line
 MOST_SEEN = 12  # rows of a long table that are seen at once
 
 
@@ -113,9 +113,9 @@ def notes_of(run: RunReport) -> Iterator[tuple[str, str]]:
 
 def log_lines(lines: Sequence[str], of_notes: bool) -> Iterator[tuple[str, str]]:
     """Heading and text of the warnings, or of the notes, among the lines of the log that are no routine, those alike once."""
-    for line in alike(line for line in lines if not is_routine(line) and is_note(line) == of_notes):
-        head, _, text = line.removeprefix(MARK).partition(": ")
-        yield (head, text) if text and len(head) <= LONGEST_HEAD else ("log", line.removeprefix(MARK))
+    for line in alike(line.removeprefix(MARK) for line in lines if not is_routine(line) and is_note(line) == of_notes):
+        head, _, text = line.partition(": ")
+        yield (head, text) if text and len(head) <= LONGEST_HEAD else ("log", line)
 
 
 def energy_left(run: RunReport) -> float | None:
