@@ -1,7 +1,7 @@
 """Where a run is: a bar and a line below it on a terminal, or a line a minute into a file.
 
 The time left is that of the stage under way, by its pace so far. Two times are given where the pace has changed. During an
-event it is the least that the event takes until motion may count as rest, and none beyond that; between events, their time so
+event it is the least that the event takes until motion may count as rest, and none beyond that. Between events their time so
 far is given.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -24,7 +24,7 @@ from fracflow.simulation.observer import Observer
 from fracflow.storage.files import shown_plain
 
 if TYPE_CHECKING:
-    from fracflow.advance.step import Progress, Step
+    from fracflow.advance.step import Step
     from fracflow.scene.scene import Scene
 
 LEAST_SECONDS, LEAST_STEPS = 2.0, 3  # of a stage from which on its pace is known
@@ -120,7 +120,7 @@ class RunProgress(Observer):
         inside = f", {part:.0%} of it done in substeps" if part > 0.0 else ""
         return f"{stage.kind}, step {number}{among}{inside}, at {now}"
 
-    def _left(self, stage: Stage, event: Progress | None) -> str:
+    def _left(self, stage: Stage, event: Mapping[str, float] | None) -> str:
         """The time left in words, in an event that of it; empty while the pace is not known yet."""
         if stage.takes_no_time and stage.until is not None:
             return "its end is not known before the first section is about to slip"
@@ -153,7 +153,7 @@ class EventPace:
         self._began: tuple[float, float] | None = None  # seconds and steps as the run first showed the event under way
         self._last = 0.0
 
-    def add(self, now: float, progress: Progress | None) -> None:
+    def add(self, now: float, progress: Mapping[str, float] | None) -> None:
         """After a step that ended at a time [s], with where it is in an event; None outside."""
         if progress is not None and self._began is None:
             self._began = now, progress.get("count", 0.0)
@@ -161,7 +161,7 @@ class EventPace:
             self.spent, self.done, self._began = self.spent + self._last - self._began[0], self.done + 1, None
         self._last = now
 
-    def least_left(self, progress: Progress, stage: Stage) -> float:
+    def least_left(self, progress: Mapping[str, float], stage: Stage) -> float:
         """Seconds until the event may be at rest, by its steps so far; 0 where that is past, or not known yet."""
         if self._began is None or not progress.get("least"):
             return 0.0

@@ -33,11 +33,11 @@ from fracflow.run_report.words import (
     key_numbers,
     mesh_line,
     notes_of,
+    of_columns,
     plan_table,
     safe,
     scene_in_words,
     state_of,
-    table,
     warnings_of,
 )
 from fracflow.scene.quantities import QUANTITIES
@@ -182,13 +182,15 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
     text = ""
     histories = histories_of_wells(run, frames)
     ends = [(quantity, _OF_WELLS[quantity], lines) for quantity, lines in histories.items() if lines]
-    rows = [
-        (name, f"({run.shown(x, LENGTH, 5)}, {run.shown(y, LENGTH, 5)})", frames.nearest((x, y)) if frames else "–",
-         *(run.shown(last_of(lines[name][1]), dimension) if name in lines else "–" for _, dimension, lines in ends))
-        for name, (x, y) in run.wells.items()
-    ]  # fmt: skip
-    if rows:
-        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows)
+    if run.wells:
+        unit = run.unit(LENGTH, np.array([*run.wells.values()]))
+        places = [f"({number(unit.factor * x, 5)}, {number(unit.factor * y, 5)})" for x, y in run.wells.values()]
+        on = [frames.nearest(place) if frames else "–" for place in run.wells.values()]
+        columns: list[tuple[str, Sequence[object]]] = [("well", [*run.wells]), (unit.label("at"), places), ("on", on)]
+        for quantity, dimension, lines in ends:
+            last = [last_of(lines[name][1]) if name in lines else None for name in run.wells]
+            columns.append(run.column(f"{quantity} at the end", dimension, last))
+        text += of_columns(columns)
     shut = [shut_line(run.history, name, run.clock_text) for name in run.wells] if len(run.times) else []
     text += "".join(f"<p>{safe(line)}.</p>" for line in shut if line)
     for quantity, lines in histories.items():
