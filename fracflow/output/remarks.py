@@ -61,14 +61,19 @@ _LIMIT = re.compile(
 _DIFFERS = re.compile(r"^(probe|well)\.\S+|\bof \S+ is\b|[-+.\d]+(e[-+]?\d+)?")
 
 
+def bare(line: str) -> str:
+    """A line without the mark before it."""
+    return line.removeprefix(MARK).removeprefix(ACT)
+
+
 def is_note(line: str) -> bool:
     """Whether nothing is to be done about a line: results are those of the scene as it is stated."""
-    return _NOTE.search(line.removeprefix(MARK)) is not None
+    return _NOTE.search(bare(line)) is not None
 
 
 def is_routine(line: str) -> bool:
     """Whether a line of a log stands in that of every run."""
-    return not line.strip() or _ROUTINE.search(line.removeprefix(MARK)) is not None
+    return not line.strip() or _ROUTINE.search(bare(line)) is not None
 
 
 def marked(line: str) -> str:

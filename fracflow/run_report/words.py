@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fracflow.output.remarks import MARK, alike, is_note, is_routine, saved
+from fracflow.output.remarks import alike, bare, is_note, is_routine, saved
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
@@ -120,7 +120,7 @@ def notes_of(run: RunReport) -> Iterator[tuple[str, str]]:
 
 def log_lines(lines: Sequence[str], of_notes: bool) -> Iterator[tuple[str, str]]:
     """Heading and text of the warnings, or of the notes, among the lines of the log that are no routine, those alike once."""
-    for line in alike(line.removeprefix(MARK) for line in lines if not is_routine(line) and is_note(line) == of_notes):
+    for line in alike(bare(line) for line in lines if not is_routine(line) and is_note(line) == of_notes):
         head, _, text = line.partition(": ")
         yield (head, text) if text and len(head) <= LONGEST_HEAD else ("log", line)
 

@@ -35,7 +35,13 @@ def test_a_line_is_a_warning_unless_nothing_is_to_be_done_about_it():
 
 
 def test_a_page_has_each_line_once_with_its_head():
-    log = [*NOTES, *(f"note: {line}" for line in WARNINGS), *WARNINGS[3:4], "fracflow 0.1.0, 1 ranks: 24 cells"]
+    log = [
+        *NOTES,
+        *map(marked, WARNINGS[:2]),
+        *(f"note: {line}" for line in WARNINGS[2:]),
+        *WARNINGS[3:4],
+        "fracflow 0.1.0, 1 ranks: 24 cells",
+    ]
     heads = dict(log_lines(log, of_notes=False))
     assert set(heads) == {
         "fracture.default.aperture = 1 m is unusually large",
