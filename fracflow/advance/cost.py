@@ -38,8 +38,8 @@ def cost_of_events(model: Model, iteration: float, iterations: int) -> dict[str,
         after = (CALM + 1) * math.ceil(math.log2(max(longest / period, 1.0)))
         seconds = iteration * (trials * BRIEF + (waves + after) * iterations)
         found[f"each event in stage {stage.title}, about"] = (
-            f"{trials} trials rejected before it, at least {waves} steps with inertia of {least:.3g}, {after} steps until"
-            f" they are as long again: from {seconds:.2g} CPU s on"
+            f"{trials} trials rejected before it, at least {waves} steps with inertia of"
+            f" {model.scene.time_text(least, 3)}, {after} steps until they are as long again: from {seconds:.2g} CPU s on"
         )
         if weakens := sum(1 for _ in _weakening(model)):
             steps = math.ceil(1.0 / SHARE) * weakens

@@ -85,10 +85,11 @@ def run_command(
     from fracflow._petsc import MPI, PETSc
 
     petsc_options(PETSc, context.args)
-    from fracflow.cli.report import report_checks
+    from fracflow.cli.answer import report_checks
     from fracflow.diagnostics import as_records
     from fracflow.model.setup import on_root
     from fracflow.output.folder import check_folder
+    from fracflow.output.remarks import marked
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
     from fracflow.simulation.run import run
@@ -98,7 +99,7 @@ def run_command(
     given = load(scene, set_ or [], trust)
     console = Terminal(quiet=comm.rank > 0, highlight=False, width=WIDTH)
     for line in advice(given):
-        console.print(f"note: {line}", soft_wrap=True, markup=False)  # lines name [tables]
+        console.print(marked(line), soft_wrap=True, markup=False)  # lines name [tables]
     if converge is not None:
         run_levels(given, output or Path("runs") / f"{given.name}-converge", converge, console, comm)
         return
@@ -114,7 +115,7 @@ def run_command(
         report_checks(as_records(numbers), console)
 
     def say(line: str) -> None:
-        console.print(f"note: {line}", soft_wrap=True, markup=False)
+        console.print(marked(line), soft_wrap=True, markup=False)
 
     run_with_progress(given, folder, console, comm, lambda tick: run(given, folder, comm, tick, show_card, say))
 
@@ -172,13 +173,15 @@ def check(
     scene: SceneFile,
     set_: Overrides = None,
     as_json: Annotated[bool, typer.Option("--json", help="machine-readable")] = False,
+    whole: Annotated[bool, typer.Option("--all", help="every number, criterion, size and note")] = False,
     trust: Trust = False,
 ) -> None:
-    """Validate a scene with its mesh, wells and initial state; print sizes, what is modelled and what left out."""
+    """Validate a scene with its mesh, wells and initial state: what to change first, its cost, what is modelled."""
+    from fracflow.cli.answer import short_answer, whole_answer
     from fracflow.cli.check import set_up
-    from fracflow.cli.report import report_checks, report_plan
     from fracflow.diagnostics import as_records as card_records
     from fracflow.output.folder import to_json
+    from fracflow.output.remarks import parted
     from fracflow.reduction import as_records
     from fracflow.scene.advice import advice
     from fracflow.scene.scene import load
@@ -186,27 +189,26 @@ def check(
     keep_imports()
     given = load(scene, set_ or [], trust)
     found, moved, numbers, decisions, network = set_up(given)
-    notes = [*advice(given), *moved]
+    lines, card, plan = [*advice(given), *moved], card_records(numbers), as_records(decisions)
     if as_json:
-        card, plan = card_records(numbers), as_records(decisions)
-        record = {"sizes": found, "plan": plan, "card": card, "notes": notes, "network": asdict(network)}
-        typer.echo(to_json(record, indent=1))
+        record = {"sizes": found, "plan": plan, "card": card, "notes": lines, "warnings": parted(lines)[0]}
+        typer.echo(to_json({**record, "network": asdict(network)}, indent=1))
         return
     console = Console(highlight=False, width=WIDTH)
-    report_checks(card_records(numbers), console)
-    report_plan(as_records(decisions), console)
-    for key, value in found.items():
-        typer.echo(f"{key}: {shown(value)}")
-    for note in notes:
-        typer.echo(f"note: {note}")
+    if whole:
+        whole_answer(found, lines, card, plan, console)
+    else:
+        short_answer(given.title or given.name, found, lines, card, plan, console)
 
 
 @app.command("mesh")
 def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False) -> None:
     """Mesh and split only, with a summary."""
+    from fracflow.cli.answer import shown
     from fracflow.mesh.split import summary
     from fracflow.model.network_parts import unconnected_wells
     from fracflow.model.setup import place
+    from fracflow.output.remarks import marked
     from fracflow.reduction.prepare import read_split
     from fracflow.scene.scene import load
 
@@ -214,21 +216,14 @@ def mesh_command(scene: SceneFile, set_: Overrides = None, trust: Trust = False)
     given = load(scene, set_ or [], trust)
     split = read_split(given)
     for note in split.notes:
-        typer.echo(note)
+        typer.echo(marked(note))
     try:
         for note in unconnected_wells(given, split, place(given, split).wells):
-            typer.echo(note)
+            typer.echo(marked(note))
     except InputError as error:  # wells may be placed later
-        typer.echo(f"note: {error}")
+        typer.echo(marked(str(error)))
     for key, value in summary(split).items():
         typer.echo(f"{key}: {shown(value)}")
-
-
-def shown(value: Any) -> str:
-    """A count, a number or a table of numbers as the terminal shows it."""
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {shown(each)}" for name, each in value.items())
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 @app.command()

@@ -17,6 +17,7 @@ from fracflow.mesh.facets import outer_besides
 from fracflow.mesh.interpret import EVERY
 from fracflow.mesh.read import network_of, read_mesh
 from fracflow.model.setup import geometry_of
+from fracflow.scene.advice import degrees
 from fracflow.scene.geometry import read_traces
 from fracflow.scene.scene import Scene
 from fracflow.scene.toml import parse_toml, write_key, write_value
@@ -86,6 +87,8 @@ def write_scene(where: Path, traces: Path | None = None, mesh: Path | None = Non
     parts = parts if mesh is None else _of_mesh(mesh, path, trust)
     text = _text(parts, path)
     scene = Scene.from_data(parse_toml(text, path), path)  # says at once what of the traces or the mesh fits no scene
+    for line in degrees(scene):
+        warnings.warn(line, stacklevel=2)
     if scene.geometry is not None:
         network_of(geometry_of(scene))
     try:

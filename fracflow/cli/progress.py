@@ -1,14 +1,15 @@
 """Where a run is: a bar and a line below it on a terminal, or a line a minute into a file.
 
-The time left is that of the stage under way, by its pace so far. Two times are given where the pace has changed, and none
-while it cannot be known, as during an event.
+The time left is that of the stage under way, by its pace so far. Two times are given where the pace has changed. During an
+event it is the least that the event takes until motion may count as rest, and none beyond that. Between events their time so
+far is given.
 """
 
 from __future__ import annotations
 
 import threading
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -54,7 +55,7 @@ class RunProgress(Observer):
         self.counts: tuple[int, int] | None = None
         self.line = SETTING_UP
         self.share: float | None = None
-        self.pace, self.stage = Pace(seconds()), -1
+        self.pace, self.stage, self.events = Pace(seconds()), -1, EventPace()
         show(self.line, None)
 
     def saved(self, steps: int) -> None:
@@ -81,11 +82,12 @@ class RunProgress(Observer):
             self.stage, self.pace = step.stage, Pace(self.seconds())
         event = step.regime == "dynamic" and stage.kind == "auto"
         self.pace.add(self.seconds(), share, event)
+        self.events.add(self.seconds(), step.progress if event else None)
         head = f"stage {step.stage + 1} of {len(self.scene.stage)} ({stage.title}): {self._where(stage, step)}"
         found = "" if self.counts is None else f", {self.counts[0]} sections slip, {self.counts[1]} open"
-        self.line, self.share = head + found, share
+        self.line, self.share = head + found + ("" if event else self.events.account), share
         rejected = f", {self.rejected} trials rejected" if self.rejected else ""
-        left = self._left(stage, event)
+        left = self._left(stage, step.progress if event else None)
         self.show(self.line + rejected + (f"; {left}" if left else ""), share)
 
     def _start(self, number: int) -> float:
@@ -118,12 +120,17 @@ class RunProgress(Observer):
         inside = f", {part:.0%} of it done in substeps" if part > 0.0 else ""
         return f"{stage.kind}, step {number}{among}{inside}, at {now}"
 
-    def _left(self, stage: Stage, event: bool) -> str:
-        """The time left in words; empty while the pace is not known yet."""
+    def _left(self, stage: Stage, event: Mapping[str, float] | None) -> str:
+        """The time left in words, in an event that of it; empty while the pace is not known yet."""
         if stage.takes_no_time and stage.until is not None:
             return "its end is not known before the first section is about to slip"
-        if event:
-            return "the time left is not known during an event"
+        if event is not None:
+            least = self.events.least_left(event, stage)
+            return (
+                f"the event takes at least {spoken(least)} more"
+                if least
+                else "the time left is not known during an event"
+            )
         after = len(self.scene.stage) - 1 - self.stage
         rest = f" in this stage, with {after} more after it" if after else ""
         found = self.pace.left()
@@ -135,6 +142,40 @@ class RunProgress(Observer):
         if stage.until is not None:
             return f"at most {high} left{rest}"
         return f"about {low} left{rest}" if found[1] <= STEADY * found[0] else f"{low} to {high} left{rest}"
+
+
+class EventPace:
+    """The seconds that the events of a run have taken, and those of the one under way."""
+
+    def __init__(self) -> None:
+        """Before the first event."""
+        self.spent, self.done = 0.0, 0
+        self._began: tuple[float, float] | None = None  # seconds and steps as the run first showed the event under way
+        self._last = 0.0
+
+    def add(self, now: float, progress: Mapping[str, float] | None) -> None:
+        """After a step that ended at a time [s], with where it is in an event; None outside."""
+        if progress is not None and self._began is None:
+            self._began = now, progress.get("count", 0.0)
+        elif progress is None and self._began is not None:
+            self.spent, self.done, self._began = self.spent + self._last - self._began[0], self.done + 1, None
+        self._last = now
+
+    def least_left(self, progress: Mapping[str, float], stage: Stage) -> float:
+        """Seconds until the event may be at rest, by its steps so far; 0 where that is past, or not known yet."""
+        if self._began is None or not progress.get("least"):
+            return 0.0
+        (began, first), count = self._began, progress.get("count", 0.0)
+        steps = max(1.0, stage.rest_periods) * progress.get("period", 0.0) / progress["least"]
+        known = self._last - began >= LEAST_SECONDS and count > first + LEAST_STEPS
+        return max(0.0, steps - count) * (self._last - began) / (count - first) if known else 0.0
+
+    @property
+    def account(self) -> str:
+        """The events so far and their time, in words; empty before the first."""
+        if not self.done:
+            return ""
+        return f", {self.done} event{'s' * (self.done > 1)} so far in {spoken(self.spent)}"
 
 
 class Pace:

@@ -17,6 +17,8 @@ scene that the examples are of.
 | 2 | bad input; one line names the place and a remedy |
 | 3 | the solve or the disk failed; the last good state is saved, and its pictures are drawn |
 | 130 | interrupted; the state is saved |
+
+A line after `! ` is a warning with its remedy; nothing is to be done about one after `note: `.
 """
 
 

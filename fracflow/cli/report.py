@@ -204,37 +204,3 @@ def _report_events(events: Sequence[Mapping[str, Any]], console: Console, units:
     console.print(table)
     if len(events) > MOST_EVENTS:
         console.print(f"and {len(events) - MOST_EVENTS} more, of smaller slip, in events.csv", soft_wrap=True)
-
-
-def report_checks(numbers: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print the records of the pre-run checks: ten lines, and a remedy for each number out of range."""
-    table = Table(title="Pre-run checks", title_style="bold", box=None, pad_edge=False)
-    for head in ("", "number", "value", "limit", "where"):
-        table.add_column(head, overflow="fold", no_wrap=head in ("", "value"))
-    for number in numbers:
-        value = number["value_text"] or "-"
-        limit = number["limit_text"] or (f"({number['note']})" if number["note"] else "-")
-        mark = "!" if number["out_of_range"] else ""
-        cells = (mark, f"{number['name']} {number['formula'].partition(' = ')[0]}", value, limit, number["where"])
-        table.add_row(*map(escape, cells), style="bold" if mark else "")
-    console.print(table)
-    for number in numbers:
-        if number["out_of_range"]:
-            console.print(f"! {number['name']}: {number['remedy']}", soft_wrap=True, markup=False)
-
-
-def report_plan(decisions: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print the records of a plan, a table for each verdict: what is left out first."""
-    verdicts = dict.fromkeys(each["verdict"] for each in sorted(decisions, key=lambda each: not each["left_out"]))
-    for verdict in verdicts:
-        table = Table(title=f"Plan: {verdict}", title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        table.width = min(console.width, WIDTH)
-        for head, share in (("part", 5), ("criterion: value (limit)", 10), ("saves", 8)):
-            table.add_column(head, ratio=share, overflow="fold")
-        for each in (each for each in decisions if each["verdict"] == verdict):
-            value, limit = (f"{x:.3g}" if isinstance(x, float) else str(x) for x in (each["value"], each["limit"]))
-            part = f"{each['part']}, stage {each['stage']}" if each["stage"] else each["part"]
-            error = "" if verdict == "kept" or not each["error"] else f"; may err by: {each['error']}"
-            why = f"{each['criterion']}: {value} (limit: {limit})"
-            table.add_row(*map(escape, (part, why, each["saves"] + error)))
-        console.print(table)

@@ -48,7 +48,7 @@ POINTS = 24  # of Gauss's rule over directions, on each side of the critical ang
 
 @cache
 def reflections(poissons_ratio: float) -> tuple[str, str]:
-    """Reflections of a P and of an S wave, amplitudes by angle and energy, in words that begin with the wave."""
+    """Reflections of a P and of an S wave, energy and amplitudes by angle, in words that begin with the wave."""
     p, s = (_reflections(poissons_ratio, kind) for kind in ("p", "s"))
     return p, s
 
@@ -61,10 +61,9 @@ def _reflections(poissons_ratio: float, kind: str) -> str:
     unlike = ", ".join(f"{pair[other]:.3f}" for angle, pair in met if angle < critical)
     most = max(energy_returned(poissons_ratio, float(angle), kind) for angle in np.arange(STEEPEST + 1.0))
     return (
-        f"{'a P' if kind == 'p' else 'an S'} wave {alike} degrees from the normal comes back as {'PS'[own]}, {unlike} as"
-        f" {'PS'[other]}{'' if kind == 'p' else f' (none beyond {critical:.0f})'};"
-        f" {energy_over_directions(poissons_ratio, kind):.1%} of its energy over all directions, at most {most:.1%} up to"
-        f" {STEEPEST:.0f} degrees"
+        f"{'a P' if kind == 'p' else 'an S'} wave {energy_over_directions(poissons_ratio, kind):.1%} of the energy comes back"
+        f" over all directions, at most {most:.1%} up to {STEEPEST:.0f} degrees from the normal; of its amplitude {alike}"
+        f" degrees as {'PS'[own]}, {unlike} as {'PS'[other]}{'' if kind == 'p' else f' (none beyond {critical:.0f})'}"
     )
 
 

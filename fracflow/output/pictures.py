@@ -140,6 +140,8 @@ def _network(run: RunData) -> Network:
     marks = {"well": run.wells, "probe": run.probes}
     if 0 < len(first) <= _MOST_FIRST:
         marks["slipped first"] = {f"\0{i}": (event["x"], event["y"]) for i, event in enumerate(first)}
+    if run.limit is not None:
+        marks["limit point"] = {"\0limit": run.limit[1]}
     if found is None:
         return Network(run.rock or [], np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64), [], run.units, marks)
     return Network(run.rock or [], found.segments, found.fracture, found.names, run.units, marks)

@@ -18,10 +18,11 @@ from fracflow.output.fields import list_steps, read_mesh, read_step, read_time
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_attributes, read_history, read_table, read_units
 from fracflow.output.plot_style import plain
+from fracflow.output.remarks import last_limit
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED, Status, read_status
 from fracflow.scene.quantities import REGIMES, dimension_of
 from fracflow.scene.units import ENERGY, LENGTH, STRESS, TIME, VELOCITY
-from fracflow.storage.files import steers
+from fracflow.storage.files import read_text, steers
 
 Floats = NDArray[np.float64]
 FieldProfile = tuple[Floats, Floats | None, Floats]
@@ -120,6 +121,7 @@ class RunData:
     """Data of the pictures. ``start`` is the step that the dynamics begin from, or else the last one to find equilibrium.
 
     energy_noise  round-off of the entries of the energy balance [energy per thickness]
+    limit         the last limit point of the log, in words and its place [length]; None where there is none
     """
 
     title: str
@@ -134,6 +136,7 @@ class RunData:
     has_dynamics: bool
     status: Status
     energy_noise: float = 0.0
+    limit: tuple[str, tuple[float, float]] | None = None
 
     @property
     def is_behind(self) -> bool:
@@ -250,7 +253,16 @@ def load_run_data(folder: str | Path) -> RunData:
         has_dynamics=bool(len(dynamic)),
         status=read_status(folder),
         energy_noise=_number(attrs.get("energy_noise")) * len(history["time"]),
+        limit=last_limit(_log(folder)),
     )
+
+
+def _log(folder: Path) -> list[str]:
+    """The lines of the log; none where it cannot be read."""
+    try:
+        return read_text(folder / "log.txt", "look at the file").splitlines()
+    except InputError:
+        return []
 
 
 def _number(value: Any) -> float:

@@ -40,9 +40,11 @@ def far_field(facts: ReductionInput) -> Iterator[Decision]:
     sides = ", ".join(name for term in scene.terms if term.absorbs for name in term.on)
     ratios = {rock.poissons_ratio for rock in scene.rock.values() if rock.poissons_ratio is not None}
     for ratio in sorted(ratios) if sides and scene.has_dynamics else ():
+        of_p, of_s = (dashpot.energy_over_directions(ratio, kind) for kind in ("p", "s"))
         yield Decision(
-            "rock beyond absorbing sides", True, f"share of P and S waves that {sides} send back, by their angle to the normal",
-            f"of {'; of '.join(dashpot.reflections(ratio))}; for Poisson's ratio {ratio:g}", "0 at 0 degrees",
+            "rock beyond absorbing sides", True,
+            f"share of the energy of waves from all directions that {sides} send back; by angle in log.txt",
+            f"{of_p:.1%} of P, {of_s:.1%} of S waves (Poisson's ratio {ratio:g})", "0 along the normal",
             "waves that meet a side at a slant come back weaker: move it away, or turn it towards them", "the rock there",
         )  # fmt: skip
 

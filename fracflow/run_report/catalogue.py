@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 
 from fracflow.run_report.data import Chart, RunReport, Series, number
 from fracflow.run_report.statistics import COVERED, FEWEST, front_diffusivity, gutenberg_richter, largest_moment
-from fracflow.run_report.words import event_table, safe, table
-from fracflow.scene.units import LENGTH, STRESS, VELOCITY, VOLUME
+from fracflow.run_report.words import event_table, of_columns, safe
+from fracflow.scene.units import LENGTH, STRESS, TIME, VELOCITY, VOLUME
 
 Charts = dict[str, Chart]
 MOST_LISTED = 12  # events in the table
@@ -166,16 +167,17 @@ def _onsets(run: RunReport, charts: Charts, slips: list[dict[str, Any]]) -> str:
     chart = Chart(
         "Slip of the sections, by when it begins", clock.label("time"), unit.label("slip"), series, span=run.span
     )
-    rows = [
-        (name, len(groups[name]), run.clock_text(min(e["start"] for e in groups[name])),
-         run.shown(max(abs(e["slip"]) for e in groups[name]), LENGTH, 3),
-         run.shown(max(e["peak_slip_rate"] for e in groups[name]), VELOCITY, 3))
-        for name in ranked
-    ]  # fmt: skip
-    heads = ("fracture", "slips of its sections", "the first begins", "largest slip", "fastest")
+    slips_of = [groups[name] for name in ranked]
+    columns: list[tuple[str, Sequence[object]]] = [
+        ("fracture", ranked),
+        ("slips of its sections", [len(rows) for rows in slips_of]),
+        run.column("the first begins", TIME, [min(e["start"] for e in rows) for rows in slips_of], unit=clock),
+        run.column("largest slip", LENGTH, [max(abs(e["slip"]) for e in rows) for rows in slips_of], 3),
+        run.column("fastest", VELOCITY, [max(e["peak_slip_rate"] for e in rows) for rows in slips_of], 3),
+    ]
     why = (
         "<p>No slip ran away: there is no event with a magnitude.</p>"
         if run.scene is not None and any(stage.kind == "auto" for stage in run.scene.stage)
         else "<p>The catalogue of whole events, with magnitudes, belongs to stages of kind auto.</p>"
     )
-    return f"{figure(charts, 'onsets', chart)}{table(heads, rows, 'long')}{why}"
+    return f"{figure(charts, 'onsets', chart)}{of_columns(columns)}{why}"

@@ -183,6 +183,14 @@ class RunReport:
         unit = self.unit(dimension, [value])
         return f"{number(value * unit.factor, digits)} {unit.name}".rstrip() if value else "0"
 
+    def column(
+        self, word: str, dimension: str, values: Sequence[float | None], digits: int = 4, unit: Unit | None = None
+    ) -> tuple[str, list[str]]:
+        """Head and cells of a column of numbers, in one unit that suits the largest, which the head has."""
+        known = np.array([np.nan if value is None else value for value in values], dtype=float)
+        unit = unit or self.unit(dimension, known)
+        return unit.label(word), [number(unit.factor * each, digits) if np.isfinite(each) else "–" for each in known]
+
     def clock_text(self, time: float) -> str:
         """A time in the unit of the axes."""
         return f"{number(time * self.clock.factor)} {self.clock.name}".rstrip()

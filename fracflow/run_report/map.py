@@ -17,6 +17,7 @@ from fracflow.mesh.data import SplitMesh
 from fracflow.output.fields import list_steps, read_mesh, read_step
 from fracflow.output.profiles import KEPT, read_profiles
 from fracflow.output.reader import LARGEST, without_round_off
+from fracflow.output.remarks import last_limit
 from fracflow.run_report.data import RunReport, rounded
 from fracflow.scene.units import LENGTH, STRESS
 from fracflow.storage.files import steers
@@ -231,6 +232,7 @@ def map_record(run: RunReport, frames: Frames | None) -> dict[str, Any] | None:
         "wells": [[name, *rounded((np.array(place) - low) / size)] for name, place in run.wells.items()],
         "probes": [[name, *rounded((np.array(place) - low) / size)] for name, place in run.probes.items()],
         "clock": run.clock.name,
+        "limit": rounded((np.array(limit[1]) - low) / size) if (limit := last_limit(run.log)) is not None else [],
     }
     if frames is None:
         return found

@@ -22,6 +22,8 @@ function shown(value, digits = 4) {
   return (front === 1 ? "" : `${front}×`.replace("-", "−")) + `10${raised(power)}`;
 }
 
+const unitOf = (label) => (label.match(/\[(.*)\]$/) || ["", ""])[1];
+
 function ticks(low, high, most, log) {
   if (log) {
     const first = Math.floor(low), last = Math.ceil(high), every = Math.max(1, Math.ceil((last - first) / most)), found = [];
@@ -33,8 +35,12 @@ function ticks(low, high, most, log) {
     return found;
   }
   const rough = (high - low) / Math.max(most, 1), power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= rough * 0.999), found = [];
-  for (let n = Math.ceil(low / step - 1e-6); n * step <= high + 1e-6 * step; n += 1) found.push(n * step);
+  const steps = [0.5, 1, 2, 5, 10].map((m) => m * power), fits = steps.findIndex((s) => s >= rough * 0.999);
+  let found = [];
+  for (let i = fits; i >= Math.max(0, fits - 2) && found.length < 3; i -= 1) {
+    found = [];
+    for (let n = Math.ceil(low / steps[i] - 1e-6); n * steps[i] <= high + 1e-6 * steps[i]; n += 1) found.push(n * steps[i]);
+  }
   return found;
 }
 
@@ -86,7 +92,7 @@ function draw(figure, chart) {
     add(svg, "text", { x: px(v), y: height - bottom + 17, "text-anchor": "middle" }, label(v, chart.logX));
   }
   add(svg, "line", { x1: left, x2: width - right, y1: height - bottom, y2: height - bottom, class: "axis" });
-  add(svg, "text", { x: 0, y: 12 }, chart.y);
+  add(svg, "text", { x: 0, y: 12 }, chart.title && chart.y.toLowerCase().startsWith(`${chart.title.toLowerCase()} [`) ? unitOf(chart.y) : chart.y);
   add(svg, "text", { x: width - right, y: height - 4, "text-anchor": "end" }, chart.x);
   const legend = document.createElement("div");
   legend.className = "legend";
@@ -120,9 +126,9 @@ function paint(canvas, height) {
   return pen;
 }
 
-function bar(box, field) {
+function bar(box, field, label = field.label) {
   const row = document.createElement("div"), low = document.createElement("span"), high = document.createElement("span"), strip = document.createElement("canvas");
-  row.className = "bar"; low.textContent = shown(field.low, 3); high.textContent = `${shown(field.high, 3)}   ${field.label}`;
+  row.className = "bar"; low.textContent = shown(field.low, 3); high.textContent = `${shown(field.high, 3)} ${label}`;
   row.append(low, strip, high); box.replaceChildren(row);
   strip.width = 160; strip.height = 1;
   const pen = strip.getContext("2d");
@@ -185,6 +191,10 @@ function drawMap() {
   for (const [, px, py] of map.wells) {
     pen.fillStyle = "#56b4e9"; pen.beginPath(); pen.moveTo(x(px) - 6, y(py) - 10); pen.lineTo(x(px) + 6, y(py) - 10); pen.lineTo(x(px), y(py)); pen.closePath(); pen.fill(); pen.stroke();
     taken.push([x(px) - 7, y(py) - 11, x(px) + 7, y(py)]);
+  }
+  if (map.limit.length) {
+    const [px, py] = [x(map.limit[0]), y(map.limit[1])];
+    pen.fillStyle = "#cc79a7"; pen.beginPath(); pen.moveTo(px, py - 7); pen.lineTo(px + 7, py); pen.lineTo(px, py + 7); pen.lineTo(px - 7, py); pen.closePath(); pen.fill(); pen.stroke();
   }
   const traces = [];
   for (let i = 0; map.at && i < map.at.length; i += 2) traces.push([x(map.at[i]) - 3, y(map.at[i + 1]) - 3, x(map.at[i]) + 3, y(map.at[i + 1]) + 3]);
@@ -256,7 +266,7 @@ function drawAll() {
   drawMap();
   if (!map.times) return;
   drawProfile();
-  for (const box of document.querySelectorAll(".scale[data-field]")) bar(box, map.fields[box.dataset.field]);
+  for (const box of document.querySelectorAll(".scale[data-field]")) bar(box, map.fields[box.dataset.field], unitOf(map.fields[box.dataset.field].label));
   document.querySelectorAll(".heat").forEach(drawHeat);
 }
 

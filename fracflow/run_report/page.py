@@ -7,7 +7,7 @@ import datetime
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fracflow._version import __version__
 from fracflow.output.folder import write_atomic
 from fracflow.output.history import last_of, shut_line
+from fracflow.output.remarks import last_limit
 from fracflow.run_report.catalogue import Charts, events_of, figure
 from fracflow.run_report.data import Chart, RunReport, Series, number, read_run
 from fracflow.run_report.map import Frames, map_record, read_frames
@@ -31,11 +32,12 @@ from fracflow.run_report.words import (
     items,
     key_numbers,
     mesh_line,
+    notes_of,
+    of_columns,
     plan_table,
     safe,
     scene_in_words,
     state_of,
-    table,
     warnings_of,
 )
 from fracflow.scene.quantities import QUANTITIES
@@ -45,6 +47,7 @@ from fracflow.scene.units import ENERGY, FLOW_RATE, LENGTH, STRESS, TIME, VELOCI
 WORDS = {"pressure": "pressure", "aperture": "aperture", "plastic_slip": "plastic slip"}
 _OF_WELLS = {"pressure": STRESS, "rate": FLOW_RATE, "volume": VOLUME}
 MOST_SHOWN = 9  # fractures whose fields are open at once, those that slip most
+MOST_OPEN = 8  # warnings, and notes, that are open at once
 MOST_LOG = 200  # lines of the log
 
 
@@ -65,17 +68,18 @@ def page(run: RunReport) -> str:
     drawn = map_record(run, frames)
     charts: Charts = {}
     made = [
-        ("warnings", "Warnings", _warnings(run)),
+        ("warnings", "Warnings", _lines(list(warnings_of(run))) or "<p>None.</p>"),
         ("scene", "The scene", _scene(run)),
         ("mesh", "Mesh and fractures", _mesh(run, frames)),
         ("wells", "Wells", _wells(run, charts, frames)),
-        ("map", "Map", _map(drawn)),
+        ("map", "Map", _map(drawn, last_limit(run.log))),
         ("along", "Along the fractures", _along(frames)),
         ("probes", "Probes", _probes(run, charts)),
         ("events", "Events", events_of(run, charts)),
         ("energy", "Energy balance", _energy(run, charts)),
         ("model", "Parts modelled and left out", _model(run)),
         ("steps", "Steps", _steps(run, charts)),
+        ("notes", "Notes", _lines(list(notes_of(run)))),
         ("repeat", "How to repeat it", _repeat(run)),
     ]
     body = "".join(f'<section id="{key}"><h2>{safe(head)}</h2>{text}</section>' for key, head, text in made if text)
@@ -118,17 +122,12 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _warnings(run: RunReport) -> str:
-    found = list(warnings_of(run))
-    if not found:
-        return "<p>None.</p>"
+def _lines(found: Sequence[tuple[str, str]]) -> str:
+    """A list of headings and texts, the first few of them open."""
     lines = [f"<li><b>{safe(head)}</b> {safe(text)}</li>" for head, text in found]
-    more = (
-        f"<details><summary>{len(lines) - 8} more</summary><ul>{''.join(lines[8:])}</ul></details>"
-        if len(lines) > 8
-        else ""
-    )
-    return f'<ul class="warnings">{"".join(lines[:8])}</ul>{more}'
+    few, rest = "".join(lines[:MOST_OPEN]), "".join(lines[MOST_OPEN:])
+    more = f"<details><summary>{len(lines) - MOST_OPEN} more</summary><ul>{rest}</ul></details>" if rest else ""
+    return f'<ul class="lines">{few}</ul>{more}' if few else ""
 
 
 def _scene(run: RunReport) -> str:
@@ -183,13 +182,15 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
     text = ""
     histories = histories_of_wells(run, frames)
     ends = [(quantity, _OF_WELLS[quantity], lines) for quantity, lines in histories.items() if lines]
-    rows = [
-        (name, f"({run.shown(x, LENGTH, 5)}, {run.shown(y, LENGTH, 5)})", frames.nearest((x, y)) if frames else "–",
-         *(run.shown(last_of(lines[name][1]), dimension) if name in lines else "–" for _, dimension, lines in ends))
-        for name, (x, y) in run.wells.items()
-    ]  # fmt: skip
-    if rows:
-        text += table(("well", "at", "on", *(f"{quantity} at the end" for quantity, *_ in ends)), rows)
+    if run.wells:
+        unit = run.unit(LENGTH, np.array([*run.wells.values()]))
+        places = [f"({number(unit.factor * x, 5)}, {number(unit.factor * y, 5)})" for x, y in run.wells.values()]
+        on = [frames.nearest(place) if frames else "–" for place in run.wells.values()]
+        columns: list[tuple[str, Sequence[object]]] = [("well", [*run.wells]), (unit.label("at"), places), ("on", on)]
+        for quantity, dimension, lines in ends:
+            last = [last_of(lines[name][1]) if name in lines else None for name in run.wells]
+            columns.append(run.column(f"{quantity} at the end", dimension, last))
+        text += of_columns(columns)
     shut = [shut_line(run.history, name, run.clock_text) for name in run.wells] if len(run.times) else []
     text += "".join(f"<p>{safe(line)}.</p>" for line in shut if line)
     for quantity, lines in histories.items():
@@ -209,7 +210,7 @@ def _wells(run: RunReport, charts: Charts, frames: Frames | None) -> str:
     return text
 
 
-def _map(drawn: dict[str, Any] | None) -> str:
+def _map(drawn: dict[str, Any] | None, limit: tuple[str, tuple[float, float]] | None) -> str:
     if drawn is None:
         return "<p>The run folder has neither a plane mesh nor fields of fractures to draw.</p>"
     if not drawn.get("times"):
@@ -222,6 +223,9 @@ def _map(drawn: dict[str, Any] | None) -> str:
         f'<option value="{i}"{" selected" * (i == drawn["most"])}>{safe(name)}</option>'
         for i, (name, _, _) in enumerate(drawn["fractures"])
     )
+    diamond = (
+        f" Diamond: the last limit point, from which slip runs away: {safe(limit[0])}." if limit is not None else ""
+    )
     last = len(drawn["times"]) - 1
     slider = f'<input type="range" id="slider" min="0" max="{last}" value="{last}" aria-label="state shown on the map">'
     return (
@@ -230,7 +234,7 @@ def _map(drawn: dict[str, Any] | None) -> str:
         f'<button type="button" id="play">play</button>{slider}<output id="now"></output></div>'
         '<div id="chart-map"><canvas></canvas></div><div id="scale"></div><p id="under"></p>'
         "<p>Orange: sections that slip between this state and the one before. Circles: events so far, larger with the"
-        " magnitude. Triangles: wells. Dots: probes.</p>"
+        f" magnitude. Triangles: wells. Dots: probes.{diamond}</p>"
         f'<figure class="chart" id="profile"><figcaption>Along <select id="fracture">{names}</select> at this time,'
         " and at the first state (dashed)</figcaption><div></div></figure>"
     )

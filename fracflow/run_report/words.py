@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
+from fracflow.output.remarks import alike, bare, is_note, is_routine, saved
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
@@ -21,12 +21,7 @@ from fracflow.storage.files import shown_plain
 OPEN = 1e-6  # of the largest entry of the energy balance, as the report on the terminal has it
 STORED = ("kinetic", "rock_strain", "joint_normal", "joint_shear", "fluid_storage")
 LOST = ("friction", "viscous", "radiated", "damping", "scheme", "spurious", "dropped")
-_ROUTINE = re.compile(
-    r"^well\..* is on (?!.* from where it was asked)|"
-    r"^(check|card|plan|stopped:|probe\.|fracflow |absorbing |stage \d|stage .*: longest period|geometry\.(snap|size))"
-    r"|^geometry\.growth = \S+: rock far"
-    r"|^(incipient failure|work in all:|\d+ steps,)|an event begins|limit point:|at rest|trials rejected|first failure"
-)
+LONGEST_HEAD = 60  # letters that stand before the colon of a line
 MOST_SEEN = 12  # rows of a long table that are seen at once
 
 
@@ -45,6 +40,13 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[object]], kind: str = ""
     )
     top = "".join(f"<th>{safe(head)}</th>" for head in heads)
     return f'<div class="rows {kind}"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def of_columns(columns: Iterable[tuple[str, Sequence[object]]], kind: str = "") -> str:
+    """A table of columns, each a head and its cells; a long one scrolls."""
+    heads, cells = zip(*columns, strict=True)
+    rows = [*zip(*cells, strict=True)]
+    return table(heads, rows, f"{kind} long" if len(rows) > MOST_SEEN else kind)
 
 
 def items(lines: Iterable[str]) -> str:
@@ -96,25 +98,31 @@ def warnings_of(run: RunReport) -> Iterator[tuple[str, str]]:
             value, limit = each.get("value_text", ""), each.get("limit_text", "")
             head = f"check of {each.get('name', '')}"
             yield head, f"{each.get('where', '')}: {value}, limit {limit or 'none'}; {each.get('remedy', '')}"
-    for each in run.plan:
-        if each.get("undone"):
-            yield f"plan: {each.get('part', '')}", f"taken back during the run: {each['undone']}"
     left = energy_left(run)
     if left is not None and left > OPEN:
         yield (
             "energy balance",
             f"{number(left, 2)} of its largest entry is left over; results are not known better than that",
         )
-    yield from (("log", line) for line in log_lines(run.log))
+    yield from log_lines(run.log, of_notes=False)
 
 
-def log_lines(lines: Sequence[str]) -> list[str]:
-    """Lines of the log that are no routine, those alike once."""
-    alike: dict[str, list[str]] = {}
-    for line in lines:
-        if line.strip() and not _ROUTINE.search(line):
-            alike.setdefault(re.sub(r"\bof \S+ is\b|[-+.\d]+(e[-+]\d+)?", "#", line)[:120], []).append(line)
-    return [group[0] + (f" (and {len(group) - 1} lines like it)" if len(group) > 1 else "") for group in alike.values()]
+def notes_of(run: RunReport) -> Iterator[tuple[str, str]]:
+    """Heading and text of what was done in the run, about which nothing is to be done."""
+    for each in run.plan:
+        if each.get("undone"):
+            yield (
+                f"plan, {each.get('part', '')}",
+                f"taken back during the run, which began anew with it: {each['undone']}",
+            )
+    yield from log_lines(run.log, of_notes=True)
+
+
+def log_lines(lines: Sequence[str], of_notes: bool) -> Iterator[tuple[str, str]]:
+    """Heading and text of the warnings, or of the notes, among the lines of the log that are no routine, those alike once."""
+    for line in alike(bare(line) for line in lines if not is_routine(line) and is_note(line) == of_notes):
+        head, _, text = line.partition(": ")
+        yield (head, text) if text and len(head) <= LONGEST_HEAD else ("log", line)
 
 
 def energy_left(run: RunReport) -> float | None:
@@ -123,27 +131,36 @@ def energy_left(run: RunReport) -> float | None:
     entries += [np.abs(values) for key, values in run.history.items() if key.startswith("energy/work_")]
     most = max((float(np.nanmax(values)) for values in entries if np.isfinite(values).any()), default=0.0)
     residual = run.history.get("energy/residual", np.zeros(0))
-    noise = run.notes.get("energy_noise", 0.0)
-    noise = float(noise) * len(run.times) if isinstance(noise, int | float) else 0.0
-    if not len(residual) or most <= noise or not np.isfinite(residual).any():
+    if not len(residual) or most <= energy_noise(run) or not np.isfinite(residual).any():
         return None
     return float(np.nanmax(np.abs(residual))) / most
 
 
+def energy_noise(run: RunReport) -> float:
+    """Round-off of the entries of the energy balance; 0 of a run that does not know it [energy per thickness]."""
+    noise = run.notes.get("energy_noise", 0.0)
+    return float(noise) * len(run.times) if isinstance(noise, int | float) else 0.0
+
+
 def energy_table(run: RunReport) -> str:
-    """The entries of the energy balance, in groups."""
+    """The entries of the energy balance that are more than round-off, in groups, and the residual."""
     groups: list[tuple[str, list[str]]] = [("stored", [*STORED]), ("lost", [*LOST])]
     groups.append(("work", sorted(key[7:] for key in run.history if key.startswith("energy/work_"))))
     groups.append(("left over", ["residual", "residual_closed"]))
-    rows = []
+    found: list[tuple[str, str, float, float]] = []
     for group, names in groups:
         for name in names:
-            values = run.history.get(f"energy/{name}")
-            if values is None or not len(values) or (group != "left over" and not np.any(values)):
-                continue
-            cells = (run.shown(float(size), ENERGY, 4) for size in (values[-1], np.nanmax(np.abs(values))))
-            rows.append((group, name.replace("_", " "), *cells))
-    return table(("", "entry", "at the end", "largest"), rows, "small")
+            values = run.history.get(f"energy/{name}", np.zeros(0))
+            most = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+            if len(values) and (group == "left over" or most > energy_noise(run)):
+                found.append((group, name.removeprefix("work_").replace("_", " "), float(values[-1]), most))
+    if not found:
+        return ""
+    kinds = [each[0] if not k or each[0] != found[k - 1][0] else "" for k, each in enumerate(found)]
+    unit = run.unit(ENERGY, [each[3] for each in found])
+    at_end = run.column("at the end", ENERGY, [each[2] for each in found], unit=unit)
+    largest = run.column("largest", ENERGY, [each[3] for each in found], unit=unit)
+    return of_columns([("", kinds), ("entry", [each[1] for each in found]), at_end, largest], "small")
 
 
 def scene_in_words(run: RunReport) -> list[str]:
@@ -286,48 +303,69 @@ def fracture_table(run: RunReport, frames: Frames | None) -> str:
     """A row for each fracture: its size, and the most that it reached; those of most slip first, then the longest."""
     if frames is None:
         return ""
-    rows, heads, order = [], ["fracture", "length", "direction", "joints"], []
     words = {
         "pressure": ("highest pressure", STRESS),
         "aperture": ("widest aperture", LENGTH),
         "plastic_slip": ("largest slip", LENGTH),
     }
-    shown = {name: words[name] for name in frames.fields}
-    for name, part in zip(frames.names, frames.ends, strict=True):
-        ends = frames.points[part][[0, -1]]
-        angle = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1])) % 180.0
-        cells = [
-            name,
-            run.shown(float(frames.along[part][-1]), LENGTH),
-            f"{angle:.0f}°",
-            str(part.stop - part.start - 1),
-        ]
-        for key, (_, dimension) in shown.items():
-            values = frames.fields[key][:, part]
-            cells.append(run.shown(float(np.nanmax(values)) if np.isfinite(values).any() else None, dimension, 3))
-        rows.append(cells)
-        slip = frames.fields["plastic_slip"][:, part] if "plastic_slip" in frames.fields else np.zeros(0)
-        order.append((-float(np.nan_to_num(slip).max(initial=0.0)), -float(frames.along[part][-1])))
-    rows = [rows[i] for i in sorted(range(len(rows)), key=order.__getitem__)]
+    lengths = np.array([float(frames.along[part][-1]) for part in frames.ends])
+    most = {
+        key: np.array(
+            [
+                np.max(values[np.isfinite(values)], initial=-np.inf)
+                for part in frames.ends
+                for values in [table[:, part]]
+            ]
+        )
+        for key, table in frames.fields.items()
+    }
+    slip = np.maximum(most["plastic_slip"], 0.0) if "plastic_slip" in most else np.zeros(len(lengths))
+    order = np.lexsort([-lengths, -slip]).tolist()
+    ways = [frames.points[part][-1] - frames.points[part][0] for part in frames.ends]
+    columns: list[tuple[str, Sequence[object]]] = [
+        ("fracture", [frames.names[i] for i in order]),
+        run.column("length", LENGTH, lengths[order].tolist()),
+        ("direction", [f"{math.degrees(math.atan2(ways[i][1], ways[i][0])) % 180.0:.0f}°" for i in order]),
+        ("joints", [str(frames.ends[i].stop - frames.ends[i].start - 1) for i in order]),
+        *(run.column(*words[key], values[order].tolist(), 3) for key, values in most.items()),
+    ]
     note = (
-        f"<p>{len(rows)} fractures, those of most slip first; the table scrolls.</p>" if len(rows) > MOST_SEEN else ""
+        f"<p>{len(order)} fractures, those of most slip first; the table scrolls.</p>" if len(order) > MOST_SEEN else ""
     )
-    return note + table([*heads, *(word for word, _ in shown.values())], rows, "long")
+    return note + of_columns(columns)
 
 
 def plan_table(run: RunReport) -> str:
-    """The parts that are modelled or left out, these first."""
+    """The parts that are left out, and behind a line the others with the reason why."""
 
     def short(value: Any) -> str:
         return number(value, 3) if isinstance(value, float) else str(value)
 
-    rows = []
-    for each in sorted(run.plan, key=lambda each: not each.get("left_out")):
-        part = str(each.get("part", "")) + (f", stage {each['stage']}" if each.get("stage") else "")
-        error = "" if each.get("verdict") == "kept" else each.get("error", "")
-        cells = (each.get("verdict", ""), part, each.get("criterion", ""), short(each.get("value", "")))
-        rows.append((*cells, short(each.get("limit", "")), error, each.get("saves", "")))
-    return table(("", "part", "criterion", "value", "limit", "may err by", "saves"), rows, "wide")
+    def rows(parts: Sequence[Mapping[str, Any]]) -> str:
+        is_out = any(each.get("left_out") for each in parts)
+        heads = ("part", "criterion", "value", "limit", "saves" if is_out else "why", "may err by")
+        cells = (
+            (_part(each), each.get("criterion", ""), short(each.get("value", "")), short(each.get("limit", "")), saved(each),
+             "" if each.get("verdict") == "kept" else each.get("error", ""))
+            for each in parts
+        )  # fmt: skip
+        filled = [*zip(heads, zip(*cells, strict=True), strict=True)]
+        return of_columns([column for column in filled if any(column[1])], "wide")
+
+    text = ""
+    for verdict, word in (("left out", "Left out"), ("not in the scene", "Not in the scene"), ("kept", "Kept")):
+        parts = [each for each in run.plan if each.get("verdict", "kept") == verdict]
+        if parts and verdict == "left out":
+            text += f"<h3>{word}</h3>{rows(parts)}"
+        elif parts:
+            names = "; ".join(map(_part, parts))
+            text += f"<details><summary>{word}: {safe(names)}</summary>{rows(parts)}</details>"
+    return text
+
+
+def _part(decision: Mapping[str, Any]) -> str:
+    stage = decision.get("stage")
+    return f"{decision.get('part', '')}{f', stage {stage}' if stage else ''}"
 
 
 def check_table(run: RunReport) -> str:
@@ -342,12 +380,16 @@ def check_table(run: RunReport) -> str:
 
 def event_table(run: RunReport, events: Sequence[Mapping[str, Any]]) -> str:
     """The largest events of a catalogue."""
-    rows = []
-    for event in events:
-        size = "–" if event["magnitude"] is None else f"{event['magnitude']:.2f}".replace("-", "−")
-        lasted = None if event["end"] is None else event["end"] - event["start"]
-        sizes = (("length", LENGTH), ("mean_slip", LENGTH), ("stress_drop", STRESS), ("injected", VOLUME))
-        numbers = [run.shown(event[name], dimension, 3) for name, dimension in sizes]
-        rows.append((run.clock_text(event["start"]), size, event["fracture"], run.shown(lasted, TIME, 3), *numbers))
-    heads = ("begins", "magnitude", "begins on", "lasts", "length", "mean slip", "stress drop", "net volume before")
-    return table(heads, rows, "wide")
+    sizes = ["–" if event["magnitude"] is None else f"{event['magnitude']:.2f}".replace("-", "−") for event in events]
+    lasted = [None if event["end"] is None else event["end"] - event["start"] for event in events]
+    rows = (
+        ("length", "length", LENGTH),
+        ("mean slip", "mean_slip", LENGTH),
+        ("stress drop", "stress_drop", STRESS),
+        ("net volume before", "injected", VOLUME),
+    )
+    return of_columns([
+        run.column("begins", TIME, [event["start"] for event in events], unit=run.clock), ("magnitude", sizes),
+        ("begins on", [event["fracture"] for event in events]), run.column("lasts", TIME, lasted, 3),
+        *(run.column(word, dimension, [event[key] for event in events], 3) for word, key, dimension in rows),
+    ], "wide")  # fmt: skip

@@ -21,6 +21,10 @@ from fracflow.scene.values import AlongFracture, FractureEnd
 GENTLE = 0.1  # of sizes per length, beside ruptures: slip runs away 1 % late; with 0.15 2 %, with 0.3 5 %
 LASTS = 0.5  # of a pressure that is given at the start: where the first step leaves less, a line says so
 AT_ONCE = 1e-3  # of a pressure: less is no jump
+FAR, DECIMALS = (
+    10.0,
+    3,
+)  # of degrees on a map: extents from (0, 0) to it, and digits that coordinates on a plane may have
 TRANSITS = 8  # of shear waves through cells: over so many, ringing of single cells averages out
 
 # key -> dimension, smallest and largest value in SI that rock, joints and fluids usually have
@@ -43,6 +47,7 @@ USUAL = {
 def advice(scene: Scene) -> list[str]:
     """A line for each value far from what is usual, where the units are known, and for what will do nothing."""
     return [
+        *degrees(scene),
         *_idle(scene),
         *_shut_wells(scene),
         *_reflecting(scene),
@@ -55,6 +60,25 @@ def advice(scene: Scene) -> list[str]:
         *_jagged(scene),
         *(_unusual(scene) if scene.units != "none" else ()),
     ]
+
+
+def degrees(scene: Scene) -> Iterator[str]:
+    """A line on traces that are longitudes and latitudes: all in their range, far from (0, 0) for their size, of many digits.
+
+    A plane has its origin in a corner or the middle of a sample, or far away, beyond the range of degrees.
+    """
+    traces = scene.geometry.fracture if scene.geometry is not None else ()
+    if not traces:
+        return
+    points = np.concatenate([np.asarray(trace.points, dtype=float) for trace in traces])
+    extent, middle = float(np.ptp(points, axis=0).max()), points.mean(axis=0)
+    is_fine = np.abs(points - np.round(points, DECIMALS)) > 1e-9
+    if np.all(np.abs(points) <= (180.0, 90.0)) and FAR * extent < np.linalg.norm(middle) and is_fine.mean() > 0.5:
+        unit = scene.unit_system.behind(LENGTH)
+        yield (
+            f"geometry: all traces lie within {extent:.3g}{unit} around ({middle[0]:.6g}, {middle[1]:.6g}), as longitudes and"
+            f" latitudes would; degrees are taken as{unit or ' lengths'}: project the map to a plane first, such as UTM"
+        )
 
 
 def _idle(scene: Scene) -> Iterator[str]:

@@ -218,8 +218,10 @@ class Geometry(Table):
     """growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken with
     slip [1]"""
     snap: Size | None = None
-    """points nearer than this to another, a trace or a side become one with it, and cells between near traces are never
-    under twice as long [length]; if not given, 0.4 % of the median length of traces, whatever the mesh"""
+    """longest miss that is closed [length]: points of traces within it become one; an end or bend within it of a trace or
+    side moves onto it; an end no farther beyond what it crosses is taken back. A crossing moves to points alone. Larger misses
+    stay, and fracflow check lists those of up to five times this with their distance: a larger snap lists farther ones. Cells
+    between near traces are never under twice as long. If not given, 0.4 % of the median length of traces, whatever the mesh"""
     cells: Literal["triangles", "quads"] = "triangles"
     """shape of the cells"""
     refine: Refine = Field(default=0, description=REFINED)

@@ -25,6 +25,7 @@ from fracflow.model.state import StepReport
 from fracflow.output.checkpoint import check_stage, read_arrays, read_notes, restore_state, restoring, spread
 from fracflow.output.folder import check_own
 from fracflow.output.history import read_history
+from fracflow.output.remarks import marked
 from fracflow.output.status import ENDED, FAILED, STOPPED, Status, last_line
 from fracflow.reduction.apply import planned
 from fracflow.reduction.locked_mesh import watch_locked
@@ -115,7 +116,7 @@ def _begun(
         f"fracflow {__version__}, {comm.size} ranks: {sizes.cells} cells, {sizes.nodes} nodes, {sizes.joints} joints"
         f" ({sizes.cut_joints} cut by ranks), {sizes.flow_nodes} flow nodes; set up in {clock.perf_counter() - began:.2f} s"
     )
-    for line in (*(f"note: {each}" for each in advice(scene)), *notes, *whole.placed.notes):
+    for line in (*map(marked, advice(scene)), *notes, *whole.placed.notes):
         recorder.log(line)
     if watches_spurious(scene):
         recorder.log(f'method.storage = "{scene.method.storage}": non-transposed coupling: spurious power is watched')

@@ -20,10 +20,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-from size import machine
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+from sheets import NODE_COLOURS, STYLE, save, sheet  # noqa: E402
+from size import machine  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "meshes" / "rupture"
 SIDES, STEPPERS = (100, 50, 31.25, 20), ("explicit", "newmark")
@@ -144,29 +146,38 @@ def measure(stepper: str, side: float, ranks: int, out: Path) -> tuple[Rupture, 
 
 
 def draw(found: list[tuple[Rupture, dict[str, Any]]], path: Path) -> None:
-    """Rupture times and slip along the fault, slip rates at the five places of the finest runs."""
-    import matplotlib.pyplot as plt
-
-    figure, (above, middle, below) = plt.subplots(3, 1, figsize=(8, 10), constrained_layout=True)
-    for rupture, data in found:
-        label = f"{rupture.stepper}, {rupture.side:g} m"
-        above.plot(list(data["curve"]), list(data["curve"].values()), label=label, lw=1)
-        middle.plot(list(data["slip"]), list(data["slip"].values()), label=label, lw=1)
-    above.set(xlabel="x [km]", ylabel="rupture time [s]")
-    middle.set(xlabel="x [km]", ylabel=f"slip at {END} s [m]")
-    for stepper in {rupture.stepper for rupture, _ in found}:
-        rupture, data = min((each for each in found if each[0].stepper == stepper), key=lambda each: each[0].side)
-        for colour, x in enumerate(PLACES):
-            style = "-" if stepper == "explicit" else ":"
-            rate = np.abs(data["rates"][x])
-            below.plot(
-                data["middle"], rate, style, color=f"C{colour}", lw=1, label=f"{x:g} km, {stepper}, {rupture.side:g} m"
-            )
-    below.set(xlabel="time [s]", ylabel="slip rate [m/s]")
-    for axes in (above, middle, below):
-        axes.legend(fontsize=7)
-        axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=130)
+    """Rupture times and slip along the fault of each run, and slip rates at the five places of the finest ones."""
+    names = " and ".join(dict.fromkeys(rupture.stepper for rupture, _ in found))
+    sides = ", ".join(f"{side:g} m" for side in dict.fromkeys(rupture.side for rupture, _ in found))
+    with matplotlib.rc_context(STYLE):
+        figure, axes = sheet(
+            "A rupture of 30 km and two more patches",
+            "The left one is near its strength and slips before the front comes; the right one, far below it, delays it.",
+            [["time", "slip"], ["rate", "rate"]], (8.8, 6.2), height_ratios=[1.0, 1.15],
+        )  # fmt: skip
+        looks = ("-", (0, (4, 2)), (0, (1, 1.5)), "-.")
+        for (rupture, data), colour, look in zip(found, NODE_COLOURS, looks * len(found), strict=False):
+            label = f"{rupture.stepper}, {rupture.side:g} m"
+            for name, curve in (("time", data["curve"]), ("slip", data["slip"])):
+                axes[name].plot(list(curve), list(curve.values()), ls=look, color=colour, label=label)
+        axes["time"].set(title="when the front comes", xlabel="along the fault [km]", ylabel="time [s]")
+        axes["slip"].set(
+            title=f"slip after {END} s", xlabel="along the fault [km]", ylabel="slip [m]", ylim=(0.0, None)
+        )
+        axes["time"].legend(loc="upper center")
+        least = min(rupture.side for rupture, _ in found)
+        for (rupture, data), look in zip(found, looks * len(found), strict=False):
+            for x, colour in zip(PLACES, NODE_COLOURS, strict=False) if rupture.side == least else ():
+                first = rupture.stepper == found[0][0].stepper
+                label, look = (f"{x:g} km".replace("-", "\u2212"), "-") if first else ("", look)
+                rate = np.abs(data["rates"][x])
+                axes["rate"].plot(data["middle"], rate, ls=look, color=colour, lw=1.0, label=label)
+        axes["rate"].legend(loc="upper left", bbox_to_anchor=(0.0, 1.0))
+        axes["rate"].set(title=f"slip rate at five places, {least:g} m", xlabel="time [s]", ylabel="slip rate [m/s]")
+        axes["rate"].set(xlim=(0.0, END), ylim=(0.0, None))
+        save(
+            figure, path.parent, path.stem, f"{names} steps; squares of {sides} along the fault. scripts/bench rupture"
+        )
 
 
 def main() -> None:

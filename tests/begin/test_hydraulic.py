@@ -61,7 +61,7 @@ def scene(tmp_path):
 def said(*words):
     done = CliRunner().invoke(app, list(words))
     assert done.exit_code == 0, done.output
-    return [line.removeprefix("note: ") for line in done.output.splitlines()]
+    return [line.removeprefix("note: ").removeprefix("! ") for line in done.output.splitlines()]
 
 
 def test_wells_that_no_fluid_can_join_are_told_with_their_parts(scene, tmp_path):
@@ -76,7 +76,9 @@ def test_wells_that_no_fluid_can_join_are_told_with_their_parts(scene, tmp_path)
 
 
 def test_check_gives_them_to_scripts(scene):
-    network = json.loads("\n".join(said("check", scene(50.4), "--json")))["network"]
+    told = json.loads("\n".join(said("check", scene(50.4), "--json")))
+    assert {*NEAR, *APART} <= {*told["warnings"]} < {*told["notes"]}
+    network = told["network"]
     (miss,), (one, other) = network["near_misses"], network["well_parts"]
     assert network["snap"] == pytest.approx(0.16) and miss["owners"] == ["Anna"] and miss["snap"] == 0.4
     assert miss["distance"] == pytest.approx(0.4) == one["apart"] and miss["other"] == 'fracture "Clara"'

@@ -103,6 +103,23 @@ def test_an_event_has_no_time_left_and_does_not_count_afterwards():
 
 
 @pytest.mark.serial
+def test_an_event_gives_its_least_time_and_then_its_share_of_the_run():
+    """A period of 0.2 s in steps of a millisecond: 200 steps at least, of half a second each."""
+    story, stage = Story(AUTO), AUTO.model_copy(update={"rest_periods": 1.0})
+    story.bar.scene.stage = (stage,)
+    for _ in range(5):
+        story.auto(takes=10.0)
+    begun = story.time
+    for count in range(1, 251):
+        line = story.auto("dynamic", length=1e-3, takes=0.5, begun=begun, period=0.2, least=1e-3, count=float(count))
+        if count in (3, 100, 250):
+            left = {3: "is not known during an event", 100: "the event takes at least 50 s more", 250: "is not known"}
+            assert left[count] in line
+    line = story.auto(takes=10.0)
+    assert ", 1 event so far in 2.1 min; " in line and line.endswith(" left + events")
+
+
+@pytest.mark.serial
 def test_a_run_that_begins_anew_has_a_new_pace():
     story = Story(DYNAMIC)
     for _ in range(8):

@@ -1,15 +1,19 @@
 """The tables of ``check`` and of a run at 100 columns, for every scene of the repository."""
 
 import io
+import re
+from functools import partial
 
 import pytest
 from pages import SCENES
 from rich.console import Console
 
+from fracflow.cli.answer import report_checks, report_plan, short_answer
 from fracflow.cli.check import set_up
-from fracflow.cli.report import report_checks, report_plan
 from fracflow.diagnostics import as_records as card_records
+from fracflow.output.remarks import saved
 from fracflow.reduction import as_records
+from fracflow.scene.advice import advice, degrees
 from fracflow.scene.scene import load
 
 pytestmark = pytest.mark.serial
@@ -25,7 +29,9 @@ def printed(show, records, width) -> str:
 
 @pytest.mark.parametrize("path", WHOLE, ids=[path.parent.name for path in WHOLE])
 def test_tables_fit_and_lose_nothing(path):
-    _, _, numbers, decisions, _ = set_up(load(path))
+    scene = load(path)
+    assert not [*degrees(scene)]
+    sizes, moved, numbers, decisions, _ = set_up(scene)
     for show, records in ((report_checks, card_records(numbers)), (report_plan, as_records(decisions))):
         for width in (NARROW, 300):
             lines = printed(show, records, width).splitlines()
@@ -34,6 +40,11 @@ def test_tables_fit_and_lose_nothing(path):
             assert "…" not in "".join(lines)
     plan = printed(report_plan, as_records(decisions), NARROW)
     for each in as_records(decisions):
-        words = f"{each['part']} {each['criterion']} {each['saves']}".split()
+        words = f"{each['part']} {each['criterion']} {saved(each)}".split()
         assert [word for word in words if len(word) < 20 and word not in plan] == []
     assert plan.index("Plan: left out") < plan.index("Plan: kept")
+    remarks, plan = [*advice(scene), *moved], as_records(decisions)
+    answer = printed(partial(short_answer, "It", sizes, remarks, card_records(numbers)), plan, NARROW).splitlines()
+    acts, notes = ([k for k, line in enumerate(answer) if re.match(mark, line)] for mark in (r"! \S", "note: "))
+    assert len(answer) <= 40 and answer[0].startswith(f"It: can be run; {len(acts) or 'nothing'} ")
+    assert acts == [*range(1, 1 + len(acts))] and all(k > len(acts) for k in notes)

@@ -8,6 +8,7 @@ from fracflow._petsc import MPI
 from fracflow.advance.instability import UnstableStep
 from fracflow.errors import SolveError
 from fracflow.output import read_history
+from fracflow.output.remarks import last_limit
 from fracflow.reduction.prepare import prepare
 from fracflow.scene.boundary import Stage
 from fracflow.scene.scene import Scene, load
@@ -105,6 +106,8 @@ def test_an_event_of_a_stage_auto_names_its_limit_point(shared_tmp):
     if MPI.COMM_WORLD.rank == 0:
         log = (shared_tmp / "out/log.txt").read_text()
         assert "an event begins" in log and "limit point: fracture seam at" in log
+        words, (x, y) = last_limit(log.splitlines())
+        assert words.startswith(f"fracture seam at ({x:g}, {y:g}), slipping patch ") and y == 1.0 and 0.0 <= x <= 2.0
 
 
 @pytest.mark.serial

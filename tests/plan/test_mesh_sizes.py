@@ -194,7 +194,7 @@ def test_what_a_scene_states_stays():
 def test_check_names_what_a_mesh_file_does_not_resolve():
     lines = CliRunner().invoke(app, ["check", "meshes/crossings/scene.toml"]).output.splitlines()
     (told,) = [line for line in lines if "not resolved" in line]
-    assert told.startswith("note: mesh: length of fractures / 16 is not resolved: it needs joints of 7.08 m, and has ")
+    assert told.startswith("! mesh: length of fractures / 16 is not resolved: it needs joints of 7.08 m, and has ")
     assert ", C at (" in told
 
 

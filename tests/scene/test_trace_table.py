@@ -9,6 +9,7 @@ import pytest
 from pages import ROOT
 
 from fracflow.errors import InputError
+from fracflow.scene.advice import degrees
 from fracflow.scene.geometry import read_traces, read_traces_csv
 from fracflow.scene.scene import load
 
@@ -223,3 +224,25 @@ def test_maps_that_make_no_sense(write, tmp_path, features, message):
     with pytest.raises(InputError, match=message) as caught:
         write(TABLE, SCENE, "geometry.fractures_csv=m.geojson")
     assert "m.geojson: " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("shift", "extent", "digits", "is_map"),
+    [
+        ((6.12, 46.51), 0.01, 5, True),  # a quarry in degrees
+        ((-117.6, 35.7), 0.3, 5, True),  # a fault zone in degrees
+        ((0.0, 0.0), 0.01, 5, False),  # a sample in metres, from its corner
+        ((-0.5, -0.5), 1.0, 5, False),  # one about its middle
+        ((12.0, 30.0), 10.0, 5, False),  # a drift in metres
+        ((334120.0, 5151890.0), 100.0, 5, False),  # UTM
+        ((6.0, 46.0), 0.5, 2, False),  # a block in a frame of its own, in centimetres
+    ],
+)
+def test_degrees_are_not_taken_as_metres_without_a_word(write, shift, extent, digits, is_map):
+    ends = {"A": ((0.1234567, 0.0213243), (0.7654321, 0.9876123)), "B": ((0.0314159, 0.9182736), (0.9898, 0.1928374))}
+    rows = [
+        ",".join([name, *(f"{at + extent * share:.{digits}f}" for at, share in zip(shift, end, strict=True))])
+        for name, pair in ends.items() for end in pair
+    ]  # fmt: skip
+    found = [*degrees(write("\n".join(["name,x,y", *rows]), SCENE.partition("[fracture.Berta]")[0]))]
+    assert len(found) == is_map and all("project the map" in line for line in found)

@@ -27,7 +27,12 @@ SMALL, HALO = 7.5, 2.0  # size of names, and width of the white around them [poi
 AIR = 3.0  # between names, and between a name and the mark of another, where there is room [points]
 FLAT = 0.3  # height over width of a map that has the whole width of a figure
 FLATTEST, TALLEST = 0.1, 4.0  # height over width of a map: a domain beyond is drawn stretched
-_LOOKS = {"well": ("v", "#56B4E9", 10.0), "probe": ("o", "white", 5.0), "slipped first": ("*", "#D55E00", 11.0)}
+_LOOKS = {
+    "well": ("v", "#56B4E9", 10.0),
+    "probe": ("o", "white", 5.0),
+    "slipped first": ("*", "#D55E00", 11.0),
+    "limit point": ("D", "#CC79A7", 7.0),
+}
 _SIDES = {"support": ("#7d7768", 3.5), "absorbing side": ("#CC79A7", 1.8)}  # colour, and width [points]
 
 
@@ -38,7 +43,7 @@ class Network:
     rock      corners (k, 2) of each cell [length]
     segments  (m, 2, 2) ends of the pieces of fractures [length]
     fracture  (m,) index into ``names``
-    marks     kind -> name -> place; kinds are "well", "probe", "slipped first"
+    marks     kind -> name -> place; kinds are "well", "probe", "slipped first", "limit point"
     sides     kind -> pieces (s, 2, 2) of sides [length]; kinds are "support", "absorbing side"
     """
 
