@@ -20,6 +20,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.model.terms.term import held_without_inertia
+from fracflow.model.unbounded import held_walls
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene
@@ -240,7 +241,7 @@ def assemble_loads(
     Collective. Raises InputError, on every rank, for names the mesh does not have.
     """
     comm, starts, layout, expand = blocks.comm, blocks.solid.unknown_starts, operators.layout, operators.expand
-    taken = blocks.solid.unused
+    taken = held_walls(blocks) if scene.is_unbounded else blocks.solid.unused
     supports = [PrescribedValues(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
     for support in scene.support:
         for name in support.on:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fracflow.elements import solid
 from fracflow.mesh.data import Floats, Ints, SplitMesh
 from fracflow.mesh.locate import FracturePlace, RockPlace
+from fracflow.mesh.plane.alone import is_unmeshed
 from fracflow.model import stress as rock
 from fracflow.model.probes import ProbePlace, available
 from fracflow.model.state import State
@@ -242,6 +243,8 @@ class InRock:
 
 def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, moves: bool) -> tuple[Data, Data]:
     """Point and cell data of the rock from the motion (n, 3, 2) of all nodes; arguments as of ``Cells``."""
+    if is_unmeshed(mesh.cells):
+        return {}, {}
     nodes = SimpleNamespace(displacement=motion[:, 0], velocity=motion[:, 1], acceleration=motion[:, 2])
     cells = Cells(scene, mesh, np.arange(len(mesh.cells)), mesh.points, mesh.cells, motion, moves)
     point = {row.name: row.formula(nodes) for row in quantities("node").values() if row.field}

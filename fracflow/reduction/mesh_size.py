@@ -260,7 +260,7 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     if geometry is None:
         return {}, []
     snap, why = _snap(scene, geometry)
-    domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
+    domain, traces = np.array(geometry.outline), _trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
     if geometry.size is not None:
         if geometry.growth is not None:
@@ -303,7 +303,7 @@ def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]
     if geometry.snap is not None or not geometry.fracture:
         return {}, []
     traces = [(trace.name, np.array(trace.points, dtype=float)) for trace in geometry.fracture]
-    snap, why = natural_snap(np.array(geometry.domain, dtype=float), traces)
+    snap, why = natural_snap(np.array(geometry.outline, dtype=float), traces)
     unit = scene.unit_system.behind(LENGTH)
     return {"snap": snap}, [f"geometry.snap = {snap:g}{unit}: {why}"]
 

@@ -238,10 +238,14 @@ class At(Annotation):
 
 @dataclass(frozen=True)
 class Domain(Annotation):
-    """Annotation of the outline of the rock: a rectangle or a polygon."""
+    """Annotation of the outline of the rock: a rectangle or a polygon; or a word for rock that has none."""
 
-    def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
-        """Read ``[xmin, ymin, xmax, ymax]`` or ``[[x, y], ...]`` as the corners."""
+    word: str
+
+    def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...] | str:
+        """Read ``[xmin, ymin, xmax, ymax]`` or ``[[x, y], ...]`` as the corners, or the word."""
+        if value == self.word:
+            return self.word
         if isinstance(value, list) and len(value) == 4 and not any(isinstance(part, list) for part in value):
             left, bottom, right, top = (Quantity(LENGTH).read(part, info) for part in value)
             if left >= right or bottom >= top:
@@ -249,12 +253,13 @@ class Domain(Annotation):
             return (left, bottom), (right, bottom), (right, top), (left, top)
         if isinstance(value, list) and len(value) >= 3 and any(isinstance(part, list) for part in value):
             return read_points(value, info)
-        raise fault("must be [xmin, ymin, xmax, ymax] or at least three points [x, y]")
+        raise fault(f'must be [xmin, ymin, xmax, ymax], at least three points [x, y], or "{self.word}"')
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         corners = {"type": "array", "minItems": 3, "items": POINT}
-        return {"type": "array", "dimension": LENGTH, "anyOf": [list_schema(*[number_schema(LENGTH)] * 4), corners]}
+        polygon = {"type": "array", "anyOf": [list_schema(*[number_schema(LENGTH)] * 4), corners]}
+        return {"dimension": LENGTH, "anyOf": [polygon, {"const": self.word}]}
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from fracflow.diagnostics import as_lines, pre_run_checks
 from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats
+from fracflow.mesh.plane.alone import is_unmeshed, map_cells
 from fracflow.mesh.locate import FracturePlace
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
@@ -316,7 +317,8 @@ class Files:
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
         resumes, path, names = notes is not None, self.folder.path, {"rocks": list(self.mesh.rocks)}
-        self.rock = FieldWriter(path, "rock", self.mesh.points, self.mesh.cells, names, resumes)
+        shown = map_cells(self.mesh) if is_unmeshed(self.mesh.cells) else (self.mesh.points, self.mesh.cells)
+        self.rock = FieldWriter(path, "rock", *shown, names, resumes)
         ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
         lines = np.arange(len(ends)).reshape(-1, 2)
         names = {"fractures": list(self.mesh.fractures)}

@@ -1,0 +1,154 @@
+"""Unbounded rock in plane strain, as the dislocations that jumps along fractures are.
+
+A jump D that varies along a trace is a density of dislocations b = dD/ds. With E' = E/(1 - nu^2) two of them, of Burgers
+vectors b and c, have at a distance r the energy -(E'/(4 pi)) (b.c ln r - (b.r)(c.r)/r^2), where all of them add up to none
+(Hirth and Lothe 1982, chapter 5). Where D is linear on segments b is constant, and the energy of the rock is a sum over pairs of
+them: symmetric, and without a singular integral where segments bend, end on others, or cross at their ends. These are the
+equations of displacement discontinuities (Crouch and Starfield 1983), tested by jumps that are linear too.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from fracflow.mesh.data import Bools, Floats, Ints
+
+FAR = ((40.0, 3), (10.0, 4), (3.0, 6))  # distance over length, and Gauss points of a segment: errors are 1e-13 from there on
+NEAR = ((0.5, 16), (0.1, 72), (0.0, 400))  # the same of one segment, where the integral along the other is exact
+CHUNK = 1 << 16  # pairs of segments whose points fit a processor's cache
+
+
+def energies(ends: Floats, rows: Ints) -> Floats:
+    """Means (r, n, 3) of delta_ij ln r - r_i r_j/r^2 over pairs of segments, as xx, yy, xy; of some ``rows`` (r,) with all.
+
+    ends  (n, 2, 2) of segments that have at most ends in common [length]
+    Equal to the last bit where two segments change places.
+    """
+    result = np.empty((len(rows), len(ends), 3))
+    place = np.full(len(ends), -1)
+    place[rows] = np.arange(len(rows))
+    middle, length = ends.mean(axis=1), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    step = max(CHUNK // len(ends), 1)
+    for first in range(0, len(rows), step):
+        chosen = rows[first : first + step]
+        one, other = (part.ravel() for part in np.meshgrid(chosen, np.arange(len(ends)), indexing="ij"))
+        asked = (one <= other) | (place[other] < 0)
+        one, other = one[asked], other[asked]
+        low, high = np.minimum(one, other), np.maximum(one, other)
+        half = 0.5 * (length[low] + length[high])
+        apart = np.linalg.norm(middle[low] - middle[high], axis=1) - half
+        apart /= np.maximum(length[low], length[high])
+        values, left = np.empty((len(low), 3)), np.ones(len(low), dtype=bool)
+        for least, count in FAR:
+            now = left & (apart > least)
+            values[now] = _far(ends[low[now]], ends[high[now]], count)
+            left &= ~now
+        values[left] = _near(ends[low[left]], ends[high[left]])
+        result[place[one], other] = values
+        mirrored = place[other] >= 0
+        result[place[other[mirrored]], one[mirrored]] = values[mirrored]
+    return result
+
+
+def _far(one: Floats, other: Floats, count: int) -> Floats:
+    """Means (m, 3) over pairs of segments (m, 2, 2) by Gauss points on both."""
+    place, weight = _gauss(count)
+    here, there = (each[:, 0, None] + place[:, None] * (each[:, 1] - each[:, 0])[:, None] for each in (one, other))
+    total = np.zeros((len(one), 3))
+    for i in range(count):
+        for j in range(count):
+            arm = here[:, i] - there[:, j]
+            total += weight[i] * weight[j] * _kernel(arm)
+    return total
+
+
+def _near(one: Floats, other: Floats) -> Floats:
+    """Means (m, 3) over pairs of segments (m, 2, 2) that may touch or be the same."""
+    values = np.empty((len(one), 3))
+    longer = np.linalg.norm(one[:, 1] - one[:, 0], axis=1) > np.linalg.norm(other[:, 1] - other[:, 0], axis=1)
+    short, long = np.where(longer[:, None, None], other, one), np.where(longer[:, None, None], one, other)
+    same = np.all(short[:, :, None] == long[:, None], axis=3)  # (m, end of the short one, end of the long one)
+    itself, touch = same.sum(axis=(1, 2)) == 2, same.sum(axis=(1, 2)) == 1
+    values[itself] = _itself(short[itself])
+    values[touch] = _touching(short[touch], long[touch], same[touch])
+    left, length = ~(itself | touch), np.linalg.norm(short[:, 1] - short[:, 0], axis=1)
+    apart = _distance(short, long) / length
+    for least, count in NEAR:
+        now = np.flatnonzero(left & (apart > least))
+        left[now] = False
+        place, weight = _gauss(count)
+        for each in now[:, None] if count > 100 else [now]:
+            start, step = short[each, 0], short[each, 1] - short[each, 0]
+            points = start[:, None] + place[:, None] * step[:, None]
+            found = mean_along(points, long[each, None, 0], long[each, None, 1])
+            values[each] = np.einsum("q,mqk->mk", weight, found)
+    return values
+
+
+def _itself(segment: Floats) -> Floats:
+    """The mean (m, 3) over each segment and itself."""
+    step = segment[:, 1] - segment[:, 0]
+    length = np.linalg.norm(step, axis=1)
+    return _kernel(step, np.log(length) - 1.5)
+
+
+def _touching(one: Floats, other: Floats, same: Bools) -> Floats:
+    """The mean (m, 3) over segments with one end in common, the Boolean ``same`` (m, 2, 2).
+
+    From there on r_i r_j/r^2 is of degree 0 in both places, and ln r but for a constant: by Euler's theorem the double integral
+    is one along the far edges.
+    """
+    of_one, of_other = same.any(axis=2).argmax(axis=1), same.any(axis=1).argmax(axis=1)
+    row = np.arange(len(one))
+    far = mean_along(one[row, 1 - of_one], other[:, 0], other[:, 1])
+    far += mean_along(other[row, 1 - of_other], one[:, 0], one[:, 1])
+    return 0.5 * far - np.array([0.5, 0.5, 0.0])
+
+
+def mean_along(place: Floats, start: Floats, end: Floats) -> Floats:
+    """Means (..., 3) of delta_ij ln r - r_i r_j/r^2 along segments, r from there to a ``place``; all arguments (..., 2)."""
+    step = end - start
+    length = np.linalg.norm(step, axis=-1)
+    (tx, ty), (ax, ay) = np.moveaxis(step / length[..., None], -1, 0), np.moveaxis(place - start, -1, 0)
+    along, across = ax * tx + ay * ty, ay * tx - ax * ty
+    left = along - length
+    log_start, log_end = (0.5 * np.log(np.maximum(each**2 + across**2, TINY)) for each in (along, left))
+    angle = np.arctan2(along, np.abs(across)) - np.arctan2(left, np.abs(across))
+    normal = np.abs(across) * angle / length  # mean of (r.n)^2/r^2
+    mixed = across * (log_start - log_end) / length
+    log = (along * log_start - left * log_end) / length - 1.0 + normal
+    xx = tx * tx + (ty * ty - tx * tx) * normal - 2.0 * tx * ty * mixed
+    xy = tx * ty * (1.0 - 2.0 * normal) + (tx * tx - ty * ty) * mixed
+    return np.stack([log - xx, log - 1.0 + xx, -xy], axis=-1)
+
+
+def _kernel(arm: Floats, log: Floats | None = None) -> Floats:
+    """delta_ij ln r - r_i r_j/r^2 (m, 3) of r = ``arm`` (m, 2), or with another ``log`` (m,)."""
+    x, y = arm.T
+    square = x * x + y * y
+    log = 0.5 * np.log(square) if log is None else log
+    xx = x * x / square
+    return np.stack([log - xx, log - 1.0 + xx, -x * y / square], axis=1)
+
+
+@cache
+def _gauss(count: int) -> tuple[Floats, Floats]:
+    """Places from 0 to 1, and weights (count,)."""
+    place, weight = np.polynomial.legendre.leggauss(count)
+    return 0.5 * (1.0 + place), 0.5 * weight
+
+
+def _distance(one: Floats, other: Floats) -> Floats:
+    """Distance (m,) of segments (m, 2, 2) that do not cross."""
+    found = np.full(len(one), np.inf)
+    for segment, points in ((one, other), (other, one)):
+        start, step = segment[:, 0], segment[:, 1] - segment[:, 0]
+        for point in (points[:, 0], points[:, 1]):
+            along = np.clip(np.sum((point - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
+            found = np.minimum(found, np.linalg.norm(point - start - along[:, None] * step, axis=1))
+    return found
+
+
+TINY = float(np.finfo(float).tiny)
