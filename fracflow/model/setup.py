@@ -169,11 +169,12 @@ def _ends_on(mesh: SplitMesh, well: str, side: str) -> Ints:
 def geometry_of(scene: Scene) -> GeometrySpec:
     """The geometry of a scene that has one, with its sizes known."""
     geometry = scene.geometry
-    assert geometry is not None and geometry.size is not None
+    size = None if geometry is None else geometry.size or geometry.size_at_fractures
+    assert geometry is not None and size is not None
     return GeometrySpec(
         np.array(geometry.outline, dtype=float),
         tuple((f.name, np.array(f.points, dtype=float)) for f in geometry.fracture),
-        geometry.size,
+        size,
         geometry.size_at_fractures,
         geometry.cells,
         next(iter(scene.rock)),
