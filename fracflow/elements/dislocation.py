@@ -9,14 +9,24 @@ equations of displacement discontinuities (Crouch and Starfield 1983), tested by
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fracflow.mesh.data import Bools, Floats, Ints
+from fracflow.elements.shape import Floats, Ints
 
-FAR = ((40.0, 3), (10.0, 4), (3.0, 6))  # distance over length, and Gauss points of a segment: errors are 1e-13 from there on
+Bools = NDArray[np.bool_]
+
+FAR = (
+    (40.0, 3),
+    (10.0, 4),
+    (3.0, 6),
+)  # distance over length, and Gauss points of a segment: errors are 1e-13 from there on
 NEAR = ((0.5, 16), (0.1, 72), (0.0, 400))  # the same of one segment, where the integral along the other is exact
+TINY = float(np.finfo(float).tiny)
 CHUNK = 1 << 16  # pairs of segments whose points fit a processor's cache
 
 
@@ -151,4 +161,59 @@ def _distance(one: Floats, other: Floats) -> Floats:
     return found
 
 
-TINY = float(np.finfo(float).tiny)
+def displacements(places: Floats, ends: Floats, jumps: Floats, poissons_ratio: float) -> Floats:
+    """Displacements (m, 2) at places (m, 2) of rock with linear ``jumps`` (n, 2, 2) at the ``ends`` (n, 2, 2) of segments.
+
+    Jumps are those from the right to the left of a segment, which add up to none where segments meet [length]. Muskhelishvili's
+    potentials: 2 mu u = kappa phi - z conj(phi') - conj(psi). Far away there is none.
+    """
+    return _summed(places, lambda here: _displacements(here, ends, jumps, poissons_ratio), len(ends))
+
+
+def stresses(places: Floats, ends: Floats, jumps: Floats, modulus: float) -> Floats:
+    """Stresses (m, 3) at places (m, 2) as xx, yy, xy, tension positive; ``modulus`` is E' [stress], others as above."""
+    return _summed(places, lambda here: _stresses(here, ends, jumps, modulus), len(ends))
+
+
+def _summed(places: Floats, kernel: Callable[[Floats], Floats], count: int) -> Floats:
+    step = max(CHUNK // max(count, 1), 1)
+    return np.concatenate([kernel(places[first : first + step]) for first in range(0, max(len(places), 1), step)])
+
+
+def _complex(vectors: Floats) -> Any:
+    return vectors[..., 0] + 1j * vectors[..., 1]
+
+
+def _segments(places: Floats, ends: Floats) -> tuple[Any, ...]:
+    """Directions (n,), lengths (n,), arms (m, n) from both ends, and the difference (m, n) of their logarithms."""
+    z, (start, end) = _complex(places)[:, None], _complex(ends).T
+    ahead, behind = z - start, z - end
+    tiny = TINY**0.25  # at an end itself logarithms cancel
+    ahead, behind = (np.where(arm == 0.0, tiny, arm) for arm in (ahead, behind))
+    length = np.abs(end - start)
+    # across the segment the difference of angles jumps by 2 pi, and nowhere else
+    logs = np.log(np.abs(ahead)) - np.log(np.abs(behind)) + 1j * np.angle(ahead * np.conj(behind))
+    return (end - start) / length, length, ahead, behind, logs
+
+
+def _displacements(places: Floats, ends: Floats, jumps: Floats, nu: float) -> Floats:
+    along, length, ahead, _, logs = _segments(places, ends)
+    first, last = 1j / (8.0 * np.pi * (1.0 - nu)) * _complex(jumps).T
+    slope, share = (last - first) / length, ahead / along
+    phi = (first + slope * share) * logs - (last - first)
+    chi = slope * (np.conj(ahead) * logs - np.conj(along) * (share * logs - length)) / along
+    chi += (np.conj(first) + np.conj(slope) * share) * logs - np.conj(last - first)
+    found = ((3.0 - 4.0 * nu) * phi - np.conj(chi)).sum(axis=1)
+    return np.stack([found.real, found.imag], axis=1)
+
+
+def _stresses(places: Floats, ends: Floats, jumps: Floats, modulus: float) -> Floats:
+    along, length, ahead, behind, logs = _segments(places, ends)
+    first, last = 1j * modulus / (8.0 * np.pi) * _complex(jumps).T
+    slope = (last - first) / length
+    inverse = (1.0 / behind - 1.0 / ahead) / along
+    phi = slope * logs / along
+    psi = np.conj(slope) * logs / along - slope * np.conj(ahead) * inverse
+    psi += slope * np.conj(along) / along * (ahead * inverse - logs / along)
+    mean, rest = 2.0 * phi.sum(axis=1).real, psi.sum(axis=1)
+    return np.stack([mean - rest.real, mean + rest.real, rest.imag], axis=1)

@@ -13,8 +13,7 @@ from fracflow.diagnostics.joints import cell_rocks, gather
 from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.integrators import stepper_from
 from fracflow.laws import JOINT_LAWS
-from fracflow.mesh.data import Floats, SplitMesh
-from fracflow.mesh.plane.alone import is_unmeshed
+from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
@@ -304,7 +303,9 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     return keys, [*why, *(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}" for key, value in sizes.items())]
 
 
-def _of_joints(scene: Scene, geometry: Geometry, build: Build, snap: dict[str, float]) -> tuple[dict[str, float], list[str]]:
+def _of_joints(
+    scene: Scene, geometry: Geometry, build: Build, snap: dict[str, float]
+) -> tuple[dict[str, float], list[str]]:
     """The same of fractures in rock that is not meshed."""
     if geometry.size_at_fractures or geometry.size:
         return (snap if geometry.growth is not None else snap | {"growth": USUAL}), []

@@ -236,6 +236,9 @@ def _controls(scene: Tables) -> Iterator[Fault]:
 
 def _actions(scene: Tables) -> Iterator[Fault]:
     for index, load in enumerate(scene.load):
+        if load.stress is not None and not scene.is_unbounded:
+            why = 'needs geometry.domain = "unbounded": give the traction on each side in its place'
+            yield ("load", index, "stress"), why
         if load.traction == "initial-stress" and scene.initial_stress is None:
             yield ("load", index, "traction"), "needs the table [initial_stress]; give it, or traction = [x, y]"
     rigid = {name for name, rock in scene.rock.items() if rock.rigid}

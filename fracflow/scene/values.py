@@ -13,6 +13,7 @@ from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import (
     LENGTH,
     PLAIN,
+    STRESS,
     TIME,
     Annotation,
     Quantity,
@@ -180,25 +181,32 @@ class TabledVector(Annotation):
 
 
 @dataclass(frozen=True)
-class Displaced(Annotation):
-    """Annotation of prescribed displacements: a table over time for each component that is moved."""
+class Components(Annotation):
+    """Annotation of values by their components, of so many names and dimensions: a table over time for each that is given."""
+
+    parts: tuple[tuple[str, str], ...]
 
     def read(self, value: object, info: ValidationInfo) -> dict[str, TimeTable]:
-        """Read ``{x = ..., y = ...}``; the rotation is in radians."""
-        if not isinstance(value, dict) or not value or not set(value) <= {"x", "y", "rotation"}:
-            raise fault("must be a table of x, y or rotation, such as {y = [[0, 0], [1, 2]]}")
+        """Read ``{x = ..., y = ...}``."""
+        known = dict(self.parts)
+        if not isinstance(value, dict) or not value or not set(value) <= set(known):
+            *some, last = known
+            raise fault(f"must be a table of {', '.join(some)} or {last}, such as {{{some[-1]} = [[0, 0], [1, 2]]}}")
         tables: dict[str, TimeTable] = {}
-        for part, motion in value.items():
-            table = Tabled(PLAIN if part == "rotation" else LENGTH).read(motion, info)
+        for part, given in value.items():
+            table = Tabled(known[part]).read(given, info)
             assert isinstance(table, TimeTable)
             tables[part] = table
         return tables
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        parts = {"x": LENGTH, "y": LENGTH, "rotation": PLAIN}
-        keys = {part: Tabled(dimension).schema() for part, dimension in parts.items()}
+        keys = {part: Tabled(dimension).schema() for part, dimension in self.parts}
         return table_schema(keys, *keys) | {"minProperties": 1}
+
+
+DISPLACED = Components((("x", LENGTH), ("y", LENGTH), ("rotation", PLAIN)))
+STRESSED = Components((("xx", STRESS), ("yy", STRESS), ("xy", STRESS)))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from fracflow.mesh.data import Floats, Ints, SplitMesh
-from fracflow.mesh.graph import components
 from fracflow.mesh.plane.sizes import Source
 from fracflow.mesh.plane.traces import TraceNetwork
 from fracflow.mesh.split import arc_length
@@ -18,7 +17,9 @@ MAP = 48  # squares along a map
 NEARLY = 0.01  # of a joint: a trace that is so much longer takes no joint more
 
 
-def cut(network: TraceNetwork, around: list[Source], fine: float, growth: float, halvings: int) -> tuple[Floats, Ints, Ints]:
+def cut(
+    network: TraceNetwork, around: list[Source], fine: float, growth: float, halvings: int
+) -> tuple[Floats, Ints, Ints]:
     """Points (n, 2), joints (f, 2) along their traces, and the trace (f,) of each.
 
     around    sizes, and the points that have them within half of it; from there they grow by ``growth`` to ``fine``
@@ -124,8 +125,3 @@ def map_cells(mesh: SplitMesh) -> tuple[Floats, Ints]:
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     first = (np.arange(count[0]) + (count[0] + 1) * np.arange(count[1])[:, None]).ravel()
     return points, first[:, None] + np.array([0, 1, count[0] + 2, count[0] + 1])
-
-
-def is_unmeshed(cells: Ints) -> bool:
-    """Whether cells (m, k) are walls of fractures in rock that is not meshed."""
-    return cells.shape[1] == 2
