@@ -2,8 +2,8 @@
 
 A jump D that varies along a trace is a density of dislocations b = dD/ds. With E' = E/(1 - nu^2) two of them, of Burgers
 vectors b and c, have at a distance r the energy -(E'/(4 pi)) (b.c ln r - (b.r)(c.r)/r^2), where all of them add up to none
-(Hirth and Lothe 1982, chapter 5). Where D is linear on segments b is constant, and the energy of the rock is a sum over pairs of
-them: symmetric, and without a singular integral where segments bend, end on others, or cross at their ends. These are the
+(Hirth and Lothe 1982, chapter 5). Where D is linear on segments b is constant, and the energy of the rock is a sum over pairs
+of them: symmetric, and without a singular integral where segments bend, end on others, or cross at their ends. These are the
 equations of displacement discontinuities (Crouch and Starfield 1983), tested by jumps that are linear too.
 """
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from fracflow.elements.facet import frame
 from fracflow.errors import InputError
-from fracflow.mesh.data import Bools, Floats, Ints, RawMesh, SplitMesh
+from fracflow.mesh.data import Bools, Floats, Ints, RawMesh, SplitMesh, is_unmeshed
 from fracflow.mesh.facets import (
     HalfFacets,
     Matches,
@@ -232,7 +232,12 @@ def groups(mesh: SplitMesh) -> Ints:
 
 
 def parts(mesh: SplitMesh, ties: Ints) -> Ints:
-    """Which nodes (n,) hang together by cells, by joints, or by ``ties``, pairs (m, 2) of node * dim + component."""
+    """Which nodes (n,) hang together by cells, by joints, or by ``ties``, pairs (m, 2) of node * dim + component.
+
+    Rock that is not meshed is around all of them.
+    """
+    if is_unmeshed(mesh.cells):
+        return np.zeros(len(mesh.points), dtype=np.int64)
     cell, corner = np.nonzero(mesh.cells >= 0)
     tied = ties // mesh.points.shape[1]
     first = np.concatenate([mesh.cells[cell, 0], mesh.joint_bottom.ravel(), tied[:, 0]])

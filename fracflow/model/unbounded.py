@@ -12,19 +12,45 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import dislocation
 from fracflow.mesh.blocks import Blocks, petsc_ints
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Bools, Floats, Ints
 from fracflow.model.joints import Joints, section_places, tractions_of
 from fracflow.model.layout import add_transposed, create_matrix
 from fracflow.model.properties import initial_stress
 from fracflow.scene.scene import Scene
 
+ROUND_OFF = 1e-9  # of the square of its size: the area between walls that meet
+
 
 def held_walls(blocks: Blocks) -> Ints:
     """Numbers (n,) of the unknowns of the first wall at each node, of all ranks, ascending. Collective."""
-    block = blocks.solid
-    first = block.node_ids[: block.owned] < blocks.sizes.flow_nodes  # the first copy of a node keeps its number
-    parts = blocks.comm.allgather(block.unknown[: block.owned][first].ravel())
+    parts = blocks.comm.allgather(blocks.solid.unknown[_first(blocks)].ravel())
     return np.asarray(np.sort(np.concatenate(parts)))
+
+
+def _first(blocks: Blocks) -> Ints:
+    """Own nodes (n,) that are the first copies, which keep the numbers of their nodes."""
+    block = blocks.solid
+    return np.flatnonzero(block.node_ids[: block.owned] == block.origin[: block.owned])
+
+
+def held_pieces(blocks: Blocks) -> Ints:
+    """The piece of rock (n,) that the first copy of each local node lies on. Collective."""
+    block, first = blocks.solid, _first(blocks)
+    parts = blocks.comm.allgather((block.origin[first], block.piece[first]))
+    origin, piece = (np.concatenate(part) for part in zip(*parts, strict=True))
+    order = np.argsort(origin)
+    return np.asarray(piece[order][np.searchsorted(origin[order], block.origin)])
+
+
+def is_around(blocks: Blocks) -> Bools:
+    """Which pieces of rock (p,) are around fractures, and not cut out by them: of these walls run clockwise. Collective."""
+    block = blocks.solid
+    area, low = np.zeros(len(block.piece_box)), block.piece_box.mean(axis=1)
+    number = block.piece[block.cells[:, 0]]
+    start, end = (block.points[block.cells[:, k]] - low[number] for k in (0, 1))
+    np.add.at(area, number, 0.5 * (start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]))
+    size = np.ptp(block.piece_box, axis=1).max(axis=1) ** 2
+    return np.asarray(blocks.comm.allreduce(area) <= ROUND_OFF * size)
 
 
 def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:

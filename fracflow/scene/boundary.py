@@ -74,8 +74,7 @@ class Tie(Table):
 
 
 class Load(Table):
-    """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; a force on rocks; or a stress far
-    away in an unbounded domain."""
+    """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; a force on rocks; a far stress."""
 
     on: Names = ()
     """names of sides, or of rocks where a force is given: one or a list"""

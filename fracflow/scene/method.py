@@ -202,7 +202,7 @@ class Geometry(Table):
     """[geometry] A domain with fracture traces, meshed by the program; its rock is called "rock"."""
 
     domain: Annotated[Points | str, Domain("unbounded")]
-    """[xmin, ymin, xmax, ymax] or the corners [[x, y], ...] [length]; or "unbounded": rock without sides, which is not meshed"""
+    """[xmin, ymin, xmax, ymax] or the corners [[x, y], ...] [length]; or "unbounded": rock without sides, not meshed"""
     fracture: tuple[Trace, ...] = ()
     """fracture traces; they may cross, and reach the boundary"""
     fractures_csv: FileName | None = None

@@ -19,8 +19,8 @@ from fracflow.diagnostics import as_lines, pre_run_checks
 from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
 from fracflow.mesh.data import Floats, is_unmeshed
-from fracflow.mesh.plane.alone import map_cells
 from fracflow.mesh.locate import FracturePlace
+from fracflow.mesh.plane.alone import map_cells
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
