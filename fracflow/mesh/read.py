@@ -155,7 +155,10 @@ def build_alone(geometry: GeometrySpec, halvings: int = 0) -> SplitMesh:
     network, snap, misses = network_of(geometry)
     network = cut_at(network, geometry.nodes, snap)
     fine, names = float(geometry.size_at_fractures or geometry.size), [name for name, _ in geometry.traces]
-    around = sources(network, fine, float(geometry.size_at_tips or fine), PER_GAP, min(fine, PER_GAP * snap))
+    at_tips = float(geometry.size_at_tips or fine)
+    around = sources(network, fine, at_tips, PER_GAP, min(fine, PER_GAP * snap))
+    if len(meeting := network.points[network.meeting]) and at_tips < fine:  # stresses are as steep there
+        around.append((at_tips, meeting))
     joints = cut(network, around, fine, float(geometry.growth), halvings)
     return with_walls(*joints, tuple(names), geometry.rock, (*network.notes, *near_miss_lines(misses)))
 

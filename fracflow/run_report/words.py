@@ -196,10 +196,13 @@ def _domain(run: RunReport, scene: Scene) -> str:
     if scene.geometry is None:
         file = scene.mesh_path.name if scene.mesh_path is not None else "a file"
         return f"The rock is the mesh of {file}, in plane strain."
+    count = len(scene.geometry.fracture)
+    fractures = f"{count} fracture{'' if count == 1 else 's'}"
+    if scene.is_unbounded:
+        return f"Rock without sides, in plane strain and not meshed, with {fractures}."
     corners = np.array(scene.geometry.outline, dtype=float)
     wide, high = (run.shown(float(size), LENGTH) for size in np.ptp(corners, axis=0))
-    count = len(scene.geometry.fracture)
-    return f"A piece of rock {wide} wide and {high} high, in plane strain, with {count} fracture{'' if count == 1 else 's'}."
+    return f"A piece of rock {wide} wide and {high} high, in plane strain, with {fractures}."
 
 
 def _fracture(run: RunReport, kind: Any) -> str:

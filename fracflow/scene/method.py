@@ -213,7 +213,8 @@ class Geometry(Table):
     size_at_fractures: Size | None = None
     """mesh size at fractures [length]; as size if only that is given"""
     size_at_tips: Size | None = None
-    """mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given"""
+    """mesh size at ends of fractures inside the rock, in an unbounded domain also where they meet [length]; as
+    size_at_fractures if not given"""
     growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = None
     """growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken with
     slip [1]"""
