@@ -17,11 +17,9 @@ Duration = Annotated[float, Quantity(TIME, above=0.0)]
 Measured = Annotated[str, MeasuredName()]
 Entry = Annotated[TimeTable, Tabled()]
 Row = tuple[Entry, Entry]
-Names = Annotated[
-    tuple[Name, ...],
-    Field(min_length=1, json_schema_extra={"one_is_enough": True}),
-    BeforeValidator(lambda on: [on] if isinstance(on, str) else on),
-]
+_LISTED = BeforeValidator(lambda on: [on] if isinstance(on, str) else on)
+Names = Annotated[tuple[Name, ...], Field(min_length=1, json_schema_extra={"one_is_enough": True}), _LISTED]
+AnyNames = Annotated[tuple[Name, ...], Field(json_schema_extra={"one_is_enough": True}), _LISTED]
 
 
 class Support(Table):
@@ -76,8 +74,8 @@ class Tie(Table):
 class Load(Table):
     """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; a force on rocks; a far stress."""
 
-    on: Names = ()
-    """names of sides, or of rocks where a force is given: one or a list"""
+    on: AnyNames = ()
+    """names of sides, or of rocks where a force is given: one or a list; not with stress"""
     traction: Annotated[tuple[TimeTable, TimeTable] | str, TabledVector(STRESS, "initial-stress")] | None = None
     """[t_x, t_y] in global axes [force/length**2], or "initial-stress"
     """
@@ -95,7 +93,7 @@ class Load(Table):
     def _consistent(self) -> Load:
         given = [key for key in ("traction", "pressure", "force", "stress") if getattr(self, key) is not None]
         if not given:
-            raise fault("missing; a load needs traction, pressure, force or stress", key="traction")
+            raise fault("missing; a load needs traction, pressure or force, or stress", key="traction")
         if len(given) > 1:
             raise fault(f"contradicts {given[1]}; give one of them", key=given[0])
         if not self.on and self.stress is None:

@@ -261,7 +261,7 @@ class Domain(Annotation):
             return (left, bottom), (right, bottom), (right, top), (left, top)
         if isinstance(value, list) and len(value) >= 3 and any(isinstance(part, list) for part in value):
             return read_points(value, info)
-        raise fault(f'must be [xmin, ymin, xmax, ymax], at least three points [x, y], or "{self.word}"')
+        raise fault(f'must be [xmin, ymin, xmax, ymax] or at least three points [x, y], or "{self.word}"')
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""

@@ -116,11 +116,11 @@ def with_walls(
 
 
 def map_cells(mesh: SplitMesh) -> tuple[Floats, Ints]:
-    """Points (n, 2) and squares (m, 4) of a map around fractures, twice as wide as they are."""
+    """Points (n, 2) and squares (m, 4) of a map around fractures, half as wide again."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     wide = (high - low).max()
-    size = 2.0 * wide / MAP
-    count = np.ceil((high - low + wide) / size - 1e-9).astype(np.int64)
+    size = 1.5 * wide / MAP
+    count = np.ceil((high - low + 0.5 * wide) / size - 1e-9).astype(np.int64)
     x, y = ((low[k] + high[k] - size * count[k]) / 2 + size * np.arange(count[k] + 1) for k in (0, 1))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     first = (np.arange(count[0]) + (count[0] + 1) * np.arange(count[1])[:, None]).ravel()
