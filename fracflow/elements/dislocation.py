@@ -1,10 +1,10 @@
 """Unbounded rock in plane strain, as the dislocations that jumps along fractures are.
 
-A jump D that varies along a trace is a density of dislocations b = dD/ds. With E' = E/(1 - nu^2) two of them, of Burgers
-vectors b and c, have at a distance r the energy -(E'/(4 pi)) (b.c ln r - (b.r)(c.r)/r^2), where all of them add up to none
-(Hirth and Lothe 1982, chapter 5). Where D is linear on segments b is constant, and the energy of the rock is a sum over pairs
-of them: symmetric, and without a singular integral where segments bend, end on others, or cross at their ends. These are the
-equations of displacement discontinuities (Crouch and Starfield 1983), tested by jumps that are linear too.
+A jump D that varies along a trace is a density of dislocations b = dD/ds, which all add up to none. With E' = E/(1 - nu^2)
+two of them at a distance r have the energy -(E'/(4 pi)) (b.c ln r - (b.r)(c.r)/r^2) (Hirth and Lothe 1982, chapter 5).
+Where D is linear on segments b is constant, and the energy of the rock is a sum over pairs of them. It is symmetric, and no
+integral is singular where segments bend, end on others, or cross at their ends. These are the equations of displacement
+discontinuities (Crouch and Starfield 1983), tested by jumps that are linear too.
 """
 
 from __future__ import annotations
@@ -107,14 +107,14 @@ def _itself(segment: Floats) -> Floats:
 def _touching(one: Floats, other: Floats, same: Bools) -> Floats:
     """The mean (m, 3) over segments with one end in common, the Boolean ``same`` (m, 2, 2).
 
-    From there on r_i r_j/r^2 is of degree 0 in both places, and ln r but for a constant: by Euler's theorem the double integral
+    From there on r_i r_j/r^2 is of degree 0 in both places, and ln r but for a constant. By Euler's theorem the double integral
     is one along the far edges.
     """
     of_one, of_other = same.any(axis=2).argmax(axis=1), same.any(axis=1).argmax(axis=1)
     row = np.arange(len(one))
     far = mean_along(one[row, 1 - of_one], other[:, 0], other[:, 1])
     far += mean_along(other[row, 1 - of_other], one[:, 0], one[:, 1])
-    return 0.5 * far - np.array([0.5, 0.5, 0.0])
+    return np.asarray(0.5 * far - np.array([0.5, 0.5, 0.0]))
 
 
 def mean_along(place: Floats, start: Floats, end: Floats) -> Floats:
@@ -146,7 +146,7 @@ def _kernel(arm: Floats, log: Floats | None = None) -> Floats:
 @cache
 def _gauss(count: int) -> tuple[Floats, Floats]:
     """Places from 0 to 1, and weights (count,)."""
-    place, weight = np.polynomial.legendre.leggauss(count)
+    place, weight = np.polynomial.legendre.leggauss(count)  # type: ignore[no-untyped-call]
     return 0.5 * (1.0 + place), 0.5 * weight
 
 
@@ -164,8 +164,8 @@ def _distance(one: Floats, other: Floats) -> Floats:
 def displacements(places: Floats, ends: Floats, jumps: Floats, poissons_ratio: float) -> Floats:
     """Displacements (m, 2) at places (m, 2) of rock with linear ``jumps`` (n, 2, 2) at the ``ends`` (n, 2, 2) of segments.
 
-    Jumps are those from the right to the left of a segment, which add up to none where segments meet [length]. Muskhelishvili's
-    potentials: 2 mu u = kappa phi - z conj(phi') - conj(psi). Far away there is none.
+    A jump is the displacement on the left of a segment less that on its right [length]. Where segments meet, jumps add up to
+    none. Muskhelishvili's potentials: 2 mu u = kappa phi - z conj(phi') - conj(psi). Far away there is none.
     """
     return _summed(places, lambda here: _displacements(here, ends, jumps, poissons_ratio), len(ends))
 

@@ -1,8 +1,8 @@
 """Unbounded rock: its operators on the walls of the fractures, which are all that is left of it.
 
-At each node of a fracture the first wall is held, and the displacements of the others are those beside it: so the jumps of all
-fractures that meet there add up to none, and that at a tip is none. K_s is dense, symmetric, and positive but for blocks that
-fractures cut out. The rock has no mass.
+At each node of a fracture the first wall is held, and the displacements of the others are those beside it. So the jumps of all
+fractures that meet there add up to none, and that at a tip is none. K_s is dense and symmetric. It is positive but for rigid
+motions of blocks that fractures cut out. The rock has no mass.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def is_around(blocks: Blocks) -> Bools:
 def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
     """(2.39) K_s on the unknowns, without entries for held walls [force/length per thickness]. Collective.
 
-    Jumps are linear along a joint: K_s = -E'/(4 pi) S' A S, where S u are the differences of the jumps at both ends of the
-    joints, and A the means of ``dislocation.energies``. The caller destroys it.
+    Jumps are linear along a joint, and S u are the differences of those at its ends. K_s = -E'/(4 pi) S' A S, with the means A
+    of ``dislocation.energies``. The caller destroys it.
     """
     from scipy import sparse  # imports much
 

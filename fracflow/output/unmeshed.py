@@ -125,8 +125,8 @@ class AtPoint:
 
     @cached_property
     def _rock(self) -> UnmeshedRock:
-        on_fracture = isinstance(self.place, FracturePlace)
-        points = walls(self.mesh, self.place) if on_fracture else self.place.point[None]
+        place = self.place
+        points = walls(self.mesh, place) if isinstance(place, FracturePlace) else place.point[None]
         return UnmeshedRock(self.scene, self.mesh, points, self.motion, self.far)
 
     @property

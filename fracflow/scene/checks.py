@@ -150,7 +150,7 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
 
 
 def _unbounded(scene: Tables) -> Iterator[Fault]:
-    """What there is not where rock has neither sides nor cells."""
+    """Tables and keys of sides, cells and inertia, which rock that is not meshed does not have."""
     assert scene.geometry is not None
     bounded, free = "give geometry.domain = [xmin, ymin, xmax, ymax]", 'an "unbounded" geometry.domain has no'
     if not scene.geometry.fracture:

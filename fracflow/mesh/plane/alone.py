@@ -1,6 +1,7 @@
 """Fractures without a mesh of the rock around them: their traces cut into joints, and a wall on each side of these.
 
-The cells are the walls themselves, lines of two nodes: first those below, then those above. What walls enclose is a block.
+The cells are the walls themselves, lines of two nodes: first those below, then those above. Walls that enclose rock cut out a
+block.
 """
 
 from __future__ import annotations
