@@ -99,19 +99,22 @@ def split(raw: RawMesh) -> SplitMesh:
 def summary(mesh: SplitMesh) -> dict[str, Any]:
     """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; fracture lengths, or areas in space.
 
-    In the plane angles of cells too. In space junctions and tips are edges of facets.
+    In the plane angles of cells too. In space junctions and tips are edges of facets. Rock that is not meshed has no cells.
     """
     length = np.bincount(mesh.joint_fracture, frame(mesh.points[mesh.joint_bottom])[1], len(mesh.fractures))
     nodes, piece = joined_by_cells(mesh.cells, len(mesh.points))
+    of_cells: dict[str, Any] = {"blocks": len(np.unique(piece[nodes]))}
+    if mesh.points.shape[1] == 2:
+        of_cells |= worst_cells(mesh.points, mesh.cells)
+    unmeshed = is_unmeshed(mesh.cells)
     return {
-        "cells": len(mesh.cells),
+        "cells": 0 if unmeshed else len(mesh.cells),
         "nodes": len(mesh.points),
         "copies": int(np.sum(mesh.origin != np.arange(len(mesh.origin)))),
         "joints": len(mesh.joint_flow),
         "junctions": int(np.sum(np.bincount(_meeting(mesh)) > 2)),
         "tips": tip_count(mesh),
-        "blocks": len(np.unique(piece[nodes])),
-        **(worst_cells(mesh.points, mesh.cells) if mesh.points.shape[1] == 2 else {}),
+        **({} if unmeshed else of_cells),
         "lengths": {name: float(value) for name, value in zip(mesh.fractures, length, strict=True)},
     }
 

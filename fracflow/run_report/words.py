@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fracflow.mesh.data import is_unmeshed
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.run_report.data import RunReport, number
 from fracflow.run_report.map import Frames
@@ -276,7 +277,8 @@ def mesh_line(run: RunReport) -> str:
     if mesh is None:
         return "No mesh is in the run folder."
     lengths = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom[:, :2]], axis=1)[:, 0], axis=-1)
-    text = f"{len(mesh.cells)} cells, {len(mesh.points)} nodes, {len(mesh.joint_bottom)} joint elements"
+    cells = "rock without cells" if is_unmeshed(mesh.cells) else f"{len(mesh.cells)} cells"
+    text = f"{cells}, {len(mesh.points)} nodes, {len(mesh.joint_bottom)} joint elements"
     if len(lengths):
         few, usual, most = (
             run.shown(float(size), LENGTH, 3) for size in (lengths.min(), np.median(lengths), lengths.max())
