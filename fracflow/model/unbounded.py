@@ -84,7 +84,7 @@ def stiffness(blocks: Blocks, scene: Scene) -> PETSc.Mat:
         pairs[:, i, :, j] = means[..., part]
     pairs *= -rock.youngs_modulus / (1.0 - rock.poissons_ratio**2) / (4.0 * np.pi)
     chosen = (2 * touching[:, None] + np.arange(2)).ravel()
-    values = here[chosen].T @ (changes[:, free].T @ pairs.reshape(len(chosen), -1).T).T
+    values = here[chosen].T @ (changes[:, free].T @ pairs.reshape(len(chosen), 2 * len(ends)).T).T
 
     width = np.zeros(last - first, dtype=np.int64)
     width[mine - first] = len(free)

@@ -120,6 +120,15 @@ def test_displacements_and_stresses_around_a_sheared_crack():
     )
 
 
+def test_a_crack_of_two_joints():
+    """By hand, K_s = E' ln 2/pi against the opening of the node; on three ranks one has no joint."""
+    scene = CROSSED[: CROSSED.index("geometry =")] + CROSSED[CROSSED.index("[fracture") :]
+    geometry = 'geometry={domain="unbounded", size=1, fracture=[{name="a", points=[[-1, 0], [1, 0]]}]}'
+    found = solve(scene.replace("initial_stress", "#"), geometry, "fracture.default.pressure=[[0, 0], [1, 1e6]]")
+    opening = found.fractures[-1].point["opening"].max()
+    assert opening == pytest.approx(np.pi * 1e6 / (50e9 / (1 - 0.25**2) * np.log(2)), rel=1e-12)
+
+
 BLOCK = """
 geometry = {domain = "unbounded", size_at_fractures = 0.25, fracture = [
   {name = "a", points = [[-1, -0.5], [1, -0.5]]}, {name = "b", points = [[-1, 0.5], [1, 0.5]]},
