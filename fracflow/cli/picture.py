@@ -8,7 +8,8 @@ import numpy as np
 
 from fracflow.diagnostics.criticality import criticality
 from fracflow.errors import DiskError, InputError
-from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
+from fracflow.mesh.plane.alone import map_cells
 from fracflow.model.setup import place
 from fracflow.output.drawing.before_a_run import before_a_run
 from fracflow.output.drawing.network_map import Network, Places
@@ -28,8 +29,9 @@ def picture_of_scene(scene: Scene, output: Path | None) -> list[str]:
     mesh = read_split(scene)
     marks, notes = _marks(scene, mesh)
     near = criticality(scene, mesh)
+    cells = 0 if is_unmeshed(mesh.cells) else len(mesh.cells)
     below = (
-        f"{len(mesh.cells)} cells, {len(mesh.fractures)} fracture{'s' * (len(mesh.fractures) != 1)} of"
+        f"{cells} cells, {len(mesh.fractures)} fracture{'s' * (len(mesh.fractures) != 1)} of"
         f" {len(mesh.joint_fracture)} joints. From the initial stress and pressure, with rock and other fractures at rest"
     )
     try:
@@ -69,7 +71,8 @@ def _of_pieces(at_ends: Floats) -> Floats:
 
 def _network(scene: Scene, mesh: SplitMesh, marks: dict[str, Places]) -> Network:
     names = {part: plain(unit) for part, unit in scene.unit_names.items()}
-    rock = [mesh.points[cell[cell >= 0]] for cell in mesh.cells]
+    points, cells = map_cells(mesh) if is_unmeshed(mesh.cells) else (mesh.points, mesh.cells)
+    rock = [points[cell[cell >= 0]] for cell in cells]
     sides = {}
     for kind, tables in (("support", scene.support), ("absorbing side", scene.absorbing)):
         of = [number for number, name in enumerate(mesh.sides) if any(name in table.on for table in tables)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from fracflow.elements import facet, joint
 from fracflow.laws import JOINT_LAWS, JointLaw, keys_of, make_law, parameters_of
-from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components, distances
 from fracflow.model.properties import initial_pressure, initial_stress
 from fracflow.scene.profiles import sample
@@ -191,7 +191,9 @@ def _areas(mesh: SplitMesh) -> Floats:
 
 
 def _depths(mesh: SplitMesh, length: Floats) -> Floats:
-    """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any."""
+    """Depth (m,) of the connected block of each cell: its area over the length of its joints; inf without any, or no cells."""
+    if is_unmeshed(mesh.cells):
+        return np.full(len(mesh.cells), np.inf)
     cells, nodes = np.nonzero(mesh.cells >= 0)[0], mesh.cells[mesh.cells >= 0]
     count = len(mesh.cells)
     block = components(cells, count + nodes, count + len(mesh.points))[:count]

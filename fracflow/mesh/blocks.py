@@ -17,6 +17,7 @@ class SolidBlock:
     """Cells and split nodes of one rank; owned nodes come first, ghosts after them.
 
     node_ids      (n,)      number in the split mesh
+    origin        (n,)      node of the raw mesh that it is a copy of
     node_global   (n,)      number in PETSc's order, contiguous on each rank
     points        (n, dim)  coordinates [length]
     owned         int       nodes owned by this rank
@@ -41,6 +42,7 @@ class SolidBlock:
     """
 
     node_ids: Ints
+    origin: Ints
     node_global: Ints
     points: Floats
     owned: int

@@ -83,3 +83,8 @@ class SplitMesh:
     sides: tuple[str, ...]
     named_points: dict[str, int]
     notes: tuple[str, ...] = ()
+
+
+def is_unmeshed(cells: Ints) -> bool:
+    """Whether cells (m, k) are walls of fractures in rock that is not meshed."""
+    return cells.shape[1] == 2

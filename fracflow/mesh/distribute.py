@@ -187,6 +187,7 @@ def _pieces(mesh: SplitMesh, cell_rank: Ints, size: int, rigid_rocks: Collection
         local[nodes] = np.arange(len(nodes))
         solid = SolidBlock(
             node_ids=nodes,
+            origin=mesh.origin[nodes],
             node_global=node_global[nodes],
             points=mesh.points[nodes],
             owned=len(owned),

@@ -10,7 +10,7 @@ import numpy as np
 
 from fracflow.elements.shape import shape_at
 from fracflow.errors import InputError
-from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.graph import components
 
 PLACE_ROUND_OFF = 1e-6  # of the mesh's extent
@@ -183,6 +183,8 @@ def _covering(points: Floats, cells: Ints, point: Floats) -> int | None:
 def in_rock(mesh: SplitMesh, at: At, what: str, rock: str | None = None) -> RockPlace:
     """The node or the point inside a cell at ``at``, of the named rock where one is given. Raises InputError outside it."""
     point = coordinates(mesh, at, what)
+    if is_unmeshed(mesh.cells):
+        return RockPlace(0, point, np.zeros(1, dtype=np.int64), mesh.cells[:1])
     chosen = np.ones(len(mesh.cells), dtype=bool) if rock is None else mesh.cell_rock == mesh.rocks.index(rock)
     cell = _covering(mesh.points, mesh.cells[chosen], point)
     if cell is None:

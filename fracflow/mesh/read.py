@@ -11,13 +11,14 @@ from typing import Literal
 import numpy as np
 
 from fracflow.errors import InputError
-from fracflow.mesh.data import Floats, RawMesh
+from fracflow.mesh.data import Floats, RawMesh, SplitMesh
 from fracflow.mesh.files.formats import FORMATS
 from fracflow.mesh.files.geo_check import check_geo
 from fracflow.mesh.files.gmsh import open_checked, open_msh, open_other, run_worker
 from fracflow.mesh.files.msh_check import LARGEST
 from fracflow.mesh.interpret import interpret
 from fracflow.mesh.locate import PLACE_ROUND_OFF
+from fracflow.mesh.plane.alone import cut, with_walls
 from fracflow.mesh.plane.near import NearMiss, near_miss_lines, near_misses
 from fracflow.mesh.plane.quads import all_quads
 from fracflow.mesh.plane.quality import cell_areas
@@ -30,6 +31,7 @@ LEAST_SNAP = 1e-9  # of the domain's extent
 SAME_AREA = 1e-9  # cells and domain
 PER_GAP = 2.0  # size of triangles over the gap they fill: with a right angle
 MOST_CELLS = 1e8
+MOST_JOINTS = 5000  # in rock that is not meshed: 1e8 entries of its stiffness
 GROWTH = 0.3  # of the mesh size, per length away from the fractures
 SMALL = 0.25  # of the size at fractures: smaller cells are reported
 
@@ -143,6 +145,28 @@ def _meshed(geometry: GeometrySpec, network: TraceNetwork, snap: float, misses: 
         )
     between = [each for each in around if each[0] != at_tips]
     return replace(raw, notes=(*network.notes, *near_miss_lines(misses), *_small_cells(between, misses, fine)))
+
+
+def build_alone(geometry: GeometrySpec, halvings: int = 0) -> SplitMesh:
+    """The joints of fractures in rock that is not meshed, and their walls; sizes as ``build_mesh`` has them, then halved.
+
+    The domain is the box that traces are drawn in. Raises InputError for traces that cannot be made fit.
+    """
+    _check_sizes(geometry, 0.0)
+    network, snap, misses = network_of(geometry)
+    network = cut_at(network, geometry.nodes, snap)
+    fine, names = float(geometry.size_at_fractures or geometry.size), [name for name, _ in geometry.traces]
+    at_tips = float(geometry.size_at_tips or fine)
+    around = sources(network, fine, at_tips, PER_GAP, min(fine, PER_GAP * snap))
+    if len(meeting := network.points[network.meeting]) and at_tips < fine:  # stresses are as steep there
+        around.append((at_tips, meeting))
+    joints = cut(network, around, fine, float(geometry.growth), halvings)
+    if len(joints[1]) > MOST_JOINTS:
+        raise InputError(
+            f'geometry.domain = "unbounded": {len(joints[1])} joints, each of which acts on all others, are more than'
+            f" {MOST_JOINTS}: raise geometry.size_at_fractures, or give geometry.domain = [xmin, ymin, xmax, ymax]"
+        )
+    return with_walls(*joints, tuple(names), geometry.rock, (*network.notes, *near_miss_lines(misses)))
 
 
 def network_of(geometry: GeometrySpec) -> tuple[TraceNetwork, float, list[NearMiss]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fracflow.elements.facet import frame
 from fracflow.errors import InputError
-from fracflow.mesh.data import Bools, Floats, Ints, RawMesh, SplitMesh
+from fracflow.mesh.data import Bools, Floats, Ints, RawMesh, SplitMesh, is_unmeshed
 from fracflow.mesh.facets import (
     HalfFacets,
     Matches,
@@ -99,19 +99,22 @@ def split(raw: RawMesh) -> SplitMesh:
 def summary(mesh: SplitMesh) -> dict[str, Any]:
     """Counts of cells, nodes, copies, joints, junctions, tips and separate blocks; fracture lengths, or areas in space.
 
-    In the plane angles of cells too. In space junctions and tips are edges of facets.
+    In the plane angles of cells too. In space junctions and tips are edges of facets. Rock that is not meshed has no cells.
     """
     length = np.bincount(mesh.joint_fracture, frame(mesh.points[mesh.joint_bottom])[1], len(mesh.fractures))
     nodes, piece = joined_by_cells(mesh.cells, len(mesh.points))
+    of_cells: dict[str, Any] = {"blocks": len(np.unique(piece[nodes]))}
+    if mesh.points.shape[1] == 2:
+        of_cells |= worst_cells(mesh.points, mesh.cells)
+    unmeshed = is_unmeshed(mesh.cells)
     return {
-        "cells": len(mesh.cells),
+        "cells": 0 if unmeshed else len(mesh.cells),
         "nodes": len(mesh.points),
         "copies": int(np.sum(mesh.origin != np.arange(len(mesh.origin)))),
         "joints": len(mesh.joint_flow),
         "junctions": int(np.sum(np.bincount(_meeting(mesh)) > 2)),
         "tips": tip_count(mesh),
-        "blocks": len(np.unique(piece[nodes])),
-        **(worst_cells(mesh.points, mesh.cells) if mesh.points.shape[1] == 2 else {}),
+        **({} if unmeshed else of_cells),
         "lengths": {name: float(value) for name, value in zip(mesh.fractures, length, strict=True)},
     }
 
@@ -232,7 +235,12 @@ def groups(mesh: SplitMesh) -> Ints:
 
 
 def parts(mesh: SplitMesh, ties: Ints) -> Ints:
-    """Which nodes (n,) hang together by cells, by joints, or by ``ties``, pairs (m, 2) of node * dim + component."""
+    """Which nodes (n,) hang together by cells, by joints, or by ``ties``, pairs (m, 2) of node * dim + component.
+
+    Rock that is not meshed is around all of them.
+    """
+    if is_unmeshed(mesh.cells):
+        return np.zeros(len(mesh.points), dtype=np.int64)
     cell, corner = np.nonzero(mesh.cells >= 0)
     tied = ties // mesh.points.shape[1]
     first = np.concatenate([mesh.cells[cell, 0], mesh.joint_bottom.ravel(), tied[:, 0]])

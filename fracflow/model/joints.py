@@ -265,14 +265,21 @@ class Joints:
 
 def implied_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:
     """(2.14) Effective tractions (s, dim) that the initial stress and the initial pressure make, joint frame [stress]."""
-    block, dim, points = blocks.joints, blocks.sizes.dim, len(natural)
-    corners = blocks.solid.points[block.bottom]
-    frame, _ = facet.frame(corners)
-    place = on_joints(corners, natural).reshape(-1, dim)
-    sigma = initial_stress(scene, place)[:, :dim, :dim]
-    traction = joint.traction_from_stress(np.repeat(frame, points, axis=0), sigma)
+    place = section_places(blocks, natural)
+    traction = tractions_of(blocks, initial_stress(scene, place), len(natural))
     traction[:, -1] += initial_pressure(scene, place)
     return traction
+
+
+def section_places(blocks: Blocks, natural: Floats) -> Floats:
+    """Where sections at natural coordinates (q,) or (q, 2) of this rank's joints are (s, dim) [length]."""
+    return on_joints(blocks.solid.points[blocks.joints.bottom], natural).reshape(-1, blocks.sizes.dim)
+
+
+def tractions_of(blocks: Blocks, stress: Floats, points: int) -> Floats:
+    """(2.14) Tractions (s, dim) that a stress (s, 3, 3) makes at the sections, so many a joint, joint frame [stress]."""
+    dim, frame = blocks.sizes.dim, facet.frame(blocks.solid.points[blocks.joints.bottom])[0]
+    return joint.traction_from_stress(np.repeat(frame, points, axis=0), stress[:, :dim, :dim])
 
 
 def initial_tractions(blocks: Blocks, scene: Scene, natural: Floats) -> Floats:

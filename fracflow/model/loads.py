@@ -20,6 +20,7 @@ from fracflow.model.operators import Operators
 from fracflow.model.properties import initial_pressure, initial_stress, outward, side_facets
 from fracflow.model.solid import body_forces, by_shape, forces_in_rocks, nodal_force
 from fracflow.model.terms.term import held_without_inertia
+from fracflow.model.unbounded import held_walls, stress_force
 from fracflow.scene.boundary import Load, Well
 from fracflow.scene.profiles import Pressures
 from fracflow.scene.scene import Scene
@@ -193,6 +194,15 @@ def _force_patterns(blocks: Blocks, load: Load, expand: PETSc.Mat | None) -> lis
     return patterns
 
 
+def _far_patterns(blocks: Blocks, operators: Operators, load: Load, stress: Mapping[str, TimeTable]) -> list[Pattern]:
+    found = []
+    for name, value in stress.items():
+        unit, (row, column) = np.zeros((3, 3)), ("xy".index(part) for part in name)
+        unit[row, column] = unit[column, row] = 1.0
+        found.append(Pattern(stress_force(blocks, operators.joints, unit), value, load.control))
+    return found
+
+
 def _load_patterns(blocks: Blocks, scene: Scene, load: Load, expand: PETSc.Mat | None) -> list[Pattern]:
     if load.force is not None:
         return _force_patterns(blocks, load, expand)
@@ -240,7 +250,7 @@ def assemble_loads(
     Collective. Raises InputError, on every rank, for names the mesh does not have.
     """
     comm, starts, layout, expand = blocks.comm, blocks.solid.unknown_starts, operators.layout, operators.expand
-    taken = blocks.solid.unused
+    taken = held_walls(blocks) if scene.is_unbounded else blocks.solid.unused
     supports = [PrescribedValues(own(starts, comm.rank, taken), TimeTable.constant(0.0))]
     for support in scene.support:
         for name in support.on:
@@ -249,7 +259,15 @@ def assemble_loads(
                 supports.append(here)
     held_by_terms = held_without_inertia(operators.terms)
     resting, at_rest = prescribe(starts, comm, held_by_terms, taken, lambda time, place, around: 0.0)
-    forces = [pattern for load in scene.load for pattern in _load_patterns(blocks, scene, load, expand)]
+    forces = [
+        pattern
+        for load in scene.load
+        for pattern in (
+            _load_patterns(blocks, scene, load, expand)
+            if load.stress is None
+            else _far_patterns(blocks, operators, load, load.stress)
+        )
+    ]
     if scene.body_force is not None:
         forces.append(Pattern(body_forces(blocks, scene, expand), lambda time: 1.0, None, True))
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from fracflow._petsc import PETSc
 from fracflow.mesh.blocks import Blocks
+from fracflow.model import unbounded
 from fracflow.model.flow import Flow, assemble_flow
 from fracflow.model.joints import Joints, assemble_joints, refuse_steep_start
 from fracflow.model.layout import Layout, layout_of
@@ -96,14 +97,19 @@ def assemble(blocks: Blocks, scene: Scene) -> Operators:
     joints = assemble_joints(blocks, scene, expand)
     if not scene.equilibrates:
         refuse_steep_start(blocks, joints)
-    stiff = stiffness(blocks, scene, expand)
+    if scene.is_unbounded:
+        stiff, weight = unbounded.stiffness(blocks, scene), unbounded.mass(blocks)
+        prestress = unbounded.initial_stress_force(blocks, scene, joints)
+    else:
+        stiff, weight = stiffness(blocks, scene, expand), mass(blocks, scene, expand)
+        prestress = initial_stress_force(blocks, scene, expand)
     return Operators(
         blocks,
         layout_of(blocks, scene.has_flow),
         expand,
         stiff,
-        mass(blocks, scene, expand),
-        initial_stress_force(blocks, scene, expand),
+        weight,
+        prestress,
         joints,
         assemble_flow(blocks, scene, expand) if scene.has_flow else None,
         natural_scales(blocks, scene, joints, stiff),

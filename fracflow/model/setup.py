@@ -26,7 +26,7 @@ from fracflow.mesh.locate import (
     tied_nodes,
 )
 from fracflow.mesh.plane.refine import refined
-from fracflow.mesh.read import GROWTH, GeometrySpec, build_mesh, read_mesh
+from fracflow.mesh.read import GROWTH, GeometrySpec, build_alone, build_mesh, read_mesh
 from fracflow.mesh.split import ends_on_side, joined_ends, split
 from fracflow.model.contact_mass import redistributed, redistributes
 from fracflow.model.dirichlet import meeting_supports, refuse_two_pressures
@@ -131,6 +131,10 @@ def naming(scene: Scene) -> Iterator[None]:
 
 def read_sized(scene: Scene) -> SplitMesh:
     """Read or build the mesh of a scene whose sizes are known, and split it. Raises InputError."""
+    if scene.is_unbounded:
+        mesh = build_alone(geometry_of(scene), scene.refine)
+        scene.check_mesh_names(mesh.rocks, mesh.fractures, mesh.sides, ())
+        return mesh
     if scene.mesh_path is not None:
         raw = read_mesh(scene.mesh_path, scene.fracture, scene.trust, scene.folder)
     else:
@@ -165,11 +169,12 @@ def _ends_on(mesh: SplitMesh, well: str, side: str) -> Ints:
 def geometry_of(scene: Scene) -> GeometrySpec:
     """The geometry of a scene that has one, with its sizes known."""
     geometry = scene.geometry
-    assert geometry is not None and geometry.size is not None
+    size = None if geometry is None else geometry.size or geometry.size_at_fractures
+    assert geometry is not None and size is not None
     return GeometrySpec(
-        np.array(geometry.domain, dtype=float),
+        np.array(geometry.outline, dtype=float),
         tuple((f.name, np.array(f.points, dtype=float)) for f in geometry.fracture),
-        geometry.size,
+        size,
         geometry.size_at_fractures,
         geometry.cells,
         next(iter(scene.rock)),

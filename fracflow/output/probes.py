@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracflow.elements import solid
-from fracflow.mesh.data import Floats, Ints, SplitMesh
+from fracflow.mesh.data import Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.locate import FracturePlace, RockPlace
+from fracflow.mesh.plane.alone import map_cells
 from fracflow.model import stress as rock
 from fracflow.model.probes import ProbePlace, available
 from fracflow.model.state import State
 from fracflow.output.history import AT_LIMIT, SHUT
 from fracflow.output.sampling import Columns, Snapshot
+from fracflow.output.unmeshed import AtPoint, UnmeshedRock, far_stress
 from fracflow.scene.quantities import component_names, one_less, quantities
 from fracflow.scene.scene import Scene
 
@@ -48,10 +50,16 @@ def probe_record(
     """
     record: dict[str, Any] = {}
     rows = quantities("node", "wall", "cell")
+    motion = np.array([snapshot.nodes[node] for node in sorted(snapshot.nodes)]) if is_unmeshed(mesh.cells) else None
     for probe, wanted in names.items():
         place = places[probe]
-        at: OnFracture | InRock
-        if isinstance(place, FracturePlace):
+        at: OnFracture | InRock | AtPoint
+        if motion is not None:
+            at = AtPoint(place, scene, mesh, motion, snapshot.far)
+            sampled, columns = np.zeros(0), Columns((), 0)
+            if isinstance(place, FracturePlace):
+                sampled, columns = snapshot.at_place(place), snapshot.columns
+        elif isinstance(place, FracturePlace):
             at, sampled, columns = OnFracture(place, snapshot), snapshot.at_place(place), snapshot.columns
         else:
             at, sampled, columns = InRock(scene, mesh, place, snapshot), np.zeros(0), Columns((), 0)
@@ -240,12 +248,21 @@ class InRock:
         return self.stress_change + initial
 
 
-def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, moves: bool) -> tuple[Data, Data]:
-    """Point and cell data of the rock from the motion (n, 3, 2) of all nodes; arguments as of ``Cells``."""
-    nodes = SimpleNamespace(displacement=motion[:, 0], velocity=motion[:, 1], acceleration=motion[:, 2])
-    cells = Cells(scene, mesh, np.arange(len(mesh.cells)), mesh.points, mesh.cells, motion, moves)
+def rock_fields(mesh: SplitMesh, scene: Scene, motion: Floats, state: State) -> tuple[Data, Data]:
+    """Point and cell data of the rock from the motion (n, 3, 2) of all nodes; of a map where it is not meshed."""
+    nodes: Any
+    cells: Cells | UnmeshedRock
+    if is_unmeshed(mesh.cells):
+        points, squares = map_cells(mesh)
+        far = far_stress(scene, state.time, state.controls)
+        nodes = UnmeshedRock(scene, mesh, points, motion, far)
+        cells = UnmeshedRock(scene, mesh, points[squares].mean(axis=1), motion, far)
+    else:
+        moves = state.energy["kinetic"] != 0.0
+        nodes = SimpleNamespace(displacement=motion[:, 0], velocity=motion[:, 1], acceleration=motion[:, 2])
+        cells = Cells(scene, mesh, np.arange(len(mesh.cells)), mesh.points, mesh.cells, motion, moves)
     point = {row.name: row.formula(nodes) for row in quantities("node").values() if row.field}
-    cell: Data = {"rock": mesh.cell_rock}
+    cell: Data = {"rock": mesh.cell_rock if isinstance(cells, Cells) else np.zeros(len(cells.points), dtype=np.int64)}
     for row in quantities("cell").values():
         if row.field:
             values = row.formula(cells)

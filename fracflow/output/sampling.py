@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fracflow._petsc import MPI
-from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh
+from fracflow.mesh.data import Bools, Floats, Ints, SplitMesh, is_unmeshed
 from fracflow.mesh.locate import FracturePlace, RockPlace
 from fracflow.model.flow import Conduction
 from fracflow.model.operators import Operators
@@ -18,6 +18,7 @@ from fracflow.model.properties import along_fractures
 from fracflow.model.state import Sections, State
 from fracflow.model.terms.term import StepOfTerms
 from fracflow.output.profiles import KEPT
+from fracflow.output.unmeshed import far_stress
 from fracflow.scene.quantities import OutputQuantity, quantities
 from fracflow.scene.scene import Scene
 
@@ -92,11 +93,12 @@ def make_sampler(
     there = {row.name: row for row in rows if _is_anywhere(row, scene, blocks.joints.fractures)}
     default = [name for name, row in there.items() if row.default]
     asked = {q for p in scene.probe if isinstance(places[p.name], FracturePlace) for q in p.quantities or default}
+    is_everywhere = bool(places) and is_unmeshed(blocks.solid.cells)  # each jump moves all of the rock
     return Sampler(
         operators,
         scene,
         along_fractures(blocks, scene, "aperture", np.array([-1.0, 1.0])),
-        np.flatnonzero(np.isin(blocks.solid.node_ids[: blocks.solid.owned], _nodes(places))),
+        np.flatnonzero(is_everywhere | np.isin(blocks.solid.node_ids[: blocks.solid.owned], _nodes(places))),
         np.flatnonzero(np.isin(blocks.joints.ids, joints)),
         Columns(EVERY_STEP, dim),
         Columns((*EVERY_STEP, *(name for name in there if name in asked and name not in EVERY_STEP)), dim),
@@ -229,6 +231,7 @@ class Snapshot:
     nodes   node -> (3, dim) its displacement, velocity and acceleration
     least   number of joint ends that conduct by their minimum aperture, and the most that flows through one
     wells   name -> pressure of a well, the mean over its nodes [stress], and what enters there [volume rate per thickness]
+    far     (3,) stress that loads add far away, xx, yy, xy [stress]
     """
 
     always: Columns
@@ -238,6 +241,7 @@ class Snapshot:
     nodes: Mapping[int, Floats]
     least: tuple[int, float] = (0, 0.0)
     wells: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    far: Floats = field(default_factory=lambda: np.zeros(3))
 
     def column(self, name: str) -> Floats:
         """One quantity of every step at all joint ends (joints, 2), a vector along fractures (joints, 2, dim-1)."""
@@ -278,7 +282,8 @@ class StateSampler:
             return None
         joints = {int(n): v for numbers, rows, _, _ in parts for n, v in zip(numbers, rows, strict=True)}
         nodes = {int(n): v for _, _, numbers, rows in parts for n, v in zip(numbers, rows, strict=True)}
-        return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least, wells)
+        far = far_stress(sampler.scene, self.state.time, self.state.controls)
+        return Snapshot(sampler.always, sampler.columns, ends, joints, nodes, least, wells, far)
 
     def _at_wells(self) -> dict[str, tuple[float, float]]:
         """Mean pressure of each well, and what enters at its nodes."""

@@ -92,6 +92,8 @@ def why_none(facts: ReductionInput) -> str:
     scene = facts.scene
     if scene.model != "default":
         return f'model = "{scene.model}" leaves nothing out'
+    if scene.is_unbounded:
+        return "rock that is not meshed is as large without them"
     if facts.unknowns < LEAST:
         return f"{facts.unknowns} displacements are solved for in no time, below {LEAST}"
     if scene.initial is not None or scene.equilibrates or scene.carries_unbalanced:

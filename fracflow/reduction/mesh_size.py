@@ -13,7 +13,7 @@ from fracflow.diagnostics.joints import cell_rocks, gather
 from fracflow.diagnostics.number import CheckInput, spans
 from fracflow.integrators import stepper_from
 from fracflow.laws import JOINT_LAWS
-from fracflow.mesh.data import Floats, SplitMesh
+from fracflow.mesh.data import Floats, SplitMesh, is_unmeshed
 from fracflow.mesh.plane.quality import cell_areas
 from fracflow.mesh.plane.traces import natural_snap, polygon_area
 from fracflow.mesh.read import GROWTH as USUAL
@@ -35,6 +35,7 @@ PER_TIP = 128  # joints at tips
 GROWTH, THRIFTY = 0.12, 0.3  # of sizes per length, and where that takes too many cells; errors go with its square
 ACROSS = 20  # cells across the domain, far from all fractures
 MOST_CELLS = 100_000
+MOST_JOINTS = 1000  # that are proposed in rock that is not meshed, whose stiffness is dense
 ROUNDS = 5  # of meshing and measuring
 FEWEST = 4  # joints along a fracture of the first mesh
 LATE = "beside fractures that weaken with slip, cells that grow faster let it run away late, and send its waves back"
@@ -193,7 +194,8 @@ def _along_fractures(view: CheckInput, mesh: SplitMesh) -> Iterator[Need]:
     tipped = np.unique(joints.fracture[np.any(mesh.joint_bottom == mesh.joint_top, axis=1)])
     typical = np.where(np.isin(joints.fracture, tipped), typical_length(each[tipped]), np.inf)
     yield from need(f"length of fractures / {PER_LENGTH}", typical / PER_LENGTH)
-    spacing = mean_spacing(float(cell_areas(mesh.points, mesh.cells).sum()), float(joints.length.sum()))
+    area = np.inf if is_unmeshed(mesh.cells) else float(cell_areas(mesh.points, mesh.cells).sum())
+    spacing = mean_spacing(area, float(joints.length.sum()))
     apart = np.full_like(joints.length, spacing / PER_SPACING)
     yield from need(f"spacing of fractures / {PER_SPACING}", apart, len(tipped) > 0)
     lasts = [end - start for stage, start, end in spans(view.scene) if stage.kind in ("quasi-static", "auto")]
@@ -260,7 +262,10 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     if geometry is None:
         return {}, []
     snap, why = _snap(scene, geometry)
-    domain, traces = np.array(geometry.domain), _trace_lengths(geometry)
+    if geometry.is_unbounded:
+        keys, reasons = _of_joints(scene, geometry, build, snap)
+        return keys, [*why, *reasons]
+    domain, traces = np.array(geometry.outline), _trace_lengths(geometry)
     area, total, typical = polygon_area(domain), float(traces.sum()), typical_length(traces)
     if geometry.size is not None:
         if geometry.growth is not None:
@@ -298,12 +303,36 @@ def proposed(scene: Scene, build: Build) -> tuple[dict[str, float], list[str]]:
     return keys, [*why, *(f"geometry.{key} = {value:g}{unit[key]}: {_why(key, found)}" for key, value in sizes.items())]
 
 
+def _of_joints(
+    scene: Scene, geometry: Geometry, build: Build, snap: dict[str, float]
+) -> tuple[dict[str, float], list[str]]:
+    """The same of fractures in rock that is not meshed."""
+    if geometry.size_at_fractures or geometry.size:
+        return (snap if geometry.growth is not None else snap | {"growth": USUAL}), []
+    traces = _trace_lengths(geometry)
+    typical = typical_length(traces)
+    fine, least = _three_digits(typical / PER_LENGTH), float(traces.sum()) / MOST_JOINTS
+    for _ in range(ROUNDS):
+        keys = snap | _keys(geometry, fine, fine, typical / PER_TIP, geometry.growth or GROWTH, traces)
+        del keys["size"]
+        trial = scene.with_geometry({**keys, "refine": 0})
+        mesh, wells = build(trial)
+        view = CheckInput(trial, gather(trial, mesh, wells))
+        found = list(_along_fractures(view, mesh))
+        finer = _three_digits(max(_finer(fine, found, along=True), least))
+        if finer >= SAME * fine:
+            break
+        fine = finer
+    lines = (f"geometry.{key} = {keys[key]:g}{view.unit(LENGTH)}" for key in ("size_at_fractures", "size_at_tips"))
+    return keys, [f"{line}: {_why(line[9 : line.index(' ')], found)}" for line in lines]
+
+
 def _snap(scene: Scene, geometry: Geometry) -> tuple[dict[str, float], list[str]]:
     """The snap of traces that state none, and why it is so."""
     if geometry.snap is not None or not geometry.fracture:
         return {}, []
     traces = [(trace.name, np.array(trace.points, dtype=float)) for trace in geometry.fracture]
-    snap, why = natural_snap(np.array(geometry.domain, dtype=float), traces)
+    snap, why = natural_snap(np.array(geometry.outline, dtype=float), traces)
     unit = scene.unit_system.behind(LENGTH)
     return {"snap": snap}, [f"geometry.snap = {snap:g}{unit}: {why}"]
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fracflow.mesh.data import is_unmeshed
 from fracflow.output.remarks import alike, bare, is_note, is_routine, saved
 from fracflow.output.status import CUT_OFF, ENDED, FAILED, RUNNING, STOPPED
 from fracflow.run_report.data import RunReport, number
@@ -213,10 +214,13 @@ def _domain(run: RunReport, scene: Scene) -> str:
     if scene.geometry is None:
         file = scene.mesh_path.name if scene.mesh_path is not None else "a file"
         return f"The rock is the mesh of {file}, in plane strain."
-    corners = np.array(scene.geometry.domain, dtype=float)
-    wide, high = (run.shown(float(size), LENGTH) for size in np.ptp(corners, axis=0))
     count = len(scene.geometry.fracture)
-    return f"A piece of rock {wide} wide and {high} high, in plane strain, with {count} fracture{'' if count == 1 else 's'}."
+    fractures = f"{count} fracture{'' if count == 1 else 's'}"
+    if scene.is_unbounded:
+        return f"Rock without sides, in plane strain and not meshed, with {fractures}."
+    corners = np.array(scene.geometry.outline, dtype=float)
+    wide, high = (run.shown(float(size), LENGTH) for size in np.ptp(corners, axis=0))
+    return f"A piece of rock {wide} wide and {high} high, in plane strain, with {fractures}."
 
 
 def _fracture(run: RunReport, kind: Any) -> str:
@@ -290,7 +294,8 @@ def mesh_line(run: RunReport) -> str:
     if mesh is None:
         return "No mesh is in the run folder."
     lengths = np.linalg.norm(np.diff(mesh.points[mesh.joint_bottom[:, :2]], axis=1)[:, 0], axis=-1)
-    text = f"{len(mesh.cells)} cells, {len(mesh.points)} nodes, {len(mesh.joint_bottom)} joint elements"
+    cells = "rock without cells" if is_unmeshed(mesh.cells) else f"{len(mesh.cells)} cells"
+    text = f"{cells}, {len(mesh.points)} nodes, {len(mesh.joint_bottom)} joint elements"
     if len(lengths):
         few, usual, most = (
             run.shown(float(size), LENGTH, 3) for size in (lengths.min(), np.median(lengths), lengths.max())

@@ -10,18 +10,16 @@ from pydantic import BeforeValidator, Field, model_validator
 from fracflow.scene.method import Count, Fraction, Name, Table
 from fracflow.scene.quantities import MeasuredName
 from fracflow.scene.units import FLOW_RATE, LINE_FORCE, STRESS, TIME, Quantity, fault
-from fracflow.scene.values import At, Displaced, Position, Tabled, TabledVector, TimeTable
+from fracflow.scene.values import DISPLACED, STRESSED, At, Position, Tabled, TabledVector, TimeTable
 
 Component = Literal["x", "y", "rotation"]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
 Measured = Annotated[str, MeasuredName()]
 Entry = Annotated[TimeTable, Tabled()]
 Row = tuple[Entry, Entry]
-Names = Annotated[
-    tuple[Name, ...],
-    Field(min_length=1, json_schema_extra={"one_is_enough": True}),
-    BeforeValidator(lambda on: [on] if isinstance(on, str) else on),
-]
+_LISTED = BeforeValidator(lambda on: [on] if isinstance(on, str) else on)
+Names = Annotated[tuple[Name, ...], Field(min_length=1, json_schema_extra={"one_is_enough": True}), _LISTED]
+AnyNames = Annotated[tuple[Name, ...], Field(json_schema_extra={"one_is_enough": True}), _LISTED]
 
 
 class Support(Table):
@@ -31,7 +29,7 @@ class Support(Table):
     """names of sides, points or rocks: one or a list"""
     components: tuple[Component, ...] = Field(default=("x", "y"), min_length=1)
     """what is held; by default x and y, or the keys of displacement"""
-    displacement: Annotated[dict[str, TimeTable], Displaced()] | None = None
+    displacement: Annotated[dict[str, TimeTable], DISPLACED] | None = None
     """prescribed {x = ..., y = ...} [length]; rotation of a rigid rock in radians"""
     displacement_gradient: tuple[Row, Row] | None = None
     """[[du_x/dx, du_x/dy], [du_y/dx, du_y/dy]], each a number or a time table, added to displacement: a motion affine
@@ -74,10 +72,10 @@ class Tie(Table):
 
 
 class Load(Table):
-    """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; or a force on rocks."""
+    """[[load]] A traction on sides, as [x, y], as a pressure, or that of the initial stress; a force on rocks; a far stress."""
 
-    on: Names
-    """names of sides, or of rocks where a force is given: one or a list"""
+    on: AnyNames = ()
+    """names of sides, or of rocks where a force is given: one or a list; not with stress"""
     traction: Annotated[tuple[TimeTable, TimeTable] | str, TabledVector(STRESS, "initial-stress")] | None = None
     """[t_x, t_y] in global axes [force/length**2], or "initial-stress"
     """
@@ -85,16 +83,23 @@ class Load(Table):
     """pressure against the side, positive pushes inwards [force/length**2]"""
     force: Annotated[tuple[TimeTable, TimeTable], TabledVector(LINE_FORCE)] | None = None
     """[F_x, F_y] per unit thickness on each rock named, spread evenly over its area [force/length]"""
+    stress: Annotated[dict[str, TimeTable], STRESSED] | None = None
+    """{xx = ..., yy = ..., xy = ...} that is added to the initial stress of an unbounded domain, tension positive
+    [force/length**2]"""
     control: Name | None = None
     """name of the [control] whose factor multiplies the load"""
 
     @model_validator(mode="after")
     def _consistent(self) -> Load:
-        given = [key for key in ("traction", "pressure", "force") if getattr(self, key) is not None]
+        given = [key for key in ("traction", "pressure", "force", "stress") if getattr(self, key) is not None]
         if not given:
-            raise fault("missing; a load needs traction, pressure or force", key="traction")
+            raise fault("missing; a load needs traction, pressure or force, or stress", key="traction")
         if len(given) > 1:
             raise fault(f"contradicts {given[1]}; give one of them", key=given[0])
+        if not self.on and self.stress is None:
+            raise fault(f"missing; a {given[0]} needs the names of its sides or rocks: give them", key="on")
+        if self.on and self.stress is not None:
+            raise fault("contradicts stress, which is far from all sides; leave it out", key="on")
         if self.control is not None and self.traction == "initial-stress":
             raise fault('contradicts traction = "initial-stress", which has no factor; remove one', key="control")
         return self

@@ -31,6 +31,7 @@ def contradictions(scene: Tables) -> Iterator[Fault]:
     yield from _terms(scene)
     yield from _leak_off(scene)
     yield from _geometry(scene)
+    yield from _unbounded(scene) if scene.is_unbounded else ()
     yield from _materials(scene)
     yield from _controls(scene)
     yield from _actions(scene)
@@ -158,6 +159,41 @@ def _geometry(scene: Tables) -> Iterator[Fault]:
         yield ("rock", name), f"is one too many; [geometry] has one rock, here {next(iter(scene.rock))}: remove this"
 
 
+def _unbounded(scene: Tables) -> Iterator[Fault]:
+    """Tables and keys of sides, cells and inertia, which rock that is not meshed does not have."""
+    assert scene.geometry is not None
+    bounded, free = "give geometry.domain = [xmin, ymin, xmax, ymax]", 'an "unbounded" geometry.domain has no'
+    if not scene.geometry.fracture:
+        yield ("geometry", "domain"), 'is "unbounded", and nothing in it moves without a fracture: give one'
+    for key in ("support", "tie", "absorbing"):
+        if getattr(scene, key):
+            yield (key,), f"{free} sides: remove it, or {bounded}"
+    for index, load in enumerate(scene.load):
+        if load.on:
+            yield ("load", index, "on"), f"{free} sides: give the load as stress, without on, or {bounded}"
+    for index, well in enumerate(scene.well):
+        if well.on is not None:
+            yield ("well", index, "on"), f"{free} sides: give at = a place on a fracture, or {bounded}"
+    for index, stage in enumerate(scene.stage):
+        if stage.kind in ("dynamic", "auto"):
+            why = f'is "{stage.kind}", and {free} cells that have inertia'
+            yield ("stage", index, "kind"), f'{why}: use "quasi-static" or "steady", or {bounded}'
+    for name, rock in scene.rock.items():
+        if rock.rigid:
+            yield ("rock", name, "rigid"), f"{free} blocks of their own: remove it, or {bounded}"
+    if scene.body_force is not None:
+        yield ("body_force",), f"{free} cells to carry it: give the initial_stress that it makes, or {bounded}"
+    if scene.initial is not None:
+        yield ("initial",), f"{free} cells that move: remove it, or {bounded}"
+    for key, tables in scene.term_tables.items():
+        if key != "absorbing" and (tables[0].places == "sides" or not tables[0].drains):
+            yield (key,), f"{free} sides and cells for it: remove it, or {bounded}"
+    if scene.method.rock_solver == "multigrid":
+        yield ("method", "rock_solver"), f'{free} cells to coarsen: use "auto", or {bounded}'
+    if scene.geometry.cells != "triangles":
+        yield ("geometry", "cells"), f"{free} cells: remove it, or {bounded}"
+
+
 def _materials(scene: Tables) -> Iterator[Fault]:
     if not scene.rock:
         yield ("rock",), "missing; a scene needs [rock.NAME]"
@@ -210,6 +246,9 @@ def _controls(scene: Tables) -> Iterator[Fault]:
 
 def _actions(scene: Tables) -> Iterator[Fault]:
     for index, load in enumerate(scene.load):
+        if load.stress is not None and not scene.is_unbounded:
+            why = 'needs geometry.domain = "unbounded": give the traction on each side in its place'
+            yield ("load", index, "stress"), why
         if load.traction == "initial-stress" and scene.initial_stress is None:
             yield ("load", index, "traction"), "needs the table [initial_stress]; give it, or traction = [x, y]"
     rigid = {name for name, rock in scene.rock.items() if rock.rigid}

@@ -201,8 +201,8 @@ class Trace(Table):
 class Geometry(Table):
     """[geometry] A domain with fracture traces, meshed by the program; its rock is called "rock"."""
 
-    domain: Annotated[Points, Domain()]
-    """[xmin, ymin, xmax, ymax] or the corners [[x, y], ...] [length]"""
+    domain: Annotated[Points | str, Domain("unbounded")]
+    """[xmin, ymin, xmax, ymax] or the corners [[x, y], ...] [length]; or "unbounded": rock without sides, not meshed"""
     fracture: tuple[Trace, ...] = ()
     """fracture traces; they may cross, and reach the boundary"""
     fractures_csv: FileName | None = None
@@ -213,7 +213,8 @@ class Geometry(Table):
     size_at_fractures: Size | None = None
     """mesh size at fractures [length]; as size if only that is given"""
     size_at_tips: Size | None = None
-    """mesh size at ends of fractures inside the rock [length]; as size_at_fractures if not given"""
+    """mesh size at ends of fractures inside the rock, in an unbounded domain also where they meet [length]; as
+    size_at_fractures if not given"""
     growth: Annotated[float, Quantity(above=0.0, at_most=1.0)] | None = None
     """growth of the mesh size per length away from the fractures; if not given, 0.3, or 0.1 where these weaken with
     slip [1]"""
@@ -225,6 +226,21 @@ class Geometry(Table):
     cells: Literal["triangles", "quads"] = "triangles"
     """shape of the cells"""
     refine: Refine = Field(default=0, description=REFINED)
+
+    @property
+    def is_unbounded(self) -> bool:
+        """Whether the rock has no sides."""
+        return isinstance(self.domain, str)
+
+    @property
+    def outline(self) -> Points:
+        """The corners of the domain, or of a box around the traces of an unbounded one, twice as wide [length]."""
+        if not isinstance(self.domain, str):
+            return self.domain
+        x, y = zip(*(point for trace in self.fracture for point in trace.points), strict=True)
+        more = 0.5 * max(max(x) - min(x), max(y) - min(y))
+        left, bottom, right, top = min(x) - more, min(y) - more, max(x) + more, max(y) + more
+        return (left, bottom), (right, bottom), (right, top), (left, top)
 
 
 class Mesh(Table):

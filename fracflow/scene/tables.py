@@ -152,6 +152,11 @@ class Tables(TablesOfLaws):
         return 0 if table is None else table.refine
 
     @property
+    def is_unbounded(self) -> bool:
+        """Whether the rock has no sides, and no mesh."""
+        return self.geometry is not None and self.geometry.is_unbounded
+
+    @property
     def unit_system(self) -> UnitSystem:
         """The units of all numbers of the scene."""
         return UnitSystem.parse(self.units)

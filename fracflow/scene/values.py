@@ -13,6 +13,7 @@ from fracflow.scene.time_table import TimeTable
 from fracflow.scene.units import (
     LENGTH,
     PLAIN,
+    STRESS,
     TIME,
     Annotation,
     Quantity,
@@ -180,25 +181,32 @@ class TabledVector(Annotation):
 
 
 @dataclass(frozen=True)
-class Displaced(Annotation):
-    """Annotation of prescribed displacements: a table over time for each component that is moved."""
+class Components(Annotation):
+    """Annotation of values by their components, of so many names and dimensions: a table over time for each that is given."""
+
+    parts: tuple[tuple[str, str], ...]
 
     def read(self, value: object, info: ValidationInfo) -> dict[str, TimeTable]:
-        """Read ``{x = ..., y = ...}``; the rotation is in radians."""
-        if not isinstance(value, dict) or not value or not set(value) <= {"x", "y", "rotation"}:
-            raise fault("must be a table of x, y or rotation, such as {y = [[0, 0], [1, 2]]}")
+        """Read ``{x = ..., y = ...}``."""
+        known = dict(self.parts)
+        if not isinstance(value, dict) or not value or not set(value) <= set(known):
+            *some, last = known
+            raise fault(f"must be a table of {', '.join(some)} or {last}, such as {{{some[-1]} = [[0, 0], [1, 2]]}}")
         tables: dict[str, TimeTable] = {}
-        for part, motion in value.items():
-            table = Tabled(PLAIN if part == "rotation" else LENGTH).read(motion, info)
+        for part, given in value.items():
+            table = Tabled(known[part]).read(given, info)
             assert isinstance(table, TimeTable)
             tables[part] = table
         return tables
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
-        parts = {"x": LENGTH, "y": LENGTH, "rotation": PLAIN}
-        keys = {part: Tabled(dimension).schema() for part, dimension in parts.items()}
+        keys = {part: Tabled(dimension).schema() for part, dimension in self.parts}
         return table_schema(keys, *keys) | {"minProperties": 1}
+
+
+DISPLACED = Components((("x", LENGTH), ("y", LENGTH), ("rotation", PLAIN)))
+STRESSED = Components((("xx", STRESS), ("yy", STRESS), ("xy", STRESS)))
 
 
 @dataclass(frozen=True)
@@ -238,10 +246,14 @@ class At(Annotation):
 
 @dataclass(frozen=True)
 class Domain(Annotation):
-    """Annotation of the outline of the rock: a rectangle or a polygon."""
+    """Annotation of the outline of the rock: a rectangle or a polygon; or a word for rock that has none."""
 
-    def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...]:
-        """Read ``[xmin, ymin, xmax, ymax]`` or ``[[x, y], ...]`` as the corners."""
+    word: str
+
+    def read(self, value: object, info: ValidationInfo) -> tuple[tuple[float, float], ...] | str:
+        """Read ``[xmin, ymin, xmax, ymax]`` or ``[[x, y], ...]`` as the corners, or the word."""
+        if value == self.word:
+            return self.word
         if isinstance(value, list) and len(value) == 4 and not any(isinstance(part, list) for part in value):
             left, bottom, right, top = (Quantity(LENGTH).read(part, info) for part in value)
             if left >= right or bottom >= top:
@@ -249,12 +261,13 @@ class Domain(Annotation):
             return (left, bottom), (right, bottom), (right, top), (left, top)
         if isinstance(value, list) and len(value) >= 3 and any(isinstance(part, list) for part in value):
             return read_points(value, info)
-        raise fault("must be [xmin, ymin, xmax, ymax] or at least three points [x, y]")
+        raise fault(f'must be [xmin, ymin, xmax, ymax] or at least three points [x, y], or "{self.word}"')
 
     def schema(self) -> dict[str, Any]:
         """Describe the value for ``fracflow schema``."""
         corners = {"type": "array", "minItems": 3, "items": POINT}
-        return {"type": "array", "dimension": LENGTH, "anyOf": [list_schema(*[number_schema(LENGTH)] * 4), corners]}
+        polygon = {"type": "array", "anyOf": [list_schema(*[number_schema(LENGTH)] * 4), corners]}
+        return {"dimension": LENGTH, "anyOf": [polygon, {"const": self.word}]}
 
 
 @dataclass(frozen=True)

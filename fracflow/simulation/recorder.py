@@ -18,8 +18,9 @@ from fracflow.advance.step import Step
 from fracflow.diagnostics import as_lines, pre_run_checks
 from fracflow.diagnostics import as_records as card_records
 from fracflow.errors import DiskError
-from fracflow.mesh.data import Floats
+from fracflow.mesh.data import Floats, is_unmeshed
 from fracflow.mesh.locate import FracturePlace
+from fracflow.mesh.plane.alone import map_cells
 from fracflow.mesh.store import mesh_root, save_mesh
 from fracflow.model.properties import initial_pressure
 from fracflow.model.setup import Model, on_root
@@ -316,7 +317,8 @@ class Files:
         self.extra: int | None = None
         self.time: float | None = notes["time"] if notes is not None else None  # of the last state on record
         resumes, path, names = notes is not None, self.folder.path, {"rocks": list(self.mesh.rocks)}
-        self.rock = FieldWriter(path, "rock", self.mesh.points, self.mesh.cells, names, resumes)
+        shown = map_cells(self.mesh) if is_unmeshed(self.mesh.cells) else (self.mesh.points, self.mesh.cells)
+        self.rock = FieldWriter(path, "rock", *shown, names, resumes)
         ends = self.mesh.points[self.mesh.joint_bottom].reshape(-1, 2)
         lines = np.arange(len(ends)).reshape(-1, 2)
         names = {"fractures": list(self.mesh.fractures)}
@@ -408,7 +410,7 @@ class Files:
     def fields(self, index: int, state: State, values: Mapping[str, Any], motion: Floats | None) -> None:
         """Fields of fractures at ends (joints, 2, k) and, with a ``motion`` (n, 2, k), of the rock for ParaView."""
         if motion is not None:
-            point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state.energy["kinetic"] != 0.0)
+            point_data, cell_data = rock_fields(self.mesh, self.scene, motion, state)
             self.rock.write(index, state.time, point_data, cell_data)
         self.fractures.write(index, state.time, values, {"fracture": self.mesh.joint_fracture})
         if self.vtkhdf is not None:

@@ -15,8 +15,9 @@ import numpy as np
 from fracflow._petsc import PETSc
 from fracflow.elements import facet
 from fracflow.mesh.blocks import Blocks
-from fracflow.mesh.data import Floats, Ints
+from fracflow.mesh.data import Floats, Ints, is_unmeshed
 from fracflow.mesh.graph import components
+from fracflow.model import unbounded
 from fracflow.model.layout import add_blocks, local_rows
 from fracflow.model.loads import Loads
 from fracflow.model.operators import Operators
@@ -114,7 +115,7 @@ class Floating:
     """Finds floating blocks, for the sections that carry; keeps the last result."""
 
     def __init__(self, operators: Operators, loads: Loads) -> None:
-        """Locate the sections. Without communication."""
+        """Locate the sections. Collective."""
         self.operators, self.loads = operators, loads
         blocks, block = operators.blocks, operators.blocks.solid
         self.frames = Frames.of(block.piece_box)
@@ -127,6 +128,9 @@ class Floating:
         ends = block.points[joints.bottom]
         self.frame = facet.frame(ends)[0]
         self.places = on_joints(ends, self.natural).reshape(-1, 2)
+        unmeshed = is_unmeshed(block.cells)
+        self.around = np.flatnonzero(unbounded.is_around(blocks)) if unmeshed else None  # the rock that nothing moves
+        self.beside = unbounded.held_pieces(blocks) if unmeshed else None
         self._carried: np.ndarray | None = None
         self._asked: tuple[Sections, bool] | None = None
         self.motions = np.zeros((3 * self.count, 0))
@@ -164,7 +168,11 @@ class Floating:
         np.minimum.at(boxes[:, 0], group, blocks.solid.piece_box[:, 0])
         np.maximum.at(boxes[:, 1], group, blocks.solid.piece_box[:, 1])
         frames = Frames.of(boxes)
-        parts = [_support_rows(blocks, self.loads, frames, group), _tie_rows(blocks, frames, group)]
+        parts = (
+            [_around_rows(group[self.around])]
+            if self.around is not None
+            else [_support_rows(blocks, self.loads, frames, group), _tie_rows(blocks, frames, group)]
+        )
         parts.append(self._joint_rows(carried & ~np.repeat(firm, points)[:, None], frames, group))
         stiffness = _terms_stiffness(self.operators, frames, group)
         for motion, value in parts:
@@ -199,6 +207,10 @@ class Floating:
             if axis < 2:
                 direction = np.broadcast_to(np.eye(2)[axis], points.shape)
                 share = self.frames.moved(piece, points, direction)
+                if self.beside is not None:  # the wall beside these is held, and takes what they take
+                    there = self.beside[(numbers - start) // 2]
+                    back = local[numbers - start, None] * self.frames.moved(there, points, direction)
+                    np.add.at(force, there, back)
             else:
                 share = np.zeros((len(piece), 3))
                 share[:, 2] = 1.0 / self.frames.size[piece]
@@ -264,6 +276,12 @@ def _moved_unknowns(blocks: Blocks, frames: Frames, group: Ints) -> Iterator[tup
 def _motions_of(groups: Ints) -> Ints:
     """Numbers (n, 3) of the motions of groups (n,)."""
     return 3 * groups[:, None] + np.arange(3)
+
+
+def _around_rows(groups: Ints) -> Rows:
+    """Rows of all motions of the rock around fractures that is not meshed."""
+    motions = _motions_of(np.unique(groups)).reshape(-1, 1)
+    return motions, np.ones(motions.shape)
 
 
 def _support_rows(blocks: Blocks, loads: Loads, frames: Frames, group: Ints) -> Rows:

@@ -36,7 +36,7 @@ def main() -> int:
     given = parser.parse_args()
     chosen = [case for case in CASES if case.name.startswith(tuple(given.only))]
     if not chosen:
-        parser.error(f"no case begins with {' '.join(given.only)}; they are R01 to R17")
+        parser.error(f"no case begins with {' '.join(given.only)}; they are R01 to R18")
     outcomes = [outcome for case in chosen for outcome in measure(case)]
     given.output.mkdir(parents=True, exist_ok=True)
     write(outcomes, given.output / "verification.csv")

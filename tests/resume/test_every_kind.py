@@ -21,6 +21,7 @@ from physics.test_depth import HEAVY  # noqa: E402
 from physics.test_explicit import RUPTURE  # noqa: E402
 from physics.test_slip_weakening import LAYER  # noqa: E402
 from physics.test_supports import PERIODIC  # noqa: E402
+from physics.test_unbounded import NETWORK  # noqa: E402
 from physics.test_wells import PUMPED  # noqa: E402
 
 EVERY = "output.checkpoint_every=1"
@@ -60,6 +61,7 @@ CASES = {
         (0, 1, 3),
     ),
     "ties": (SLIPPING + STAGES, ["support.1={on = 'north', displacement_gradient = [[0, 0], [0, 0]]}"], (2, 5)),
+    "unbounded rock": (NETWORK, ["stage.0.steps=4"], (1, 3)),
     "wells at limits": (PUMPED, [], (3, 5)),
     "stress with depth": (HEAVY, ["well.out.pressure='5 kPa'"], (1, 4)),
     "parts of a step": ("failures/closing_joint", ["accuracy.max_iterations=6"], (4, 7)),

@@ -44,6 +44,12 @@ class TraceNetwork:
         count = np.bincount(self.edges.ravel(), minlength=len(self.points))
         return np.flatnonzero(count == 1)
 
+    @property
+    def meeting(self) -> Ints:
+        """Points (n,) of fractures where three edges or more meet."""
+        count = np.bincount(self.edges[self.owner >= 0].ravel(), minlength=len(self.points))
+        return np.flatnonzero(count > 2)
+
     def along(self, owner: int) -> list[list[int]]:
         """Edges of a trace or a side, those of a side head to tail."""
         edges = self.edges[self.owner == owner]

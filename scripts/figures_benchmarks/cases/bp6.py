@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from figures_verification.case import Bar
+from figures_verification.cases.r18 import unbounded
 from scipy.special import erfc
 
 from figures_benchmarks.benchmark import Benchmark, Floats, Line, Other, Ran, clocked, measured, table_of
@@ -100,8 +101,11 @@ def limit() -> tuple[float, float]:
     return 2 * low - one, 2 * high - other
 
 
-def run(size: float, far: float = FAR, growth: float = GROWTH) -> Ran:
-    """On joints of ``size`` metres, in a box of ``far`` to each side; cells away from the fault shrink with them."""
+def run(size: float, far: float = FAR, growth: float = GROWTH, meshed: bool = True) -> Ran:
+    """On joints of ``size`` metres, in a box of ``far`` to each side; cells away from the fault shrink with them.
+
+    If not ``meshed``, without a box and cells.
+    """
     nodes, times = np.linspace(-HALF, HALF, round(2 * HALF / size) + 1), instants()
     values = [[float(f"{p:.7g}") for p in pressure(nodes, at)] for at in times]
     scene = SCENE.format(
@@ -109,7 +113,7 @@ def run(size: float, far: float = FAR, growth: float = GROWTH) -> Ran:
         far=far, size=size, half=HALF, growth=growth * size,
         friction=FRICTION, along=(nodes + HALF).tolist(), times=times.tolist(), values=values,
     )  # fmt: skip
-    found, seconds = clocked(scene)
+    found, seconds = clocked(scene if meshed else unbounded(scene))
     state, table = found.fractures[-1], table_of("bp6_constant_friction.csv")
     order = np.argsort(state.points[:, 0], kind="stable")
     z, slip = state.points[order, 0], np.abs(state.point["plastic_slip"][order])
@@ -122,8 +126,9 @@ def run(size: float, far: float = FAR, growth: float = GROWTH) -> Ran:
 
 
 def elements(_: Path) -> list[Other]:
-    """The same by boundary elements, in this process, with the CPU of a start of Python and SciPy."""
-    found = []
+    """The same in rock that is not meshed, and by boundary elements with the CPU of a start of Python and SciPy."""
+    ran = [run(size, meshed=False) for size in (200.0, 100.0, 50.0)]
+    found = [Other("fracflow, unmeshed", each.errors[0], each.seconds, True) for each in ran]
     with tempfile.TemporaryDirectory() as name:
         begin = measured([sys.executable, "-c", "import numpy, scipy.special"], Path(name)).seconds
     for size in (200.0, 100.0, 50.0):

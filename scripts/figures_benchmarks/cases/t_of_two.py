@@ -5,11 +5,13 @@ The scene and the limit that errors are against are those of R17; the print stan
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from figures_verification.case import Bar
-from figures_verification.cases import r17
+from figures_verification.cases import r17, r18
 
-from figures_benchmarks.benchmark import Benchmark, Line, Ran, along, rms, table_of, timed
+from figures_benchmarks.benchmark import Benchmark, Line, Other, Ran, along, rms, table_of, timed
 
 EXACT = 1e-9
 NEAR = 3.0  # m from where they meet, or from an end, nothing is compared: all is steep there, and read off a print
@@ -45,6 +47,15 @@ def run(size: float) -> Ran:
     return Ran(tuple(errors), seconds, tuple(lines))
 
 
+def unmeshed(_: Path) -> list[Other]:
+    """The same in rock that is not meshed."""
+    found = []
+    for size in (4.0, 2.0, 1.0):
+        ran, seconds = timed(lambda size=size: r18.pressed(size))
+        found.append(Other("fracflow, unmeshed", r17.errors_of(ran)[1], seconds, True))
+    return found
+
+
 BENCHMARK = Benchmark(
     "T of two fractures", "T junction",
     "Phan et al. 2003, Int. J. Numer. Meth. Engng 57, 835-851, as digitised in the tests of GEOS; slip and opening against"
@@ -54,5 +65,5 @@ BENCHMARK = Benchmark(
         Bar("slip", 0.0095, 0.8, 0.01), Bar("opening", 0.0095, 0.8, 0.01),
         Bar("printed slip", 0.017), Bar("printed opening", 0.011, None, 0.01), Bar("printed compression", 0.006),
     ),
-    run, (2.0, 1.0, 0.5), (), "joints [m]",
+    run, (2.0, 1.0, 0.5), (), "joints [m]", unmeshed,
 )  # fmt: skip

@@ -1,0 +1,93 @@
+"""Jumps in unbounded rock: the energy of pairs of segments, and displacements and stresses around them."""
+
+import numpy as np
+import pytest
+
+from fracflow.elements.dislocation import displacements, energies, mean_along, stresses
+
+POISSON, MODULUS = 0.25, 2.0
+PLACES, WEIGHTS = np.polynomial.legendre.leggauss(60)
+PLACES, WEIGHTS = (1 + PLACES) / 2, WEIGHTS / 2
+ONE = ((0.0, 0.0), (1.0, 0.0))
+PAIRS = {
+    "straight on": (ONE, ((1.0, 0.0), (1.3, 0.0))),
+    "bend": (ONE, ((1.0, 0.0), (1.6, 0.8))),
+    "sharp": (ONE, ((1.6, 0.05), (1.0, 0.0))),
+    "near": (ONE, ((0.2, 0.07), (0.9, 0.4))),
+    "beside": (ONE, ((1.8, 0.5), (2.4, 0.1))),
+    "far": (ONE, ((30.0, 40.0), (30.5, 39.0))),
+}
+
+
+def by_points(one, other):
+    """The mean over both segments: exact along the one; points crowd at the ends of the other, where it is steep."""
+    start, end = np.array(other)
+    total = np.zeros(3)
+    for first, last in ((0.0, 0.5), (1.0, 0.5)):
+        share = first + (last - first) * PLACES**4
+        values = mean_along(start + share[:, None] * (end - start), *np.array(one))
+        total += (WEIGHTS * 4 * PLACES**3) @ values / 2
+    return total
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_energy_of_a_pair(name):
+    pair = np.array(PAIRS[name])
+    found = energies(pair, np.arange(2))
+    np.testing.assert_allclose(found[0, 1], by_points(*pair), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found[0, 1], found[1, 0])
+    np.testing.assert_array_equal(energies(pair, np.array([1]))[0, 0], found[0, 1])  # on another rank
+
+
+def test_energy_of_a_segment_with_itself():
+    found = energies(np.array([[[2.0, 1.0], [2.0, 3.0]]]), np.arange(1))[0, 0]
+    np.testing.assert_allclose(found, [np.log(2) - 1.5, np.log(2) - 2.5, 0.0], atol=1e-15)
+
+
+def crack(count=40):
+    """Segments of a bent crack with a branch, and jumps that add up to none where they meet."""
+    along = np.linspace(0.0, 1.0, count + 1)[:, None]
+    stem, left, right = (np.array(end) for end in ((-1.0, 0.1), (0.8, 0.5), (0.6, -0.7)))
+    jump = np.array([0.3, 1.0])
+    ends, jumps = [], []
+    for end, share in ((stem, -1.0), (left, 0.4), (right, 0.6)):
+        nodes, values = along * end, share * (1 - along**2) * jump
+        ends.append(np.stack([nodes[:-1], nodes[1:]], axis=1))
+        jumps.append(np.stack([values[:-1], values[1:]], axis=1))
+    return np.concatenate(ends), np.concatenate(jumps)
+
+
+def test_stresses_are_those_of_the_displacements():
+    ends, jumps = crack()
+    places, step = np.array([[0.3, 0.9], [-0.2, -0.4], [0.5, 0.05], [2.0, 1.0]]), 1e-4
+    slopes = [
+        (displacements(places + step * unit, ends, jumps, POISSON) - displacements(places - step * unit, ends, jumps, POISSON))
+        / (2 * step)
+        for unit in np.eye(2)
+    ]  # fmt: skip
+    young = MODULUS * (1 - POISSON**2)
+    shear, lame = young / (2 * (1 + POISSON)), young * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
+    xx, yy, xy = slopes[0][:, 0], slopes[1][:, 1], slopes[0][:, 1] + slopes[1][:, 0]
+    right = np.stack([lame * (xx + yy) + 2 * shear * xx, lame * (xx + yy) + 2 * shear * yy, shear * xy], axis=1)
+    np.testing.assert_allclose(stresses(places, ends, jumps, MODULUS), right, rtol=1e-5, atol=1e-6)
+
+
+def test_displacements_jump_across_segments_and_vanish_far_away():
+    ends, jumps = crack()
+    middle, step = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
+    left = 1e-6 * np.stack([-step[:, 1], step[:, 0]], axis=1)
+    found = displacements(middle + left, ends, jumps, POISSON) - displacements(middle - left, ends, jumps, POISSON)
+    np.testing.assert_allclose(found, jumps.mean(axis=1), atol=1e-5)
+    far = displacements(np.array([[1e6, 2e6]]), ends, jumps, POISSON)
+    assert np.abs(far).max() < 1e-6
+
+
+def test_no_stress_of_a_block_that_moves_as_one():
+    corners = np.array([[0.0, 0.0], [2.0, 0.3], [1.5, 1.7], [-0.3, 1.2]])
+    ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    turn = np.stack([-ends[..., 1], ends[..., 0]], axis=2)
+    jumps, places = np.array([0.4, -0.2]) + 0.1 * turn, np.array([[0.9, 0.8], [4.0, 1.0], [-0.5, -0.2]])
+    found = displacements(places, ends, jumps, POISSON)  # blocks are to the left of walls that run counter-clockwise
+    np.testing.assert_allclose(found[0], [0.4 - 0.08, -0.2 + 0.09], atol=1e-14)
+    np.testing.assert_allclose(found[1:], 0.0, atol=1e-14)
+    assert np.abs(stresses(places, ends, jumps, MODULUS)).max() < 1e-14
