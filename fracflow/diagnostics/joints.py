@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,13 +120,18 @@ def _weakening(scene: Scene, mesh: SplitMesh, ends: Callable[[str], Floats], pre
         here = np.isin(mesh.joint_fracture, np.flatnonzero([law == name for law in of_fracture]))
         given = {
             each: ends("friction" if each == "friction_coefficient" else each)[here].ravel()
-            for each in (*keys_of(JOINT_LAWS[name]), "normal_stiffness", "shear_stiffness", "aperture")
+            for each in (*_numbers_of(name), "normal_stiffness", "shear_stiffness", "aperture")
             if each in {field.name for field in parameters_of(JOINT_LAWS[name])}
         }
         law, pressures = make_law(name, **given), pressed[here].ravel()
         drop[here] = law.strength_drop(pressures).reshape(-1, 2)
         distance[here] = law.slip_length(len(pressures)).reshape(-1, 2)
     return drop, distance
+
+
+def _numbers_of(law: str) -> Iterator[str]:
+    """Keys of a law whose values are numbers."""
+    return (name for name, key in keys_of(JOINT_LAWS[law]).items() if not key.choices)
 
 
 def _of_slower(speed: Floats, values: Floats) -> Floats:
