@@ -117,7 +117,8 @@ class RateAndState(JointLaw):
     |f_s| = -f_n a asinh(V/(2 V0) exp((f0 + b ln(V0 theta/D_c))/a)) + eta V, along the slip. V is the plastic slip of a step
     over its length, and theta is exact for it (``aged``). Traction and theta are taken at the part w of the step: at its
     middle where it slips little beside D_c, which is of second order, and towards its end where it slips more, which damps
-    what the step does not resolve: w = 1/2 + min((V dt/D_c)^2, 1/2), V of the step before. At once (dt = 0) nothing slips. Open walls carry no shear
+    what the step does not resolve: w = 1/2 + min((V dt/D_c)^2, 1/2), V of the step before. At once (dt = 0) nothing slips.
+    Open walls carry no shear
     traction.
 
     History: ``plastic_slip`` [length], ``state`` theta [time], ``sliding_rate`` V [length/time], and as the step begins, the
@@ -138,9 +139,7 @@ class RateAndState(JointLaw):
     initial_slip_rate: Parameter = field(
         metadata=key("V at the start; it gives the state there, with the initial tractions", "length/time", above=0.0)
     )
-    state_law: str | NDArray[Any] = field(
-        default=AGEING, metadata=key("how the state evolves", choices=(AGEING, SLIP))
-    )
+    state_law: str | NDArray[Any] = field(default=AGEING, metadata=key("how the state evolves", choices=(AGEING, SLIP)))
     initial_normal_traction: Parameter = 0.0
     initial_shear_traction: Parameter = 0.0
     wave_impedance: Parameter = 0.0

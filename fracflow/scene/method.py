@@ -324,6 +324,9 @@ class Accuracy(Table):
     step_error: Fraction | None = None
     """largest error of displacement that a step may add, over the largest displacement so far: longer steps are halved,
     at most max_halvings times; takes the place of tolerance [1]"""
+    slip_share: Fraction = 0.1
+    """slip of a step without inertia over characteristic_slip, at most, on fractures of law = "rate-and-state": dt is at most
+    that share of D_c/V; with a tolerance steps are also so short that the error of their slip is below that share of it [1]"""
     max_events: Annotated[int, Field(strict=True, ge=0)] = 20
     """events of joints in a step that parts of it end at; later ones are taken as they fall"""
     max_cycles: Count = 50

@@ -1,4 +1,4 @@
-"""A rate-dependent law from outside the package, that only the tests have: exact steady states at the level of the law, and whole runs."""
+"""A rate-dependent law from outside the package: exact steady states at the level of the law, and whole runs."""
 
 from __future__ import annotations
 

@@ -97,7 +97,8 @@ def test_open_walls_carry_nothing_and_at_once_nothing_slips():
     law, past = friction(RATE), friction(RATE).initial_history(2, 2)
     strain = np.array([[1e-4, 2e-5], [1e-7, 0.0]])
     response = law.evaluate(strain, past, LawStep(dt=1.0))
-    assert response.is_open.tolist() == [True, False] and not response.traction[0].any() and response.traction[1, 0] > 0.0
+    assert response.is_open.tolist() == [True, False]
+    assert not response.traction[0].any() and response.traction[1, 0] > 0.0
     at_once = law.evaluate(strain, past)
     assert at_once.traction[1, 0] == pytest.approx(steady(RATE) + STIFF * 1e-7) and not at_once.inelastic[1].any()
     assert at_once.history["state"][1] == past["state"][1]
@@ -118,7 +119,7 @@ def growth(stiffness, dt, slips="ageing"):
     moves = eps * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # of f_s/(a sigma), of ln theta
     lag = moves[:, 0] * A * SIGMA / stiffness
     past = {**first, "state": first["state"] * np.exp(moves[:, 1]), "carried": start + moves[:, :1] * A * SIGMA}
-    past["plastic_slip"] = -lag[:, None] - moves[:, :1] * A * SIGMA / STIFF  # the spring pulls, and the joint's own with it
+    past["plastic_slip"] = -lag[:, None] - moves[:, :1] * A * SIGMA / STIFF  # both springs pull
     slip, strain = -lag + RATE * dt, np.zeros((4, 2))
     for _ in range(20):
         strain[:, 0] = slip
