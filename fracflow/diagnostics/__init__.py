@@ -20,7 +20,7 @@ __all__ = ["Number", "as_lines", "as_records", "pre_run_checks"]
 NUMBERS = (
     slip.stiffness, slip.length_scale, fracture_flow.transient, fracture_flow.steady, fracture_flow.ringing,
     slip.joint_step, fracture_flow.fluid_inertia, fracture_flow.compressibility, slip.nucleation, fracture_flow.contrast,
-    slip.cohesive_zone, slip.dissimilar_rock,
+    slip.cohesive_zone, slip.dissimilar_rock, slip.state_zone, slip.state_nucleation,
 )  # fmt: skip
 
 
