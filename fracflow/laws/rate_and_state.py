@@ -1,4 +1,4 @@
-"""Rate-and-state friction: strength that depends on the rate of slip and on a state that remembers it."""
+"""Rate-and-state friction: strength that depends on the rate of slip and on a state that evolves with it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SHARP = 8.0 * float(np.finfo(float).eps)
 
 
 class _Local(NamedTuple):
-    """What a step gives the scalar equation of sections (m,): |T| = stiffness s + sigma a asinh(...), s the slip.
+    """Data of the scalar equation |T| = stiffness s + sigma a asinh(...) of sections (m,) in a step, s their slip.
 
     size, stiffness  |T| [stress], and w k_s + eta/dt [stress/length]
     sigma            compression at the weighted instant [stress]
@@ -115,11 +115,9 @@ class RateAndState(JointLaw):
     Parameters are numbers or arrays (n,), f_s0 may be (n, dim-1); joint frame, tension positive.
 
     |f_s| = -f_n a asinh(V/(2 V0) exp((f0 + b ln(V0 theta/D_c))/a)) + eta V, along the slip. V is the plastic slip of a step
-    over its length, and theta is exact for it (``aged``). Traction and theta are taken at the part w of the step: at its
-    middle where it slips little beside D_c, which is of second order, and towards its end where it slips more, which damps
-    what the step does not resolve: w = 1/2 + min((V dt/D_c)^2, 1/2), V of the step before. At once (dt = 0) nothing slips.
-    Open walls carry no shear
-    traction.
+    over its length, and theta is exact for it (``aged``). Traction and theta are taken at the part w of the step:
+    w = 1/2 + min((V dt/D_c)^2, 1/2), V of the step before. That is of second order. Where a step slips far, it is the rule of
+    the end, which damps. At once (dt = 0) nothing slips. Open walls carry no shear traction.
 
     History: ``plastic_slip`` [length], ``state`` theta [time], ``sliding_rate`` V [length/time], and as the step begins, the
     shear traction ``carried`` [stress] and the compression ``pressed`` [stress].
@@ -162,7 +160,7 @@ class RateAndState(JointLaw):
         return NormalClosure(self.normal_stiffness, self.aperture, self.initial_normal_traction)
 
     def initial_history(self, sections: int, dim: int) -> dict[str, Floats]:
-        """No slip yet; the state at which the initial slip rate balances the initial tractions, D_c/V where there are none."""
+        """Without slip; with the state (n,) at which the initial rate balances the initial tractions, D_c/V without any."""
         f0, v0, a, b, d_c = self._friction(sections)
         rate = per_section(self.initial_slip_rate, sections)
         shear = per_tangent(self.initial_shear_traction, sections, dim - 1)
