@@ -261,7 +261,8 @@ class RateAndState(JointLaw):
 
     def _slips(self, sections: int) -> Bools:
         """Whether sections (n,) follow the slip law."""
-        return np.broadcast_to(np.asarray(self.state_law) == SLIP, sections)
+        found: Bools = np.broadcast_to(np.asarray(self.state_law) == SLIP, sections)
+        return found
 
     def _friction(self, sections: int) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """f0, V0, a, b and D_c (n,)."""
