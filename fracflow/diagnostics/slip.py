@@ -184,10 +184,10 @@ def state_zone(view: CheckInput) -> Number:
 
 def state_nucleation(view: CheckInput) -> Number:
     """H* = 2 mu* b D_c/(pi (b - a)^2 sigma): joints that are not far shorter slip one by one (Rice 1993, Rubin and Ampuero)."""
-    name, formula, joints = "nucleation length h*", "h* = 2 mu* b D_c/(pi (b - a)^2 sigma)", view.joints
+    name, formula, joints = "creep nucleation", "h* = 2 mu* b D_c/(pi (b - a)^2 sigma)", view.joints
     ratio, joint, where = view.worst(joints.length[:, None] / _state_lengths(view)[1])
     if not ratio:
-        return Number(name, formula, note="b > a nowhere" if joints.evolution.any() else "no friction with a state")
+        return Number(name, formula, note="b > a nowhere")
     along = joints.length[joints.fracture == joints.fracture[joint]].sum()
     length, limit = float(joints.length[joint]) / ratio, NUCLEUS * float(joints.length[joint])
     note = f"{NUCLEUS:g} h" if length <= along else f"{NUCLEUS:g} h; above the fracture's length, which slips slowly"
