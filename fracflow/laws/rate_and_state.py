@@ -243,7 +243,8 @@ class RateAndState(JointLaw):
         theta, rate = history["state"], history["sliding_rate"]
         d_c = per_section(self.characteristic_slip, len(theta))
         away = np.abs(np.log(np.maximum(rate, TINY) / d_c * theta))
-        return d_c / np.where(self._slips(len(theta)), np.maximum(away, 1.0), 1.0)
+        found: Floats = d_c / np.where(self._slips(len(theta)), np.maximum(away, 1.0), 1.0)
+        return found
 
     def rate_effects(self, compression: Floats) -> tuple[Floats, Floats]:
         """Direct and evolution effect a sigma, b sigma (n,) under a compression (n,) [stress]."""
